@@ -20,9 +20,11 @@ const UNREAD =
 const UNREAD_CALLS = /^(querySelector(All)?|matchMedia|getContext|addEventListener|removeEventListener|getElementById|createElement|fetch|startsWith|endsWith|includes|join|split|RegExp|closest|setAttribute|warn|debug|info|log)$/;
 
 const LETTER = "A-Za-z\\u00c0-\\u024f";
-const PROSE = new RegExp(`[${LETTER})}][,.;:]? +[(\u201c"{]?[${LETTER}]`);
+const PROSE = new RegExp(`[${LETTER})}\\]][,.;:]? +[(\u201c"{\\[]?[${LETTER}]`);
 /** A word beside something that is filled in, such as "{time} left". */
 const WORD_BESIDE = /\}[ ,;:%]* [a-z]{3,}\b|(^|\s)[a-z]{3,}[,:;]? \{/;
+/** Elements that are words of the sentence that they stand in. */
+const INLINE = /^(a|abbr|b|code|em|i|kbd|mark|q|small|span|strong|sub|sup|var)$/;
 
 function isProse(text) {
   const bare = text.replace(/\{[^}]*\}/g, "{x}");
@@ -30,22 +32,114 @@ function isProse(text) {
 }
 const hasLetters = (text) => /[A-Za-z]{2}|\b[aAI]\b/.test(text.replace(/\{[^}]*\}/g, ""));
 
+/** Whether a node is another one in parentheses. */
+const isWrapped = (node) => node.type.startsWith("Parenthesi");
+
 function nameOf(node) {
+  if (isWrapped(node)) return nameOf(node.expression);
   switch (node.type) {
     case "Identifier":
+    case "PrivateIdentifier":
       return node.name;
     case "MemberExpression":
-      return nameOf(node.property);
-    case "CallExpression":
-      return nameOf(node.arguments[0] ?? node.callee);
+      return node.computed ? nameOf(node.object) : nameOf(node.property);
+    case "CallExpression": {
+      const first = node.arguments[0];
+      const isWritten = first === undefined || first.type === "Literal" || first.type.endsWith("FunctionExpression");
+      if (!isWritten) return nameOf(first);
+      return nameOf(node.callee.type === "MemberExpression" && first !== undefined ? node.callee.object : node.callee);
+    }
     case "Literal":
       return String(node.value);
+    case "BinaryExpression":
+      return nameOf(node.left.type === "Literal" ? node.right : node.left);
+    case "LogicalExpression":
+      return nameOf(node.left);
+    case "ConditionalExpression":
+      return nameOf(node.consequent);
+    case "UnaryExpression":
+    case "AwaitExpression":
+      return nameOf(node.argument);
+    case "ChainExpression":
+    case "TSNonNullExpression":
+    case "TSAsExpression":
+      return nameOf(node.expression);
     default:
       return "\u2026";
   }
 }
 
-const inBraces = (node) => `{${nameOf(node)}}`;
+/** Strings that were put into a longer one: not sentences of their own. */
+const used = new Set();
+
+/** A string that is written here, with what is filled in; null for anything else. */
+function writtenText(node) {
+  if (isWrapped(node)) return writtenText(node.expression);
+  switch (node.type) {
+    case "Literal":
+      if (typeof node.value !== "string") return node.value === null ? "" : null;
+      used.add(node);
+      return node.value;
+    case "TemplateLiteral":
+      used.add(node);
+      return textOfTemplate(node);
+    case "JSXFragment":
+    case "JSXElement": {
+      if (node.type === "JSXElement" && !INLINE.test(node.openingElement.name.name ?? "")) return null;
+      used.add(node);
+      return textOfChildren(node.children).trim();
+    }
+    case "ConditionalExpression": {
+      const texts = choicesOf(node);
+      return texts === null ? null : texts.length === 0 ? "" : `[${texts.join(" | ")}]`;
+    }
+    case "LogicalExpression": {
+      if (node.operator !== "&&") return null;
+      const text = writtenText(node.right);
+      return text === null || text === "" ? text : `[${text}]`;
+    }
+    default:
+      return null;
+  }
+}
+
+/** The strings of which one is read; null where none of them is written here. */
+function choicesOf(node) {
+  const found = [];
+  let isWritten = false;
+  for (const side of [node.consequent, node.alternate]) {
+    const texts = side.type === "ConditionalExpression" ? choicesOf(side) : [writtenText(side)];
+    if (texts === null || texts[0] === null) {
+      const isElement = side.type.startsWith("JSX");
+      if (!isElement) found.push(`{${nameOf(side)}}`);
+    } else {
+      isWritten ||= texts.some((text) => text !== "");
+      found.push(...texts);
+    }
+  }
+  return isWritten ? [...new Set(found.filter((text) => text !== ""))] : null;
+}
+
+/** What a person reads in the place of an expression: {filled in}, [there at times], [this | that]. */
+function inBraces(node) {
+  if (node.type === "CallExpression" && node.callee.name === "plural") {
+    const [count, one, many] = node.arguments;
+    const words = many === undefined ? `${one.value}[s]` : one.value === many.value ? one.value : `[${one.value} | ${many.value}]`;
+    if (typeof one.value === "string") return `{${nameOf(count)}} ${words}`;
+  }
+  const text = keptIf((found) => found !== null, () => writtenText(node));
+  return text ?? `{${nameOf(node)}}`;
+}
+
+/** A text; what it is made of counts as used only if the text is wanted. */
+function keptIf(isWanted, make) {
+  const before = [...used];
+  const text = make();
+  if (isWanted(text)) return text;
+  used.clear();
+  for (const one of before) used.add(one);
+  return null;
+}
 
 function textOfTemplate(node) {
   return node.quasis.map((quasi, index) => {
@@ -54,18 +148,36 @@ function textOfTemplate(node) {
   }).join("");
 }
 
+/** An element without text of its own, by what it is given: a number that it writes. */
+function textOfElement(element) {
+  const inner = writtenText(element);
+  if (inner !== null && inner !== "") return inner;
+  const given = element.openingElement?.attributes.map((one) => one.value?.expression).find((one) => one !== undefined);
+  return element.children?.length === 0 && given !== undefined ? inBraces(given) : "<>";
+}
+
+/** Text between elements, as JSX reads its lines. */
+function lineText(value) {
+  const lines = value.split("\n");
+  return lines
+    .map((line, at) => {
+      const opened = at === 0 ? line : line.trimStart();
+      return (at === lines.length - 1 ? opened : opened.trimEnd()).replace(/\s+/g, " ");
+    })
+    .filter((line) => line !== "")
+    .join(" ");
+}
+
 function textOfChildren(children) {
   return children
     .map((child) => {
       switch (child.type) {
         case "JSXText":
-          return child.value.replace(/\s+/g, " ");
+          return lineText(child.value);
         case "JSXExpressionContainer":
-          return child.expression.type === "Literal" ? String(child.expression.value)
-            : child.expression.type === "JSXEmptyExpression" ? ""
-            : inBraces(child.expression);
+          return child.expression.type === "JSXEmptyExpression" ? "" : inBraces(child.expression);
         default:
-          return "<>";
+          return textOfElement(child);
       }
     })
     .join("");
@@ -75,7 +187,7 @@ function collect(tree) {
   const found = [];
   const keep = (node, text) => {
     const tidy = text.replace(/\s+/g, " ").trim();
-    if (tidy !== "") found.push([node.start, tidy]);
+    if (tidy !== "") found.push([node.start, tidy, node]);
   };
   /** `read`: true where every string is read, false where only prose is, null where none is. */
   function walk(node, read) {
@@ -100,8 +212,9 @@ function collect(tree) {
           keep(node, node.value);
         return;
       case "TemplateLiteral": {
-        const text = textOfTemplate(node);
-        if (read !== null && (read ? hasLetters(text) : isProse(text))) keep(node, text);
+        const isWanted = (text) => read !== null && (read ? hasLetters(text) : isProse(text));
+        const text = keptIf(isWanted, () => textOfTemplate(node));
+        if (text !== null) keep(node, text);
         walk(node.expressions, read === null ? null : false);
         return;
       }
@@ -153,8 +266,8 @@ function collect(tree) {
       case "JSXElement":
       case "JSXFragment": {
         walk(node.openingElement?.attributes ?? [], false);
-        const text = textOfChildren(node.children);
-        if (node.children.some((child) => child.type === "JSXText" && hasLetters(child.value))) keep(node, text);
+        if (node.children.some((child) => child.type === "JSXText" && hasLetters(child.value)))
+          keep(node, textOfChildren(node.children));
         for (const child of node.children) {
           if (child.type === "JSXExpressionContainer") walk(child.expression, true);
           else if (child.type !== "JSXText") walk(child, false);
@@ -175,7 +288,7 @@ function collect(tree) {
     }
   }
   walk(tree.body, false);
-  return found.sort((a, b) => a[0] - b[0]).map(([, text]) => text);
+  return found.filter(([, , node]) => !used.has(node)).sort((a, b) => a[0] - b[0]).map(([, text]) => text);
 }
 
 const all = {};

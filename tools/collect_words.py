@@ -25,13 +25,14 @@ SURFACES = {
     "cli": "The command line",
     "messages": "Errors, notes and names that Python and Rust hand to all of them",
 }
-PROSE = re.compile(r"[A-Za-z\u00c0-\u024f)}][,.;:]? +[(\u201c\"{]?[A-Za-z\u00c0-\u024f{]")
+PROSE = re.compile(r"[A-Za-z\u00c0-\u024f)}\]][,.;:]? +[(\u201c\"{\[]?[A-Za-z\u00c0-\u024f{]")
 UNREAD_CALLS = {"compile", "sub", "match", "search", "fullmatch", "TypeVar", "getenv", "TypeAdapter", "debug"}
 """Calls whose strings are for programs."""
 PROGRAMS = {f"python/carina/server/{name}_types.py" for name in ("export", "view", "wire")}
 """They write TypeScript."""
 MARKUP = re.compile(
-    r"<[A-Za-z!?/][^>]*=|<Piece |\bxmlns=|;base64,|[a-z-]+: [^ ]+; |[{.][\w-]+ \{|'none';|px \{FONT\}|system-ui|_core\b"
+    r"<[A-Za-z!?/][^>]*=|<Piece |\bxmlns=|;base64,|[a-z-]+: [^ {]+; "
+    r"|[{.][\w-]+ \{|'none';|px \{FONT\}|system-ui|_core\b"
     r"|\.react-aria-|^M\{|^#[0-9a-f]{6}$|; HttpOnly|max-age=|filename="
     r"|^(INSERT|UPDATE|SELECT|DELETE|CREATE|PRAGMA|ATTACH|WITH) "
     r"|^(comment|property|element|format|NRRD0004|attachment|// |/\*\* |export )"
@@ -71,44 +72,213 @@ def is_prose(text: str) -> bool:
 def name_of(node: ast.expr) -> str:
     """What stands in braces: the last name of what is filled in."""
     match node:
+        case ast.Attribute(value=value, attr="__name__"):
+            return "type" if isinstance(value, ast.Call) else name_of(value)
         case ast.Name(id=name) | ast.Attribute(attr=name):
-            return name
+            return name.strip("_")
+        case ast.Call(func=ast.Attribute(value=value), args=[ast.Constant(), *_]):
+            return name_of(value)
         case ast.Call(args=[first, *_]):
             return name_of(first)
         case ast.Call(func=ast.Attribute(attr=name) | ast.Name(id=name)):
             return name
         case ast.Constant(value=value):
             return str(value)
-        case ast.Subscript(value=value):
+        case ast.Subscript(value=value) | ast.Starred(value=value) | ast.UnaryOp(operand=value):
             return name_of(value)
+        case ast.BinOp(left=left, right=right):
+            return name_of(right) if isinstance(left, ast.Constant) else name_of(left)
+        case ast.BoolOp(values=[value, *_]) | ast.IfExp(body=value):
+            return name_of(value)
+        case ast.Tuple(elts=elts) if elts:
+            return ", ".join(map(name_of, elts))
+        case ast.JoinedStr(values=values):
+            return next((name_of(part.value) for part in values if isinstance(part, ast.FormattedValue)), "\u2026")
+        case ast.GeneratorExp(generators=[first, *_]) | ast.ListComp(generators=[first, *_]):
+            return name_of(first.iter)
         case _:
             return "\u2026"
 
 
-def text_of(node: ast.Constant | ast.JoinedStr) -> str:
-    """A string as it is read, what is filled in between braces."""
-    if isinstance(node, ast.Constant):
-        return str(node.value)
-    parts = []
-    for part in node.values:
-        if isinstance(part, ast.FormattedValue):
-            parts.append("{" + name_of(part.value) + "}")
-        else:
-            parts.append(str(part.value) if isinstance(part, ast.Constant) else "")
-    return "".join(parts)
+Frame = tuple[list[str], list[str | int]]
+"""Parameters of a function, and its sentence: text, and which parameter stands where."""
+FRAMER = re.compile(r"_?(damaged|refused?)")
+"""Functions that put a sentence together from what they are given: their calls are the sentences."""
+
+
+WRAPPED: dict[str, tuple[list[str], str]] = {
+    "disk_trouble": (["error", "doing", "where"], "{doing} {where}: {why}"),
+    "write_whole": (["path", "content"], "cannot write {what} to {path}: {why}"),
+    "Draft": (["path"], "cannot write {what} to {path}: {why}"),
+    "drafted": (["path"], "cannot write {what} to {path}: {why}"),
+    "make_folder": (["path"], "cannot create the folder for {what} at {path}: {why}"),
+    "FeatureOff": (["what", "why"], "{what}: off, {why}"),
+    "_change_key": (["key_id", "verb"], "{verb} key frame {number}"),
+}
+"""Functions that make a sentence in several steps: parameters by place, and what is read in the end."""
+
+
+def wrapped(text: str) -> Frame:
+    """A frame from a sentence of :data:`WRAPPED`."""
+    params, sentence = WRAPPED[text]
+    names = re.findall(r"{(\w+)}", sentence)
+    params = [*params, *(name for name in names if name not in params)]
+    pieces = re.split(r"{(\w+)}", sentence)
+    return params, [params.index(piece) if at % 2 else piece for at, piece in enumerate(pieces)]
+
+
+def assigned_in(scope: ast.AST) -> dict[str, list[ast.expr]]:
+    """What is assigned to each plain name of a function or module, in order, without its inner functions."""
+    found: dict[str, list[ast.expr]] = {}
+    waiting = list(ast.iter_child_nodes(scope))
+    while waiting:
+        node = waiting.pop(0)
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Lambda):
+            continue
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                found.setdefault(name, []).append(value)
+            case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value):
+                found.setdefault(name, []).append(value)
+            case ast.Name(id=name, ctx=ast.Store()):
+                # Set in another way, too: by a loop, or added to.
+                found.setdefault(name, []).append(node)
+        waiting += [
+            child
+            for child in ast.iter_child_nodes(node)
+            if not (isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(child, ast.Name))
+        ]
+    return {name: sorted(values, key=lambda value: value.lineno) for name, values in found.items()}
+
+
+class Texts:
+    """Strings of one function as they are read: in braces what is filled in, in brackets what depends.
+
+    ``used`` grows by the strings that were put into a longer one.
+    """
+
+    def __init__(self, scope: dict[str, list[ast.expr]], module: dict[str, list[ast.expr]], used: set[int]) -> None:
+        self.scope, self.module, self.used = scope, module, used
+
+    def literal(self, node: ast.expr) -> str | None:
+        """A string that is written here; None for anything else."""
+        match node:
+            case ast.Constant(value=str(value)):
+                self.used.add(id(node))
+                return value
+            case ast.JoinedStr():
+                self.used.add(id(node))
+                return self.joined(node)
+            case ast.IfExp():
+                choices = self.choices(node)
+                return None if choices is None else "[" + " | ".join(choices) + "]"
+            case ast.BinOp(op=ast.Add(), left=left, right=right):
+                both = self.literals(left, right)
+                return None if both is None else "".join(both)
+            case _:
+                return None
+
+    def choices(self, node: ast.IfExp) -> list[str] | None:
+        """The strings of which one is read; None where none of them is written here."""
+        found: list[str] = []
+        is_written = False
+        for side in (node.body, node.orelse):
+            if isinstance(side, ast.IfExp):
+                inner = self.choices(side)
+                is_written |= inner is not None
+                found += ["{" + name_of(side) + "}"] if inner is None else inner
+            else:
+                text = self.literal(side)
+                is_written |= text is not None
+                found.append("{" + name_of(side) + "}" if text is None else text)
+        return list(dict.fromkeys(filter(None, found))) if is_written else None
+
+    def literals(self, *nodes: ast.expr) -> list[str] | None:
+        """Strings that are all written here, or None."""
+        used = set(self.used)
+        texts = [self.literal(node) for node in nodes]
+        found = [text for text in texts if text is not None]
+        if len(found) < len(texts):
+            self.used.intersection_update(used)
+            return None
+        return found
+
+    def joined(self, node: ast.JoinedStr) -> str:
+        """A string with what is filled in."""
+        return "".join(
+            self.filled(part.value)
+            if isinstance(part, ast.FormattedValue)
+            else str(part.value)
+            if isinstance(part, ast.Constant)
+            else ""
+            for part in node.values
+        )
+
+    def filled(self, node: ast.expr) -> str:
+        """What a person reads in the place of an expression."""
+        if isinstance(node, ast.Name):
+            values = self.scope.get(node.id, [])
+            if len(values) == 1 and isinstance(values[0], ast.IfExp | ast.JoinedStr | ast.Constant):
+                text = self.literal(values[0])
+                if text is not None:
+                    return text
+        elif isinstance(node, ast.IfExp | ast.JoinedStr) or (
+            isinstance(node, ast.Constant) and isinstance(node.value, str)
+        ):
+            text = self.literal(node)
+            if text is not None:
+                return text
+        return "{" + name_of(node) + "}"
+
+    def given(self, node: ast.expr, line: int) -> str | None:
+        """The string that a call is given: written there, or assigned above it."""
+        if isinstance(node, ast.Name):
+            above = [value for value in self.scope.get(node.id, []) if value.lineno < line]
+            if node.id not in self.scope:
+                above = self.module.get(node.id, [])
+            return self.literal(above[-1]) if above else None
+        return self.literal(node)
+
+
+def frame_of(node: ast.FunctionDef, used: set[int]) -> Frame | None:
+    """The sentence that a function makes of its parameters."""
+    params = [arg.arg for arg in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+    for inner in ast.walk(node):
+        if not isinstance(inner, ast.JoinedStr):
+            continue
+        texts = Texts(assigned_in(node), {}, used)
+        parts: list[str | int] = []
+        for part in inner.values:
+            if isinstance(part, ast.FormattedValue):
+                name = part.value.id if isinstance(part.value, ast.Name) else ""
+                parts.append(params.index(name) if name in params else texts.filled(part.value))
+            elif isinstance(part, ast.Constant):
+                parts.append(str(part.value))
+        shown = "".join(part if isinstance(part, str) else f"{{{params[part]}}}" for part in parts)
+        if any(isinstance(part, int) for part in parts) and is_prose(shown):
+            used.add(id(inner))
+            return params, parts
+    return None
 
 
 class Reader(ast.NodeVisitor):
     """Strings of a module that are prose. Docstrings are not, except those of verbs: ``--help`` shows them."""
 
-    def __init__(self, verbs: frozenset[str]) -> None:
-        self.found: list[tuple[int, int, str]] = []
-        self.verbs = verbs
+    def __init__(self, tree: ast.Module, verbs: frozenset[str], frames: dict[str, Frame], used: set[int]) -> None:
+        self.kept: list[tuple[int, int, str, int]] = []
+        self.verbs, self.frames, self.used = verbs, frames, used
+        self.module = assigned_in(tree)
+        self.texts = Texts({}, self.module, used)
 
-    def keep(self, node: ast.stmt | ast.expr, text: str) -> None:
+    @property
+    def found(self) -> list[tuple[int, int, str]]:
+        """Sentences with their places; not those that are parts of others."""
+        return sorted((line, column, text) for line, column, text, node in self.kept if node not in self.used)
+
+    def keep(self, node: ast.stmt | ast.expr, text: str, *, whole: bool = False) -> None:
         tidy = " ".join(text.split())
         if tidy:
-            self.found.append((node.lineno, node.col_offset, tidy))
+            self.kept.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
 
     def visit_Expr(self, node: ast.Expr) -> None:
         if not isinstance(node.value, ast.Constant):
@@ -117,22 +287,59 @@ class Reader(ast.NodeVisitor):
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
         if node.name in self.verbs and (docstring := ast.get_docstring(node)):
             for paragraph in docstring.split("\n\n"):
-                self.keep(node, paragraph)
+                self.keep(node, paragraph, whole=True)
+        outside = self.texts
+        self.texts = Texts(assigned_in(node), self.module, self.used)
         self.generic_visit(node)
+        self.texts = outside
 
     def visit_Call(self, node: ast.Call) -> None:
         name = name_of(node.func) if isinstance(node.func, ast.Name | ast.Attribute) else ""
-        if name not in UNREAD_CALLS:
-            self.generic_visit(node)
+        if name in UNREAD_CALLS:
+            return
+        frame = self.frames.get(node.func.id) if isinstance(node.func, ast.Name) else None
+        if frame is None and isinstance(node.func, ast.Name | ast.Attribute):
+            called = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
+            frame = wrapped(called) if called in WRAPPED else None
+        if frame is not None:
+            self.keep_framed(node, frame)
+        self.generic_visit(node)
+
+    def keep_framed(self, node: ast.Call, frame: Frame) -> None:
+        """The sentence that a call makes, if it is given a part of it."""
+        params, parts = frame
+        given = dict(zip(params, node.args, strict=False)) | {
+            keyword.arg: keyword.value for keyword in node.keywords if keyword.arg is not None
+        }
+        texts: dict[str, str] = {}
+        is_given = False
+        for param, value in given.items():
+            if param not in params or params.index(param) not in parts:
+                continue
+            if isinstance(value, ast.Constant) and value.value is None:
+                texts[param] = ""
+                continue
+            text = self.texts.given(value, node.lineno)
+            is_given |= text is not None
+            texts[param] = "{" + name_of(value) + "}" if text is None else text
+        if is_given:
+            sentence = "".join(
+                part if isinstance(part, str) else texts.get(params[part], "{" + params[part] + "}") for part in parts
+            )
+            self.keep(node, sentence.replace(" :", ":"), whole=True)
 
     def visit_Constant(self, node: ast.Constant) -> None:
         if isinstance(node.value, str) and is_prose(node.value):
             self.keep(node, node.value)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
-        text = text_of(node)
+        used = set(self.used)
+        text = self.texts.joined(node)
         if is_prose(text):
             self.keep(node, text)
+        else:
+            # Its parts are read for themselves.
+            self.used.intersection_update(used)
         for part in node.values:
             if isinstance(part, ast.FormattedValue):
                 self.visit(part.value)
@@ -158,13 +365,41 @@ def from_python() -> dict[str, Found]:
     in_cli = {path for path in files if "cli" in path.relative_to(ROOT).parts}
     verbs = frozenset().union(*(verbs_of(trees[path]) for path in in_cli))
     found: dict[str, Found] = {"cli": {}, "messages": {}}
+    used: set[int] = set()
+    framers = {
+        path: {
+            node.name: frame
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef)
+            and FRAMER.fullmatch(node.name)
+            and (frame := frame_of(node, used)) is not None
+        }
+        for path, tree in trees.items()
+    }
+    public = {name: frame for own in framers.values() for name, frame in own.items() if not name.startswith("_")}
+    constants = {
+        name: values[0]
+        for tree in trees.values()
+        for name, values in assigned_in(tree).items()
+        if name.isupper() and len(values) == 1 and isinstance(values[0], ast.Constant)
+    }
     for path, tree in trees.items():
         if path.relative_to(ROOT).as_posix() in PROGRAMS:
             continue
-        reader = Reader(verbs if path in in_cli else frozenset())
+        imported = {
+            alias.name: public[alias.name]
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+            if alias.name in public
+        }
+        reader = Reader(tree, verbs if path in in_cli else frozenset(), imported | framers[path], used)
+        for name in {alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}:
+            if name in constants:
+                reader.module.setdefault(name, [constants[name]])
         reader.visit(tree)
         tokens = re.compile(TOKENS.get(path.relative_to(ROOT).as_posix(), "$."))
-        texts = [text for _, _, text in sorted(reader.found) if tokens.fullmatch(text) is None]
+        texts = [text for _, _, text in reader.found if tokens.fullmatch(text) is None]
         found["cli" if path in in_cli else "messages"][path.relative_to(ROOT).as_posix()] = texts
     return found
 
@@ -219,6 +454,7 @@ def page(surface: str, found: Found) -> str:
     lines = [
         f"# {SURFACES[surface]}. Collected by tools/collect_words.py:",
         "# change a sentence where it is said, then run `make words`.",
+        "# {what} is filled in; [this] is there at times; [this | that] is one of both.",
     ]
     for name, texts in found.items():
         lines += ["", f"## {name}", *texts]

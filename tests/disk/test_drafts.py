@@ -223,7 +223,9 @@ TROUBLES = [
 
 @pytest.mark.parametrize(("number", "code", "words"), TROUBLES)
 def test_each_trouble_has_a_code_and_a_sentence(tmp_path, number, code, words):
-    told = disk_trouble(OSError(number, os.strerror(number)), "cannot write the tree", tmp_path / "t", needed_bytes=9)
+    told = disk_trouble(
+        OSError(number, os.strerror(number)), "cannot write the tree to", tmp_path / "t", needed_bytes=9
+    )
     assert (told.code, told.errno, told.exit_code) == (code, number, 1)
     assert str(told).startswith(f"cannot write the tree to {tmp_path / 't'}: ")
     assert words in str(told)
@@ -232,7 +234,7 @@ def test_each_trouble_has_a_code_and_a_sentence(tmp_path, number, code, words):
 
 
 def test_a_full_disk_says_how_much_is_needed_and_free(tmp_path):
-    told = disk_trouble(OSError(errno.ENOSPC, ""), "cannot write the CT", tmp_path, needed_bytes=3_200_000)
+    told = disk_trouble(OSError(errno.ENOSPC, ""), "cannot write the CT to", tmp_path, needed_bytes=3_200_000)
     assert "about 3.2 MB needed" in str(told)
     assert "free)" in str(told)
 

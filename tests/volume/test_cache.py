@@ -486,7 +486,7 @@ def test_a_ct_forgotten_while_it_is_written_is_not_there_afterwards(kept, folder
 
 def test_a_full_disk_costs_the_cache_and_nothing_else(kept, folder, tmp_path, monkeypatch, caplog):
     def full(*_arguments, **_options):
-        raise disk_trouble(OSError(errno.ENOSPC, "full"), "cannot write the cached CT", folder)
+        raise disk_trouble(OSError(errno.ENOSPC, "full"), "cannot write the cached CT to", folder)
 
     monkeypatch.setattr(cache, "draft_voxel_file", full)
     with caplog.at_level(logging.WARNING):

@@ -110,7 +110,7 @@ def told(path: Path) -> Iterator[None]:
     except UnicodeError as error:
         raise refused(path, f"it is damaged ({error}); open an earlier copy", code="case.damaged") from error
     except OSError as error:
-        raise disk_trouble(error, "cannot use the case", path) from error
+        raise disk_trouble(error, "cannot use the case at", path) from error
 
 
 def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:

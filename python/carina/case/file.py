@@ -120,7 +120,7 @@ class CaseFile:
         try:
             os.close(os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))
         except OSError as error:
-            raise disk_trouble(error, "cannot write the case", place) from error
+            raise disk_trouble(error, "cannot write the case to", place) from error
         with told(place):
             connection = connected(place, "rw")
             try:

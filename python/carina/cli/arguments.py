@@ -71,4 +71,4 @@ def check_output_folder(path: Path) -> None:
 
 def _check_writable(folder: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise disk_trouble(PermissionError(errno.EACCES, os.strerror(errno.EACCES)), "-o: cannot write", folder)
+        raise disk_trouble(PermissionError(errno.EACCES, os.strerror(errno.EACCES)), "-o: cannot write to", folder)

@@ -102,7 +102,8 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         fail(as_json, error.code, str(error), error.exit_code)
     except OSError as error:
         if is_disk_trouble(error):
-            told = disk_trouble(error, "a file could not be read or written", error.filename)
+            doing = "cannot read or write" if error.filename else "a file could not be read or written"
+            told = disk_trouble(error, doing, error.filename)
             say(f"carina: {told}")
             fail(as_json, told.code, str(told), told.exit_code)
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)

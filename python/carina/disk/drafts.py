@@ -139,7 +139,7 @@ class Draft:
             unchanged = "the existing file is unchanged" if self._target.is_file() else ""
         if error.errno == errno.ENOENT and self._target.parent.is_dir():
             unchanged = "another program removed its temporary file; try again"
-        doing = f"cannot write {self._what}"
+        doing = f"cannot write {self._what} to"
         return disk_trouble(error, doing, self._target, needed_bytes=self._needed_bytes, unchanged=unchanged)
 
 
@@ -185,7 +185,7 @@ def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = Fals
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700 if private else 0o777)
     except OSError as error:
-        raise disk_trouble(error, f"cannot create the folder of {what}", folder) from error
+        raise disk_trouble(error, f"cannot create the folder for {what} at", folder) from error
     return folder
 
 

@@ -51,7 +51,7 @@ def disk_trouble(
     error
         What the system said. A :class:`DiskError` is handed back as it is.
     doing
-        What could not be done: "cannot write the mask".
+        What could not be done: "cannot write the mask to"; the file or folder follows.
     where
         File or folder; None where it is of no use to a person (a temporary folder that one never sees).
     needed_bytes
@@ -68,7 +68,7 @@ def disk_trouble(
     if isinstance(error, DiskError):
         return error
     code, why, advice = _reason(error, where, needed_bytes)
-    place = "" if where is None else f" to {where}"
+    place = "" if where is None else f" {where}"
     words = "; ".join(part for part in (f"{doing}{place}: {why}", advice, unchanged) if part)
     made = DiskError(words, code=code)
     made.errno, made.strerror = error.errno, why

@@ -57,7 +57,7 @@ class FlightRecording(Subject):
             make_folder(path.parent, what="the recording")
             file = path.open("x", encoding="utf-8")
         except OSError as trouble:
-            raise disk_trouble(trouble, "cannot write the recording", path) from trouble
+            raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
         with self.core.lock:
             try:
                 self._recorder = Recorder(
@@ -72,7 +72,7 @@ class FlightRecording(Subject):
             except OSError as trouble:
                 with contextlib.suppress(OSError):
                     path.unlink()
-                raise disk_trouble(trouble, "cannot write the recording", path) from trouble
+                raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
             self._path, self._recorded_case = path, case
             if case.navigator.scope_state is not None:
                 # A replay begins with the scope laid anew, so that it can begin at all.
@@ -101,7 +101,7 @@ class FlightRecording(Subject):
         """The file cannot be written any more, with the session locked; the flight goes on."""
         self._recorder = None
         kept = f"the recording so far is in {self._path}"
-        told = disk_trouble(trouble, "the recording stopped: its file could not be written", self._path, unchanged=kept)
+        told = disk_trouble(trouble, "the recording stopped: cannot write to", self._path, unchanged=kept)
         self.core.emit(Trouble(told.code, str(told)))
         self.core.changed("state")
 

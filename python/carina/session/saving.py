@@ -670,7 +670,7 @@ class Saving(Subject):
                     else:
                         self._write_elsewhere(kept, path)
                 except OSError as trouble:
-                    raise disk_trouble(trouble, "cannot save the case", path) from trouble
+                    raise disk_trouble(trouble, "cannot save the case to", path) from trouble
             self.core.emit(Said(f"saved as {path}"))
 
         return self.core.jobs.start("save", "saving the case", work)
