@@ -62,6 +62,8 @@ class Desk:
         self.folder, self.wall = folder, Wall()
         self.digest = "one CT"
         self.files: list[MemoryFile] = []
+        self.written: dict[str, Any] = {}
+        """Moments that were written whole, past the live file."""
         self.store: Any = None
 
     def start(self) -> Session:
@@ -75,13 +77,17 @@ class Desk:
         def reopen(path: Path) -> MemoryFile:
             return create(path, None, MemoryFile.kept[str(path)][0])
 
+        def write(path: Path, volume: Any, digest: str, moment: Any, ct_place: str | None) -> None:
+            path.write_text(f"{digest} whole, {ct_place}")
+            self.written[str(path)] = moment
+
         self.session = Session(
             SmallRenderer,
             parts=small_parts(),
             submit=self.background,
             clock=self.clock,
             records=CaseRecords(self.folder / "cases", self.wall),
-            files=self.kept_files(KeptFiles(create, reopen, lambda _volume: self.digest)),
+            files=self.kept_files(KeptFiles(create, reopen, write, lambda _volume: self.digest)),
             store=self.store,
         )
         self.session.subscribe(self.events.append)

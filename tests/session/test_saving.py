@@ -192,12 +192,10 @@ def test_the_thread_writes_what_a_person_did(desk):
     desk.open()
     session.do(c.SetFov(100.0))
     desk.clock.advance(5.0)
-    with session._saving._wake:
-        session._saving._wake.notify_all()
-    for _ in range(2000):
-        if session.snapshot().saving.saved_s is not None:
-            break
-        session._saving._thread.join(0.005)
+    kept = session._saving._kept
+    with kept._wake:
+        kept._wake.notify_all()
+        assert kept._wake.wait_for(lambda: kept.info.saved_s is not None, 60.0)
     assert session.snapshot().saving.saved_s == desk.wall.now_s
     session.close()
 
@@ -237,8 +235,7 @@ def test_a_case_whose_disk_is_full_is_not_closed_until_it_is_saved_elsewhere(des
     session.do(c.SaveCase(str(place)))
     desk.background.run_all()
     assert [path.name for path in place.parent.iterdir()] == ["mine.carina"]
-    kept = MemoryFile.kept[str(place.with_name(".mine.carina.new"))][1]
-    assert kept.steps[-1].document.look.fov_deg == 90.0
+    assert desk.written[str(place)].steps[-1].document.look.fov_deg == 90.0
     session.do(c.SetFov(80.0))
     with pytest.raises(UsageError, match="the case stays open"):
         session.do(c.CloseCase())

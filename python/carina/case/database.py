@@ -36,11 +36,13 @@ OLDEST_SQLITE: Final = (3, 37, 0)
 """The first with tables that keep their types."""
 
 
-def connected(path: Path, mode: str, *, immutable: bool = False) -> sqlite3.Connection:
+def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -> sqlite3.Connection:
     """A connection that believes nothing that the file says of itself.
 
     Parameters
     ----------
+    path
+        None is a database in memory.
     mode
         ``ro``, ``rw`` or ``rwc``.
     immutable
@@ -51,7 +53,9 @@ def connected(path: Path, mode: str, *, immutable: bool = False) -> sqlite3.Conn
             f"{path}: cases need SQLite 3.37 or newer; this Python brings {sqlite3.sqlite_version}: use a newer Python",
             code="case.sqlite",
         )
-    uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
+    uri = ":memory:"
+    if path is not None:
+        uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
     # Text that is none is found by its digest, or is words of a label that are shown as far as they go.
     connection.text_factory = _text

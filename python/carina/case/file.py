@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from carina.case import facts as f
 from carina.case.database import (
+    beside,
     check_whole,
     connected,
     copied_with_journal,
@@ -29,13 +30,13 @@ from carina.case.packed_ct import packed_volume, write_ct
 from carina.case.packing import as_checked_json, from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
-from carina.case.schema import CONTENT, check_schema, make_tables, migrated
+from carina.case.schema import CONTENT, JOURNALS, check_schema, make_tables, migrated
 from carina.case.source import SourceFacts, grid_words, read_source, turn_between, write_source
 from carina.case.summary import CaseSummary, read_summary
 from carina.case.sweeping import sweep
 from carina.case.trouble import CaseFileError, damaged, refused
 from carina.case.writing import CaseWriter
-from carina.disk import ScratchFolder, disk_trouble, drafted
+from carina.disk import ScratchFolder, disk_trouble, drafted, write_whole
 from carina.display import one_line
 from carina.navigate import Recording
 from carina.volume import Volume
@@ -44,6 +45,8 @@ __all__ = ["CaseFile", "StepFacts", "all_content", "step_rows"]
 
 MAX_CONTENT_BYTES: Final = 2 << 30
 """Of all rows of a case without its CT."""
+MAX_IN_MEMORY_BYTES: Final = 256 << 20
+"""A copy that is larger is made on the disk; without its CT hardly any case is."""
 MAX_ROWS: Final = 2_000_000
 MAX_STEPS: Final = 10_000
 
@@ -121,17 +124,33 @@ class CaseFile:
             os.close(os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))
         except OSError as error:
             raise disk_trouble(error, "cannot write the case to", place) from error
-        with told(place):
-            connection = connected(place, "rw")
-            try:
-                set_up(connection)
-                with transaction(connection):
-                    make_tables(connection)
-                    write_source(connection, source)
-            except BaseException:
-                connection.close()
-                raise
+        try:
+            with told(place):
+                connection = connected(place, "rw")
+                try:
+                    set_up(connection)
+                    with transaction(connection):
+                        make_tables(connection)
+                        write_source(connection, source)
+                except BaseException:
+                    connection.close()
+                    raise
+        except BaseException:
+            # Else what is no case yet would be in the way of the next try.
+            for part in (place, *(beside(place, tail) for tail in JOURNALS)):
+                with contextlib.suppress(OSError):
+                    part.unlink(missing_ok=True)
+            raise
         return cls(place, connection)
+
+    @classmethod
+    def in_memory(cls, source: SourceFacts) -> CaseFile:
+        """Begin a case file that no disk has to take, until it is written by :meth:`write_copy`."""
+        connection = connected(None)
+        with transaction(connection):
+            make_tables(connection)
+            write_source(connection, source)
+        return cls(Path("case.carina"), connection)
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False) -> CaseFile:
@@ -432,7 +451,8 @@ class CaseFile:
     def write_copy(self, path: Path | str, *, ct_place: str | None = None, volume: Volume | None = None) -> None:
         """Write all of it as one whole file, without a journal: what a person names, shares and backs up.
 
-        It is made in a temporary folder and put in its place whole, so that no database is ever open on a share.
+        It is made in memory, or where it is large in a temporary folder, and put in its place whole: no database is
+        ever open on a share, and a disk that is full is not needed to save on another one.
 
         Parameters
         ----------
@@ -449,22 +469,39 @@ class CaseFile:
             ``case.other-scan``: if ``volume`` is not the case's.
         """
         target = Path(path)
+        with self._lock, told(self.path):
+            pages, size = (self._open().execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
+        if volume is None and pages * size <= MAX_IN_MEMORY_BYTES:
+            with told(self.path), contextlib.closing(connected(None)) as copy:
+                self._back_up(copy, ct_place)
+                content = copy.serialize()
+            write_whole(target, content, what="the case", lasting=True)
+            return
         with ScratchFolder() as folder:
             made = folder / "copy.carina"
-            with self._lock, told(made), contextlib.closing(connected(made, "rwc")) as copy:
-                self._open().backup(copy)
-                copy.execute("PRAGMA journal_mode=DELETE")
-                # Until it is whole it may be thrown away.
-                copy.execute("PRAGMA synchronous=OFF")
-                with transaction(copy):
-                    write_source(copy, replace(read_source(copy), path=ct_place))
-                    sweep(copy, all_content(copy))
-                copy.execute("VACUUM")
+            with told(made), contextlib.closing(connected(made, "rwc")) as copy:
+                self._back_up(copy, ct_place)
                 if volume is not None:
                     with transaction(copy):
                         write_ct(copy, volume)
-            with drafted(target, what="the case", needed_bytes=made.stat().st_size) as file, made.open("rb") as whole:
+            needed_bytes = made.stat().st_size
+            with (
+                drafted(target, what="the case", needed_bytes=needed_bytes, lasting=True) as file,
+                made.open("rb") as whole,
+            ):
                 shutil.copyfileobj(whole, file, 1 << 20)
+
+    def _back_up(self, copy: sqlite3.Connection, ct_place: str | None) -> None:
+        """All of it, without what is not reached any more and without a journal."""
+        with self._lock:
+            self._open().backup(copy)
+        copy.execute("PRAGMA journal_mode=DELETE")
+        # Until it is whole it may be thrown away.
+        copy.execute("PRAGMA synchronous=OFF")
+        with transaction(copy):
+            write_source(copy, replace(read_source(copy), path=ct_place))
+            sweep(copy, all_content(copy))
+        copy.execute("VACUUM")
 
     # ------------------------------------------------------------ inside
 

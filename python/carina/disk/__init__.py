@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carina.disk.drafts import Draft, drafted, make_folder, sweep_drafts, write_whole
+from carina.disk.drafts import Draft, drafted, make_folder, sweep_drafts, sync_folder, write_whole
 from carina.disk.scratch import ScratchFolder, scratch_folder, sweep_scratch
 from carina.disk.trouble import disk_trouble, is_disk_trouble, say_size
 
@@ -17,5 +17,6 @@ __all__ = [
     "scratch_folder",
     "sweep_drafts",
     "sweep_scratch",
+    "sync_folder",
     "write_whole",
 ]

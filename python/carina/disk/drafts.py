@@ -24,7 +24,7 @@ from carina.disk.trouble import disk_trouble
 from carina.display import as_words
 from carina.errors import CarinaError
 
-__all__ = ["DRAFT", "Draft", "drafted", "make_folder", "sweep_drafts", "write_whole"]
+__all__ = ["DRAFT", "Draft", "drafted", "make_folder", "sweep_drafts", "sync_folder", "write_whole"]
 
 DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
 SWEEP_AGAIN_S = 60.0
@@ -35,7 +35,7 @@ _swept: dict[str, float] = {}
 _sweeping = threading.Lock()
 
 
-def write_whole(path: Path | str, content: bytes, *, what: str, private: bool = False) -> Path:
+def write_whole(path: Path | str, content: bytes, *, what: str, private: bool = False, lasting: bool = False) -> Path:
     """Write a file so that it is either complete or as it was before.
 
     Parameters
@@ -48,6 +48,8 @@ def write_whole(path: Path | str, content: bytes, *, what: str, private: bool = 
         What it is, for the message: "the tree".
     private
         Only this person may read it.
+    lasting
+        Its name is on the disk, too, when this returns: after a power cut it is there.
 
     Raises
     ------
@@ -55,7 +57,7 @@ def write_whole(path: Path | str, content: bytes, *, what: str, private: bool = 
         If the folder is missing or not writable, the disk is full, or something is in the way; what was there before
         stays.
     """
-    with drafted(path, what=what, needed_bytes=len(content), private=private) as file:
+    with drafted(path, what=what, needed_bytes=len(content), private=private, lasting=lasting) as file:
         file.write(content)
     return Path(path)
 
@@ -65,7 +67,7 @@ class Draft:
 
     Parameters
     ----------
-    path, what, private, needed_bytes
+    path, what, private, needed_bytes, lasting
         As of :func:`drafted`.
 
     Raises
@@ -74,8 +76,17 @@ class Draft:
         If it cannot be begun.
     """
 
-    def __init__(self, path: Path | str, *, what: str, needed_bytes: int | None = None, private: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        what: str,
+        needed_bytes: int | None = None,
+        private: bool = False,
+        lasting: bool = False,
+    ) -> None:
         self._target = Path(path)
+        self._lasting = lasting
         self._what = what
         self._needed_bytes = needed_bytes
         self._place: Path | None = None
@@ -109,11 +120,15 @@ class Draft:
             if os.name == "nt":  # pragma: no cover
                 self.file.close()  # an open file cannot be renamed there
             self._place.replace(self._target)
+            self._place = None
+            if self._lasting:
+                sync_folder(self._target.parent)
         except OSError as error:
             self.discard()
             raise self.trouble(error) from error
-        self._place = None
-        self.file.close()
+        finally:
+            if self._place is None:
+                self.file.close()
 
     def discard(self) -> None:
         """Give it up; nothing if it has ended."""
@@ -145,13 +160,13 @@ class Draft:
 
 @contextlib.contextmanager
 def drafted(
-    path: Path | str, *, what: str, needed_bytes: int | None = None, private: bool = False
+    path: Path | str, *, what: str, needed_bytes: int | None = None, private: bool = False, lasting: bool = False
 ) -> Iterator[BinaryIO]:
     """A file to write to, which takes its place when the block ends; after any error what was there before stays.
 
     Parameters
     ----------
-    path, what, private
+    path, what, private, lasting
         As of :func:`write_whole`.
     needed_bytes
         How much will be written, if known: for the message.
@@ -161,7 +176,7 @@ def drafted(
     DiskError
         As :func:`write_whole`; an ``OSError`` of the block counts as the disk's.
     """
-    draft = Draft(path, what=what, needed_bytes=needed_bytes, private=private)
+    draft = Draft(path, what=what, needed_bytes=needed_bytes, private=private, lasting=lasting)
     try:
         yield draft.file
         draft.commit()
@@ -187,6 +202,26 @@ def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = Fals
     except OSError as error:
         raise disk_trouble(error, f"cannot create the folder for {what} at", folder) from error
     return folder
+
+
+def sync_folder(folder: Path | str) -> None:
+    """Have the names in a folder on the disk; nothing where a system keeps them by itself or cannot be told.
+
+    Raises
+    ------
+    OSError
+        If the disk fails.
+    """
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in {errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES}:
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def _former(target: Path) -> os.stat_result | None:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from carina.case import CaseFile, SourceFacts
 from carina.session.case_scan import CaseScans
+from carina.session.kept_files import KeptFile, KeptFiles
 from carina.session.pictures import small_picture
-from carina.session.saving import KeptFile, KeptFiles
 from carina.volume import Volume
 
 if TYPE_CHECKING:
+    from carina.case.moment import Moment
     from carina.session.parts import Cancel, Progress
     from carina.session.records import CaseRecords
     from carina.volume import VolumeCache
@@ -30,13 +31,18 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
     def reopen(path: Path) -> KeptFile:
         return CaseFile.open(path)
 
+    def write(path: Path, volume: Volume, digest: str, moment: Moment, ct_place: str | None) -> None:
+        with CaseFile.in_memory(SourceFacts.of(volume, digest)) as file:
+            file.save(moment)
+            file.write_copy(path, ct_place=ct_place)
+
     scans = CaseScans(
         cache, records, default_parts().open_demo, advice="put it back, or open the scan itself where it lies now"
     )
     if cache is None:
-        return KeptFiles(create, reopen, ct_digest, picture=small_picture, scans=scans)
+        return KeptFiles(create, reopen, write, ct_digest, picture=small_picture, scans=scans)
 
     def open_ct(path: str, progress: Progress, cancel: Cancel) -> Volume:
         return cache.open_and_keep(path, progress=progress, cancel=cancel)
 
-    return KeptFiles(create, reopen, ct_digest, open_ct, cache.close, small_picture, cache, scans)
+    return KeptFiles(create, reopen, write, ct_digest, open_ct, cache.close, small_picture, cache, scans)

@@ -124,8 +124,15 @@ class CaseRecords:
         """The case of a CT that was used last."""
         return next((one for one in self.all() if one.digest == digest), None)
 
-    def begin(self, digest: str, place: str | None, title: str) -> HeldCase:
+    def begin(self, digest: str, place: str | None, title: str, *, begun_s: float | None = None) -> HeldCase:
         """A new case.
+
+        Parameters
+        ----------
+        digest, place, title
+            As of :class:`CaseRecord`.
+        begun_s
+            When it was begun, if not now.
 
         Raises
         ------
@@ -133,7 +140,7 @@ class CaseRecords:
             If the disk does not take it.
         """
         now_s = self.now_s()
-        record = CaseRecord(secrets.token_hex(8), digest, place, title, now_s, now_s)
+        record = CaseRecord(secrets.token_hex(8), digest, place, title, now_s if begun_s is None else begun_s, now_s)
         folder = self._folder / record.case_id
         make_folder(self._folder, what="the cases", private=True)
         make_folder(folder, what="the case", private=True)
@@ -144,7 +151,12 @@ class CaseRecords:
 
     def hold(self, record: CaseRecord) -> HeldCase | None:
         """Own a case; None where another process does."""
-        return self._hold(self._folder / record.case_id, record)
+        folder = self._folder / record.case_id
+        held = self._hold(folder, record)
+        if held is not None:
+            # Whoever had it until now may have noted more.
+            held.record = _read(folder / RECORD) or record
+        return held
 
     def _hold(self, folder: Path, record: CaseRecord) -> HeldCase | None:
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)

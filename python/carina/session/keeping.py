@@ -1,0 +1,465 @@
+"""One open case on the disk: a thread that writes it, one that lets its copy follow, and what is said of both.
+
+Nobody else waits for a disk: whoever changes something wakes a thread, and whoever needs all of it written asks
+:meth:`Keeper.settle`, which gives up where the disk does not respond.
+"""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carina.disk import disk_trouble
+from carina.errors import CarinaError, UsageError
+from carina.session.case import OpenCase, moment_of
+from carina.session.case_scan import way_between
+from carina.session.jobs import log_fault
+from carina.session.named_lock import NamedLock
+from carina.session.snapshot import SavingInfo, Topic, Trouble
+
+if TYPE_CHECKING:
+    from carina.session.core import SessionCore
+    from carina.session.kept_files import KeptFile, KeptFiles
+    from carina.session.records import CaseRecords, HeldCase
+
+__all__ = ["Keeper"]
+
+logger = logging.getLogger(__name__)
+
+DECIDED_WITHIN_S = 0.4
+"""What a person did is written this soon; what follows within that time goes along."""
+MOVED_WITHIN_S = 1.5
+"""A tip that only moves is written this often."""
+RETRY_S = 2.0
+SLOW_S = 2.5
+"""A disk that takes longer is told of, since what it has not taken could be lost; nobody waits for it any more."""
+COPY_EVERY_S = 60.0
+COPY_RETRY_S = 10.0
+NOT_RESPONDING = "the disk has not responded for some seconds; Carina keeps trying"
+ELSEWHERE = (
+    "the disk has not responded for some seconds; Carina keeps trying. Meanwhile you can save the case in another "
+    "folder (Ctrl+S)"
+)
+
+
+class Keeper:
+    """Keeps one case, until another takes its place.
+
+    Parameters
+    ----------
+    core
+        Of the session.
+    records, files
+        Where the case is kept, and how its file is made.
+    case, place, digest
+        The open case, where its CT was opened from, and what that is known by.
+    is_current
+        Whether no other case has taken its place.
+    held, file
+        What was kept of it before.
+    info
+        What is said of it first.
+    """
+
+    def __init__(
+        self,
+        core: SessionCore,
+        records: CaseRecords,
+        files: KeptFiles,
+        case: OpenCase,
+        *,
+        place: str | None,
+        digest: str,
+        is_current: Callable[[Keeper], bool],
+        held: HeldCase | None = None,
+        file: KeptFile | None = None,
+        info: SavingInfo,
+    ) -> None:
+        self._core = core
+        self._records = records
+        self._files = files
+        self._is_current = is_current
+        self.case = case
+        self.place = place
+        self.digest = digest
+        self.held = held
+        self.file = file
+        self.info = info
+        self.is_telling = False
+        """What changes now is only what is said about saving."""
+        # Guarded by this, which is taken after the session's lock and never held over a disk.
+        self._wake = threading.Condition()
+        self._changed_s: float | None = None
+        self._within_s = MOVED_WITHIN_S
+        self._retry_s = float("-inf")
+        self._notes: dict[str, Any] = {}
+        """For the record beside the file."""
+        self._is_urgent = False
+        self._is_elsewhere = False
+        """All that was done is in a file that a person asked for, since the live one's disk refuses."""
+        self._busy: object = None
+        """What is being written; None: nothing is."""
+        self._is_slow = False
+        self._num_begun = self._num_kept = self._num_failed = 0
+        """Writes: the last that was begun, the last that is on the disk, and how many failed."""
+        self._num_saved = self._num_copied = 0
+        """The last write that saved something, and the one that the copy is of."""
+        self._copy_path: Path | None = None
+        self._copy_s: float | None = None
+        """When the copy is to be written again."""
+        if held is not None and held.record.copy_path is not None:
+            self._copy_path = Path(held.record.copy_path)
+            if held.record.used_s > (held.record.copied_s or 0.0):
+                self._num_copied = -1
+        self._is_ending = self._has_ended = False
+        self._pictured = False
+        self._copier: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin; it is the current one now."""
+        with self._wake:
+            self._plan_copy(COPY_EVERY_S)
+        threading.Thread(target=self._run, name="carina-saving", daemon=True).start()
+
+    def __repr__(self) -> str:
+        return f"Keeper({self.info!r})"
+
+    # ------------------------------------------------------------ what others ask
+
+    def changed(self, topics: frozenset[Topic]) -> None:
+        """Something of the case has changed."""
+        within_s = MOVED_WITHIN_S if topics <= {"pose", "views"} else DECIDED_WITHIN_S
+        with self._wake:
+            self._is_elsewhere = False
+            if self._changed_s is None:
+                self._changed_s, self._within_s = self._core.clock(), within_s
+            elif within_s < self._within_s:
+                self._within_s = within_s
+            self._wake.notify_all()
+
+    def settle(self) -> bool:
+        """Have all written that was done until now, before anything risky; whether it is on the disk then.
+
+        False as soon as the disk refuses, or is silent for :data:`SLOW_S`. Not with the session locked: what is written
+        is taken with that lock.
+        """
+        with self._wake:
+            begun, failed = self._num_begun, self._num_failed
+
+            def is_kept() -> bool:
+                return self._num_kept > begun or (self._changed_s is None and self._busy is None)
+
+            if not is_kept():
+                self._is_urgent = True
+                self._wake.notify_all()
+                self._wake.wait_for(lambda: is_kept() or self._num_failed > failed or self._is_slow or self._has_ended)
+            return is_kept()
+
+    def end(self, within_s: float | None = None) -> bool:
+        """Have the rest written and the case given back; whether that is done.
+
+        With ``within_s`` that is waited for so long; else until the disk is silent: then it goes on by itself.
+        """
+        with self._wake:
+            self._is_ending = True
+            self._wake.notify_all()
+            if within_s is not None:
+                return self._wake.wait_for(lambda: self._has_ended, within_s)
+            self._wake.wait_for(lambda: self._has_ended or self._is_slow)
+            return self._has_ended
+
+    @property
+    def has_ended(self) -> bool:
+        """The case has been given back."""
+        return self._has_ended
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """All that was done is in a file that a person asked for, since the live one's disk refuses."""
+        return self._is_elsewhere
+
+    @property
+    def copy_path(self) -> Path | None:
+        """Where the copy lies that a person asked for."""
+        return self._copy_path
+
+    def call(self, alias: str | None) -> None:
+        """Call the case by a name of its person's."""
+        with self._wake:
+            self._notes["alias"] = alias
+            self._wake.notify_all()
+        self._tell(title=alias)
+
+    def save_to(self, path: Path) -> None:
+        """Write all of it as one whole file, which follows from now on; for whoever may wait for that file's disk.
+
+        Raises
+        ------
+        UsageError
+            If somebody else has that file open.
+        CarinaError, OSError, sqlite3.Error
+            If it cannot be written.
+        """
+        if NamedLock.is_taken(path):
+            raise UsageError(f"{path.name} is open for change elsewhere: close it there, or choose another name")
+        with self._wake:
+            file, num_saved = self.file, self._num_saved
+            is_whole = file is not None and self.info.problem is None
+        if is_whole:
+            assert file is not None
+            file.write_copy(path, ct_place=way_between(path, self.place))
+        else:
+            # A copy of the live file would lack what its disk has refused, or wait for it.
+            with self._core.lock:
+                self._is_elsewhere = True
+                moment = moment_of(self.case)
+            try:
+                volume = self.case.info.volume
+                self._files.write(path, volume, self.digest, moment, way_between(path, self.place))
+            except BaseException:
+                self._is_elsewhere = False
+                raise
+        now_s = self._records.now_s()
+        told = {"copied_s": now_s, "copy_name": path.name, "copy_folder": str(path.parent), "copy_problem": None}
+        with self._news(told):
+            self._notes |= {"copy_path": str(path), "copied_s": now_s}
+            self._copy_path, self._num_copied, self._copy_s = path, max(self._num_copied, num_saved), None
+            self._plan_copy(COPY_EVERY_S)
+
+    # ------------------------------------------------------------ the thread that writes
+
+    def _run(self) -> None:
+        try:
+            while self._has_work():
+                self._attempt()
+            if self._is_ending:
+                self._give_back()
+        finally:
+            with self._wake:
+                self._has_ended, self._is_slow = True, False
+                self._wake.notify_all()
+
+    def _has_work(self) -> bool:
+        """Wait until something is to be written; False: it is to be given back."""
+        with self._wake:
+            while not self._is_ending:
+                if not self._is_current(self):
+                    return False
+                wait_s = self._wait_s()
+                if wait_s is not None and wait_s <= 0.0:
+                    return True
+                self._wake.wait(wait_s)
+            return False
+
+    def _wait_s(self) -> float | None:
+        """Until something is to be written; None: nothing is. With ``_wake`` held."""
+        now_s = self._core.clock()
+        if self._changed_s is None:
+            return max(self._retry_s - now_s, 0.0) if self._notes else None
+        return 0.0 if self._is_urgent else max(self._changed_s + self._within_s, self._retry_s) - now_s
+
+    def _attempt(self) -> None:
+        """Write the newest moment, if there is a newer one, and what is to be noted beside it."""
+        with self._wake:
+            self._num_begun += 1
+            changed_s, self._changed_s = self._changed_s, None
+            notes, self._notes = self._notes, {}
+            self._is_urgent = False
+        told: dict[str, Any] = {}
+        trouble: BaseException | None = None
+        with self._watched():
+            try:
+                told = self._write(notes, is_changed=changed_s is not None)
+            except Exception as error:  # whatever it is: a thread that ends would be silent for ever
+                trouble = error
+            with self._news(told | {"problem": None if trouble is None else _words(trouble)}):
+                if trouble is None:
+                    self._num_kept = self._num_begun
+                    if changed_s is not None:
+                        self._num_saved = self._num_begun
+                else:
+                    self._num_failed += 1
+                    self._notes = notes | self._notes
+                    if changed_s is not None:
+                        self._changed_s = changed_s if self._changed_s is None else min(changed_s, self._changed_s)
+                    self._retry_s = self._core.clock() + RETRY_S
+                self._plan_copy(COPY_EVERY_S)
+                self._busy, self._is_slow = None, False
+        if trouble is None and not self._pictured and self.held is not None and self.held.record.pictured_s is None:
+            # Else it is made when the case is closed: a Carina that is killed has one, too.
+            self._picture()
+
+    def _write(self, notes: dict[str, Any], *, is_changed: bool) -> dict[str, Any]:
+        """What is to be told of it."""
+        volume = self.case.info.volume
+        if self.held is None:
+            begun_s = self._records.now_s() - (self._core.clock() - self.case.begun_s)
+            self.held = self._records.begin(self.digest, self.place, volume.source.title, begun_s=begun_s)
+        if self.file is None:
+            self.file = self._files.create(self.held.path, volume, self.digest)
+        told: dict[str, Any] = {"begun_s": self.held.record.begun_s}
+        if is_changed:
+            with self._core.lock:
+                # All that was done until now is on the disk when it is said.
+                now_s = self._records.now_s()
+                moment = moment_of(self.case)
+            self.file.save(moment)
+            told["saved_s"] = now_s
+            place = self.place or self.held.record.place
+            notes = {"used_s": now_s, "place": place, "num_changes": moment.position} | notes
+        self.held.note(**notes)
+        return told
+
+    def _picture(self) -> None:
+        """The small picture by which a person knows the case again; nothing waits for it, and nothing fails by it."""
+        if self.held is None or self._files.picture is None:
+            return
+        scene = self._core.scene()
+        if scene is None or scene.case_number != self.case.number or not scene.has_lumen:
+            return
+        self._pictured = True
+        try:
+            self.held.put_picture(self._files.picture(scene), self._records.now_s())
+        except Exception as trouble:
+            log_fault(logger, "the case's picture could not be made", trouble)
+
+    def _give_back(self) -> None:
+        """All that is left, then the file and the right to it."""
+        if self._changed_s is not None or self._notes:
+            self._attempt()
+        # Nobody waits for a disk here; a picture takes what it takes.
+        self._picture()
+        with self._watched():
+            if self._copier is not None:
+                # What it began last would else take the place of what is newer.
+                self._copier.join()
+            if self._copy_is_behind():
+                self._refresh()
+            if self._changed_s is not None and self.info.problem is not None and not self._is_elsewhere:
+                self._core.emit(
+                    Trouble("case.not-saved", f"the latest changes have not been saved: {self.info.problem}")
+                )
+            try:
+                if self.file is not None:
+                    self.file.close()
+            except Exception as trouble:
+                log_fault(logger, "a case could not be closed", trouble)
+            finally:
+                if self.held is not None:
+                    self.held.release()
+
+    # ------------------------------------------------------------ the thread of the copy
+
+    def _copy_is_behind(self) -> bool:
+        if self._copy_path is None:
+            return False
+        return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_elsewhere)
+
+    def _plan_copy(self, within_s: float) -> None:
+        """Have the copy written again if it is behind, not sooner; with ``_wake`` held."""
+        if self._copy_s is not None or not self._copy_is_behind():
+            return
+        self._copy_s = self._core.clock() + within_s
+        self._wake.notify_all()
+        if self._copier is None:
+            self._copier = threading.Thread(target=self._run_copies, name="carina-copying", daemon=True)
+            self._copier.start()
+
+    def _run_copies(self) -> None:
+        while True:
+            with self._wake:
+                while True:
+                    if self._is_ending or self._has_ended:
+                        return
+                    wait_s = None if self._copy_s is None else self._copy_s - self._core.clock()
+                    if wait_s is not None and wait_s <= 0.0:
+                        break
+                    self._wake.wait(wait_s)
+                self._copy_s = None
+                if not self._copy_is_behind():
+                    continue
+            self._refresh()
+
+    def _refresh(self) -> None:
+        """The copy that a person asked for follows, once a minute and when the case is closed."""
+        assert self._copy_path is not None
+        has_ended = threading.Event()
+
+        def slow() -> None:
+            with self._news({"copy_problem": NOT_RESPONDING}, unless=has_ended.is_set):
+                pass
+
+        watch = threading.Timer(SLOW_S, slow)
+        watch.daemon = True
+        watch.start()
+        try:
+            self.save_to(self._copy_path)
+        except Exception as trouble:
+            has_ended.set()
+            with self._news({"copy_problem": _words(trouble)}):
+                self._plan_copy(COPY_RETRY_S)
+        finally:
+            has_ended.set()
+            watch.cancel()
+
+    # ------------------------------------------------------------ what is said
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """A disk that is silent is told of, and nobody waits for it."""
+        this = object()
+
+        def slow() -> None:
+            with self._news({"problem": ELSEWHERE}, unless=lambda: self._busy is not this):
+                if self._busy is this:
+                    self._is_slow = True
+
+        with self._wake:
+            self._busy = this
+        watch = threading.Timer(SLOW_S, slow)
+        watch.daemon = True
+        watch.start()
+        try:
+            yield
+        finally:
+            watch.cancel()
+            with self._wake:
+                if self._busy is this:
+                    self._busy, self._is_slow = None, False
+
+    def _tell(self, **values: object) -> None:
+        with self._news(values):
+            pass
+
+    @contextmanager
+    def _news(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
+        """Say what is so from now on; what is so is changed in the block, with both locks held."""
+        with self._core.lock:
+            with self._wake:
+                before = self.info
+                if not unless():
+                    self.info = before.with_(**values)
+                yield
+                self._wake.notify_all()
+            if self.info.shown != before.shown and self._core.case is self.case:
+                self.is_telling = True
+                try:
+                    self._core.changed("state")
+                finally:
+                    self.is_telling = False
+
+
+def _words(trouble: BaseException) -> str:
+    if isinstance(trouble, CarinaError):
+        return str(trouble)
+    if isinstance(trouble, OSError):
+        return str(disk_trouble(trouble, "cannot save the case", None))
+    if isinstance(trouble, sqlite3.Error):
+        return f"cannot save the case: {trouble}"
+    log_fault(logger, "the case could not be saved", trouble)
+    return f"the case could not be saved: internal error in Carina ({type(trouble).__name__})"

@@ -1,0 +1,100 @@
+"""How cases and CTs are kept: what the session asks of files, so that tests can keep them in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from carina.display import one_line
+
+if TYPE_CHECKING:
+    from carina.case.moment import Moment
+    from carina.session.case_scan import CaseScans
+    from carina.session.parts import Cancel, Progress
+    from carina.session.scene import ShownCase
+    from carina.volume import Volume
+
+__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles"]
+
+
+class KeptFile(Protocol):
+    """A case file: :class:`carina.case.CaseFile`."""
+
+    def save(self, moment: Moment) -> None:
+        """Write what is new."""
+
+    def load(self, volume: Volume) -> Moment:
+        """What was written last; CaseFileError ``case.empty`` where nothing was."""
+
+    def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
+        """One whole file elsewhere, with the relative way from it to its CT."""
+
+    def close(self) -> None:
+        """Nothing more is written."""
+
+
+class KeptCt(Protocol):
+    """A CT that is kept to open faster."""
+
+    @property
+    def digest(self) -> str:
+        """What it is known by."""
+
+    @property
+    def num_bytes(self) -> int:
+        """On the disk."""
+
+
+class CtCache(Protocol):
+    """CTs that are kept to open faster: :class:`carina.volume.VolumeCache`."""
+
+    @property
+    def is_on(self) -> bool:
+        """It may keep something."""
+
+    @property
+    def can_be_on(self) -> bool:
+        """It may be switched on."""
+
+    def sizes(self) -> Sequence[KeptCt]:
+        """What is kept."""
+
+    def forget(self, digest: str) -> int:
+        """Remove a CT; returns the bytes removed."""
+
+    def empty(self) -> int:
+        """Remove every CT; returns the bytes removed."""
+
+    def switch(self, on: bool) -> None:
+        """Keep CTs from now on, or none and also not those that are kept."""
+
+
+def _nothing() -> None:
+    """Of a CT nothing is kept."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class KeptFiles:
+    """How case files are made and opened, and how a CT is known again."""
+
+    create: Callable[[Path, Volume, str], KeptFile]
+    """``create(path, volume, digest)``."""
+    open: Callable[[Path], KeptFile]
+    write: Callable[[Path, Volume, str, Moment, str | None], None]
+    """``write(path, volume, digest, moment, ct_place)``: all of it as one whole file, without one that lives."""
+    digest: Callable[[Volume], str]
+    """What a CT is known by."""
+    open_ct: Callable[[str, Progress, Cancel], Volume] | None = None
+    """``open_ct(path, progress, cancel)`` gives a CT that was opened before from what was kept of it; None: nothing
+    is kept of CTs."""
+    close: Callable[[], None] = _nothing
+    """No more CT is kept."""
+    picture: Callable[[ShownCase], bytes] | None = None
+    """A small JPEG of what is shown; None makes none."""
+    cache: CtCache | None = None
+    """The CTs that are kept, to be looked after."""
+    scans: CaseScans | None = None
+    """Looks for the CTs of case files; None opens none."""

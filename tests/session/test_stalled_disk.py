@@ -1,0 +1,203 @@
+"""Disks that do not respond: nobody waits for them but the thread that writes, and nothing is lost by them."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import pytest
+
+from carina import commands as c
+from carina.errors import UsageError
+from carina.session import Said, Trouble, keeping
+from kept_desk import Desk, MemoryFile
+
+WAIT_S = 60.0
+
+
+class StalledFile(MemoryFile):
+    """A file whose disk a test holds up."""
+
+    def __init__(self, path, digest):
+        super().__init__(path, digest)
+        self.lets_save, self.lets_copy = threading.Event(), threading.Event()
+        self.saves, self.copies = threading.Event(), threading.Event()
+        self.lets_save.set()
+        self.lets_copy.set()
+
+    def save(self, moment):
+        self.saves.set()
+        assert self.lets_save.wait(WAIT_S)
+        super().save(moment)
+
+    def write_copy(self, path, *, ct_place=None):
+        self.copies.set()
+        assert self.lets_copy.wait(WAIT_S)
+        super().write_copy(path, ct_place=ct_place)
+
+
+class StallingDesk(Desk):
+    """Its case was saved once."""
+
+    def kept_files(self, files):
+        def create(path, _volume, digest):
+            self.files.append(StalledFile(path, digest))
+            return self.files[-1]
+
+        return replace(files, create=create, open=lambda path: create(path, None, MemoryFile.kept[str(path)][0]))
+
+    @property
+    def file(self):
+        return self.files[-1]
+
+    @property
+    def kept(self):
+        return self.session._saving._kept
+
+    def until(self, condition):
+        """Wait for what the threads do; the condition takes no lock, since theirs is held."""
+        with self.kept._wake:
+            assert self.kept._wake.wait_for(condition, WAIT_S)
+
+    def saving(self):
+        return self.kept.info
+
+    def stall(self):
+        """A change is on its way to a disk that does not take it."""
+        self.file.saves.clear()
+        self.file.lets_save.clear()
+        self.session.do(c.SetFov(90.0))
+        self.clock.advance(1.0)
+        with self.kept._wake:
+            self.kept._wake.notify_all()
+        assert self.file.saves.wait(WAIT_S)
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """Where a disk is slow after a twentieth of a second."""
+    MemoryFile.kept.clear()
+    monkeypatch.setattr(keeping, "SLOW_S", 0.05)
+    desk = StallingDesk(tmp_path)
+    desk.start()
+    desk.open()
+    desk.session.do(c.SetFov(100.0))
+    desk.saved()
+    yield desk
+    for file in desk.files:
+        file.lets_save.set()
+        file.lets_copy.set()
+    desk.session.close()
+
+
+def test_a_disk_that_is_silent_is_told_of_within_three_seconds():
+    assert keeping.DECIDED_WITHIN_S + keeping.SLOW_S < 3.0
+
+
+def test_work_goes_on_while_a_disk_is_silent_and_is_on_it_when_it_answers(desk):
+    desk.stall()
+    desk.until(lambda: desk.saving().problem is not None)
+    assert "another folder" in desk.saving().problem
+    desk.session.do(c.SetFov(80.0))
+    desk.session.do(c.EditKeys(c.KeyAdd()))
+    assert not desk.session._saving.write_now()
+    desk.file.lets_save.set()
+    desk.until(lambda: desk.saving().problem is None)
+    desk.saved()
+    steps = MemoryFile.kept[str(desk.file.path)][1].steps
+    assert [step.label for step in steps] == list(desk.session.history())
+
+
+def test_a_case_is_named_while_its_disk_is_silent(desk):
+    case_id = desk.kept.held.record.case_id
+    desk.stall()
+    desk.session.do(c.RenameCase(case_id, "Nodule in RB4"))
+    assert desk.saving().title == "Nodule in RB4"
+    desk.file.lets_save.set()
+    desk.saved()
+    assert desk.session._saving.records.find(case_id).alias == "Nodule in RB4"
+
+
+def test_a_case_is_saved_elsewhere_while_its_disk_is_silent_and_then_closed(desk, tmp_path):
+    desk.stall()
+    place = tmp_path / "stick" / "mine.carina"
+    place.parent.mkdir()
+    with pytest.raises(UsageError, match="the case stays open") as refused:
+        desk.session.do(c.CloseCase())
+    assert refused.value.code == "case.not-saved"
+    desk.session.do(c.SetFov(70.0))
+    desk.session.do(c.SaveCase(str(place)))
+    desk.background.run_all()
+    assert desk.written[str(place)].steps[-1].document.look.fov_deg == 70.0
+    assert (desk.saving().copy_name, desk.saving().problem is None) == ("mine.carina", False)
+    desk.session.do(c.CloseCase())
+    assert desk.session.snapshot().case is None
+    # What waits for the disk has the right to the case until it is written.
+    file, (keeper,) = desk.file, desk.session._saving._ending
+    opener = threading.Thread(target=desk.open)
+    opener.start()
+    file.lets_save.set()
+    opener.join(WAIT_S)
+    assert keeper.has_ended
+    assert not [e for e in desk.events if isinstance(e, Said) and "another window" in e.message]
+    assert desk.session.snapshot().document.look.fov_deg == 70.0
+    assert desk.kept.copy_path == place
+
+
+def test_a_share_that_is_silent_holds_up_its_copy_alone(desk, tmp_path):
+    share = tmp_path / "share.carina"
+    desk.session.do(c.SaveCase(str(share)))
+    desk.background.run_all()
+    desk.file.copies.clear()
+    desk.file.lets_copy.clear()
+    desk.session.do(c.SetFov(90.0))
+    desk.saved()
+    desk.clock.advance(61.0)
+    with desk.kept._wake:
+        desk.kept._wake.notify_all()
+    assert desk.file.copies.wait(WAIT_S)
+    desk.until(lambda: desk.saving().copy_problem is not None)
+    desk.session.do(c.SetFov(80.0))
+    desk.saved()
+    assert MemoryFile.kept[str(desk.file.path)][1].steps[-1].document.look.fov_deg == 80.0
+    assert desk.saving().problem is None
+    desk.file.lets_copy.set()
+    desk.until(lambda: desk.saving().copy_problem is None)
+
+
+def test_a_copy_that_fails_is_tried_again_without_another_change(desk, tmp_path):
+    desk.session.do(c.SaveCase(str(tmp_path / "share.carina")))
+    desk.background.run_all()
+    desk.session.do(c.SetFov(90.0))
+    desk.saved()
+    desk.file.refuses = OSError(5, "Input/output error")
+    desk.clock.advance(61.0)
+    with desk.kept._wake:
+        desk.kept._wake.notify_all()
+    desk.until(lambda: desk.saving().copy_problem is not None)
+    desk.file.refuses = None
+    desk.clock.advance(keeping.COPY_RETRY_S + 1.0)
+    with desk.kept._wake:
+        desk.kept._wake.notify_all()
+    desk.until(lambda: desk.saving().copy_problem is None)
+
+
+def test_a_fault_of_ours_is_told_and_does_not_end_the_saving(desk):
+    desk.file.refuses = TypeError("ours")
+    desk.session.do(c.SetFov(90.0))
+    assert not desk.session._saving.write_now()
+    assert "internal error in Carina (TypeError)" in desk.saving().problem
+    desk.file.refuses = None
+    desk.saved()
+    assert desk.saving().problem is None
+
+
+def test_what_is_left_at_the_end_goes_to_the_copy_where_the_live_disk_refuses(desk, tmp_path):
+    place = tmp_path / "mine.carina"
+    desk.session.do(c.SaveCase(str(place)))
+    desk.background.run_all()
+    desk.file.refuses = OSError(28, "No space left on device")
+    desk.session.do(c.SetFov(70.0))
+    desk.session.close()
+    assert desk.written[str(place)].steps[-1].document.look.fov_deg == 70.0
+    assert not [e for e in desk.events if isinstance(e, Trouble)]
