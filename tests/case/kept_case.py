@@ -10,15 +10,16 @@ import numpy as np
 from edit_case import EditCase, assert_same, edit_case
 from edit_sequences import some_edit
 
-from carina.case import Document, History, Key, LaidScope, Moment, SourceFacts, Target
+from carina.case import CaseFile, Document, History, KeptMeasures, Key, LaidScope, Moment, SourceFacts, Target
 from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.commands import AddTarget, EditKeys, EditTree, KeyAdd, SetFov, SetTransfer
 from carina.errors import NoResultError, UsageError
 from carina.navigate import Navigator
 from carina.render import GreyWindow, Sight, transfer_preset
 from carina.scopes import Pose
+from carina.session.measured import MeasuredAirways
 from carina.session.targets import followed_route, tracked_target
-from carina.track import Airways, PaintLumen, edit_airways
+from carina.track import Airways, BranchMeasures, PaintLumen, TreeMeasures, edit_airways, measure_tree
 from carina.track.edit.folded import FoldedAirways, fold_airways
 
 SOURCE_DIGEST = "ab" * 32
@@ -46,6 +47,7 @@ class Doing:
         self.sight = Sight()
         self.numbers = {"target": 0, "key": 0}
         self.at_s = 0.0
+        self.measured = MeasuredAirways()
 
     @classmethod
     def of(cls, moment: Moment, case: EditCase) -> Doing:
@@ -53,6 +55,7 @@ class Doing:
         made = cls.__new__(cls)
         made.case, made.history, made.sight = case, moment.history(), moment.sight
         made.numbers, made.at_s = dict(moment.numbers), 100.0
+        made.measured = MeasuredAirways(moment.measures)
         return made
 
     @property
@@ -110,6 +113,14 @@ class Doing:
                 "transfer function", replace(self.document, transfer=transfer_preset(preset)), SetTransfer(preset)
             )
 
+    def measure(self) -> None:
+        """The airways that are shown; from those of the step before, as a session does."""
+        if self.measured.of(self.airways) is not None:
+            return
+        before = self.history.documents()[max(self.history.position - 1, 0)].airways
+        previous = whole_measures(self.measured.of(before))
+        self.measured.put(self.airways, measure_tree(self.case.volume, self.airways, previous=previous))
+
     def gaze(self, number: Any) -> None:
         self.sight = _with(self.sight, crosshair_lps=(1.0, number(7) / 3.0, -2.0), window=GreyWindow(1400.0, -500.5))
 
@@ -126,6 +137,7 @@ class Doing:
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold(self.case.volume)
             self.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
+            self.measured.became(airways, whole)
 
     def fold(self) -> None:
         """As a session folds the airways of far steps."""
@@ -138,6 +150,7 @@ class Doing:
                 return document
             if id(airways) not in folded:
                 folded[id(airways)] = fold_airways(volume, airways)
+                self.measured.became(airways, folded[id(airways)])
             return replace(document, airways=folded[id(airways)])
 
         self.history.fold_far(lambda d: d.airways, 2, fold)
@@ -155,6 +168,7 @@ class Doing:
             search_words="words; größer",
             person_moved=True,
             numbers=dict(self.numbers),
+            measures=self.measured.among(d.airways for d in self.history.documents()),
         )
 
 
@@ -181,12 +195,13 @@ ACTS = (
     "undo",
     "redo",
     "fold",
+    "measure",
 )
 
 
 def act(doing: Doing, name: str, number: Any) -> None:
     """One thing that a person does."""
-    if name in {"undo", "redo", "fold"}:
+    if name in {"undo", "redo", "fold", "measure"}:
         getattr(doing, name)()
     elif name in {"target", "key", "look", "gaze"}:
         getattr(doing, name)(number)
@@ -248,10 +263,56 @@ def assert_same_airways(found: Airways, expected: Airways) -> None:
         np.testing.assert_array_equal(found.base.lumen_zyx, expected.base.lumen_zyx)
 
 
+def kept_file(path: Any) -> None:
+    """A case with a little of everything, to be kept for ever beside those of other schemas (``kept``)."""
+    doing = Doing()
+    rng = np.random.default_rng(7)
+    acts = "measure target key cut measure look rename paint measure key undo redo add measure target gaze undo"
+    with CaseFile.create(path, source_of(doing.case)) as file:
+        for name in acts.split():
+            act(doing, name, lambda n: int(rng.integers(n)))
+            file.save(doing.moment())
+        with file.record("first flight", begun_s=5.0) as recording:
+            recording.write('{"format":"carina-recording","version":1}\n{"t":2.0,"view":{}}\n{"end":2.0}\n')
+        file.set_extra("plan", ({"words": "größer"},))
+        file.write_copy(path.with_name(f"{path.stem}-whole.carina"), ct_place="ct/series")
+
+
 def _read_again(command: Any) -> Any:
     """A window could not have asked for a brush of no width: of such a step the words alone are kept."""
     edit = getattr(command, "edit", None)
     return None if isinstance(edit, PaintLumen) and edit.radius_mm < 0.1 else command
+
+
+def whole_measures(measures: Any) -> TreeMeasures | None:
+    found: TreeMeasures | None = measures.load() if isinstance(measures, KeptMeasures) else measures
+    return found
+
+
+def assert_same_measures(found: Any, expected: Any) -> None:
+    """Bit for bit, with what an edit goes on from."""
+    one, other = whole_measures(found), whole_measures(expected)
+    if other is None:
+        assert one is None
+        return
+    assert one is not None
+    assert (one.forks, one.blur_mm, one.noise, one.notes, one._keys) == (
+        other.forks, other.blur_mm, other.noise, other.notes, other._keys,
+    )  # fmt: skip
+    for branch, own in zip(one.branches, other.branches, strict=True):
+        for field in dataclasses.fields(BranchMeasures):
+            mine, theirs = getattr(branch, field.name), getattr(own, field.name)
+            if isinstance(theirs, np.ndarray):
+                np.testing.assert_array_equal(mine, theirs)
+                assert (mine.dtype, mine.shape) == (theirs.dtype, theirs.shape), field.name
+            else:
+                assert mine == theirs, field.name
+
+
+def _measures(moment: Moment) -> list[Any]:
+    """Of the airways of each document."""
+    measured = MeasuredAirways(moment.measures)
+    return [measured.of(document.airways) for document in moment.history().documents()]
 
 
 def assert_same_moment(found: Moment | None, expected: Moment, case: EditCase, *, deep: bool = True) -> None:
@@ -262,6 +323,8 @@ def assert_same_moment(found: Moment | None, expected: Moment, case: EditCase, *
     assert [(s.label, s.command, s.at_s) for s in found.steps] == [
         (s.label, _read_again(s.command), s.at_s) for s in expected.steps
     ]
+    for mine, theirs in zip(_measures(found), _measures(expected), strict=True):
+        assert_same_measures(mine, theirs)
     documents = list(zip(found.history().documents(), expected.history().documents(), strict=True))
     for one, other in documents if deep else [documents[found.position]]:
         assert_same_document(one, other, case)

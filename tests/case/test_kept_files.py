@@ -11,7 +11,9 @@ import pytest
 from edit_case import edit_case
 from kept_case import whole
 
-from carina.case import CaseFile
+from carina.case import CaseFile, migrate
+from carina.case.schema import SCHEMA
+from carina.session.measured import MeasuredAirways
 from carina.track import CutBranch, edit_airways
 
 KEPT = Path(__file__).parent / "kept"
@@ -23,6 +25,8 @@ def told(path, volume):
     with CaseFile.open(path, read_only=True) as file:
         moment = file.load(volume)
         history = file.history()
+        measures = MeasuredAirways(moment.measures)
+        measured = [_in_numbers(measures.of(document.airways)) for document in moment.history().documents()]
         recordings = [(r.name, r.length_s, r.complete) for r in file.recordings()]
         extra = file.extra("plan")
     documents = moment.history().documents()
@@ -51,12 +55,30 @@ def told(path, volume):
         "documents": rows,
         "recordings": recordings,
         "extra": extra,
+        **({"measured": measured} if any(measured) else {}),
     }
     return json.loads(json.dumps(found))
 
 
+def _in_numbers(kept):
+    if kept is None:
+        return None
+    measures = kept.load()
+    return [
+        [
+            b.branch_id,
+            b.found_by,
+            b.summary.to_json(),
+            round(float(np.nansum(b.edge_mm)), 6),
+            round(float(np.nansum(b.area_mm2)), 6),
+            int(b.is_usable.sum()),
+        ]
+        for b in measures.branches
+    ] + [[fork.to_json() for fork in measures.forks]]
+
+
 def test_a_file_of_each_schema_is_kept():
-    assert NAMES == ["schema-1"]
+    assert NAMES == ["schema-1", "schema-2"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -64,6 +86,10 @@ def test_a_kept_case_opens_with_all_that_was_in_it(name, tmp_path):
     path = shutil.copy(KEPT / f"{name}.carina", tmp_path / "kept.carina")
     case = edit_case()
     assert told(path, case.volume) == json.loads((KEPT / f"{name}.json").read_text())
+    if name != f"schema-{SCHEMA}":
+        migrate(path, tmp_path / "now.carina")
+        path = tmp_path / "now.carina"
+        assert told(path, case.volume) == json.loads((KEPT / f"{name}.json").read_text())
     with CaseFile.open(path) as file:
         airways = whole(file.load(case.volume).history().current.airways, case)
     tip = airways.tree.tips()[0]

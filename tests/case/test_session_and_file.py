@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import sqlite3
+
 import numpy as np
 import pytest
 from edit_case import edit_case
-from kept_case import assert_same_document
+from kept_case import assert_same_document, assert_same_measures
 
 from carina.case import KeptAirways
 from carina.commands import AddTarget, EditTree, OpenPath, SetFov
 from carina.render import transfer_preset
-from carina.session import Session, Trouble
+from carina.session import Said, Session, Trouble
 from carina.session.case_files import case_files
 from carina.session.editing import NUM_EDITS_WHOLE
 from carina.session.records import CaseRecords
-from carina.track import PaintLumen, RenameBranch, edit_airways
+from carina.track import CutBranch, PaintLumen, RenameBranch, edit_airways, measure_tree
 from small_case import Background, Clock, SmallRenderer, small_parts
 
+EVENTS = []
+"""Of each session, in turn."""
 
-def started(folder):
+
+def started(folder, measure=None):
     case = edit_case()
     background = Background()
     session = Session(
@@ -28,6 +33,7 @@ def started(folder):
             find_airways=lambda _volume, **_options: case.airways,
             edit_airways=edit_airways,
             transfer_preset=transfer_preset,
+            measure_tree=measure,
         ),
         submit=background,
         clock=Clock(),
@@ -35,6 +41,7 @@ def started(folder):
         files=case_files(),
     )
     events = []
+    EVENTS.append(events)
     session.subscribe(events.append)
     session.do(OpenPath("case"))
     background.run_all()
@@ -95,4 +102,109 @@ def test_undo_after_reopening_comes_to_every_step_as_it_does_without(tmp_path, i
         again.redo()
     assert_same_document(document(again), document(session), edit_case())
     assert again._saving.write_now()
+    again.close()
+
+
+# ------------------------------------------------------------ measures
+
+
+class Measuring:
+    """Measures, and counts how often."""
+
+    def __init__(self):
+        self.asked = []
+
+    def __call__(self, volume, airways, **options):
+        self.asked.append(airways)
+        return measure_tree(volume, airways, **options)
+
+
+def measures_of_steps(session, background):
+    """What each step shows that undo comes to, the newest first."""
+    found = [session.snapshot().measures]
+    while session.snapshot().undo_label is not None:
+        session.undo()
+        background.run_all()
+        found.append(session.snapshot().measures)
+    return found
+
+
+def test_what_was_measured_is_not_measured_again_by_undo_or_after_reopening(tmp_path):
+    measuring = Measuring()
+    session, background = started(tmp_path, measuring)
+    worked(session, background)
+    num_edits = NUM_EDITS_WHOLE + 4
+    # Names change no measure.
+    assert num_edits // 2 < len(measuring.asked) <= 1 + num_edits
+    measuring.asked.clear()
+    session.close()
+    again, background = started(tmp_path, measuring)
+    found = measures_of_steps(again, background)
+    assert measuring.asked == []
+    assert all(measures is not None for measures in found)
+    for _ in range(num_edits):
+        again.redo()
+        background.run_all()
+    assert measuring.asked == []
+    assert_same_measures(again.snapshot().measures, found[2])
+    # An edit goes on from them: what it leaves alone is as it was.
+    again.do(EditTree(CutBranch(again.snapshot().document.airways.tree.tips()[0].id)))
+    background.run_all()
+    newest, before = again.snapshot().measures, found[2]
+    assert len(measuring.asked) == 1
+    left = {b.branch_id for b in newest.branches}
+    edges = {b.branch_id: b.edge_mm for b in before.branches}
+    assert sum(np.array_equal(b.edge_mm, edges[b.branch_id], equal_nan=True) for b in newest.branches) == len(left)
+    again.close()
+
+
+def test_measures_that_are_damaged_are_made_again_and_that_is_said(tmp_path):
+    measuring = Measuring()
+    session, background = started(tmp_path, measuring)
+    worked(session, background)
+    expected = session.snapshot().measures
+    session.close()
+    measuring.asked.clear()
+    (live,) = tmp_path.glob("cases/*/case.carina")
+    connection = sqlite3.connect(live)
+    connection.execute("UPDATE measures SET facts = '{}'")
+    connection.commit()
+    connection.close()
+    again, background = started(tmp_path, measuring)
+    assert len(measuring.asked) == 1
+    told = [e.message for e in EVENTS[-1] if isinstance(e, Said)]
+    assert any("the saved measurements of the airways cannot be read, so they are made" in words for words in told)
+    # Made from nothing; edits had gone on from those before.
+    found = again.snapshot().measures
+    assert [b.branch_id for b in found.branches] == [b.branch_id for b in expected.branches]
+    assert again._saving.write_now()
+    again.close()
+    measuring.asked.clear()
+    again, background = started(tmp_path, measuring)
+    assert measuring.asked == []
+    again.close()
+
+
+def test_a_live_case_of_an_older_carina_goes_on_and_lies_beside_as_it_was(tmp_path):
+    measuring = Measuring()
+    session, background = started(tmp_path, measuring)
+    worked(session, background)
+    before, label = document(session), session.snapshot().undo_label
+    session.close()
+    (live,) = tmp_path.glob("cases/*/case.carina")
+    connection = sqlite3.connect(live, isolation_level=None)
+    for statement in ("DROP TABLE measures", "DROP TABLE measured_branch", "DROP TABLE sections"):
+        connection.execute(statement)
+    connection.execute("PRAGMA user_version=1")
+    connection.close()
+    measuring.asked.clear()
+    again, background = started(tmp_path, measuring)
+    assert again.snapshot().undo_label == label
+    assert_same_document(document(again), before, edit_case())
+    assert len(measuring.asked) == 1
+    assert (live.parent / "case-schema-1.carina").exists()
+    again.close()
+    measuring.asked.clear()
+    again, background = started(tmp_path, measuring)
+    assert measuring.asked == []
     again.close()

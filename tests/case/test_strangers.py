@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import shutil
 import sqlite3
+import stat
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kept_case import Doing, act, assert_same_moment, source_of, whole
 
-from carina.case import CaseFile, CaseFileError, migrate, rescued, schema
+from carina.case import CaseFile, CaseFileError, KeptMeasures, migrate, rescued
+from carina.case.file import migrate_live
 from carina.errors import CarinaError
 
 
@@ -24,7 +27,7 @@ def made(tmp_path_factory):
     doing = Doing()
     rng = np.random.default_rng(11)
     with CaseFile.create(path, source_of(doing.case)) as file:
-        for name in ("target", "cut", "key", "paint", "look", "undo"):
+        for name in ("target", "measure", "cut", "measure", "key", "paint", "look", "undo"):
             act(doing, name, lambda n: int(rng.integers(n)))
             file.save(doing.moment())
         with file.record("flight", begun_s=1.0) as recording:
@@ -56,6 +59,9 @@ def looked_through(path, doing):
             for route in (document.route, *(target.route for target in document.targets)):
                 if route is not None:
                     _ = route.frames
+        for _, measures in moment.measures:
+            assert isinstance(measures, KeptMeasures)
+            measures.load()
         for facts in file.recordings():
             file.recording(facts.recording_id)
 
@@ -104,7 +110,7 @@ def test_what_is_no_case_is_said_to_be_none(tmp_path):
 
 def test_a_newer_carinas_case_is_shown_and_not_changed(made, stranger):
     changed(
-        stranger, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=2"
+        stranger, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=3"
     )
     before = stranger.read_bytes()
     with CaseFile.open(stranger) as file:
@@ -117,27 +123,81 @@ def test_a_newer_carinas_case_is_shown_and_not_changed(made, stranger):
         CaseFile.open(stranger, read_only=True)
 
 
-def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, monkeypatch, tmp_path):
-    changed(stranger, "ALTER TABLE extra RENAME TO more", "PRAGMA user_version=0")
-    with pytest.raises(CaseFileError, match="its tables are not those"):
-        CaseFile.open(stranger)
-    rename = "ALTER TABLE more RENAME TO extra"
-    again = f"CREATE TABLE again {schema.TABLES['extra'].partition('extra ')[2]}"
+def as_before_measures(path):
+    """A file of schema 1, as the Carina of that time left it."""
+    changed(
+        path, "PRAGMA foreign_keys=OFF", *(f"DROP TABLE {t}" for t in ("measures", "measured_branch", "sections")),
+        "PRAGMA user_version=1",
+    )  # fmt: skip
+    return path
 
-    def migration(connection):
-        connection.execute(rename)
-        connection.execute("DROP TABLE extra")
-        connection.execute(again.replace("again", "extra"))
 
-    monkeypatch.setitem(schema.MIGRATIONS, 0, migration)
+def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, tmp_path):
+    as_before_measures(stranger)
     before = stranger.read_bytes()
     with pytest.raises(CaseFileError, match="an older version of Carina saved it") as refusal:
         CaseFile.open(stranger)
     assert refusal.value.code == "case.older"
+    moment = replace(made[0].moment(), measures=())
+    with CaseFile.open(stranger, read_only=True) as file:
+        assert_same_moment(file.load(made[0].case.volume), moment, made[0].case)
     migrate(stranger, tmp_path / "now.carina")
     assert stranger.read_bytes() == before
     with CaseFile.open(tmp_path / "now.carina") as file:
+        assert_same_moment(file.load(made[0].case.volume), moment, made[0].case)
+        file.save(made[0].moment())
+    with CaseFile.open(tmp_path / "now.carina") as file:
         assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+    # Of a damaged one, too, nothing is missed that it never had.
+    assert rescued(stranger, tmp_path / "rescued.carina") == ()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "CREATE VIEW more AS SELECT * FROM step",
+        "CREATE TABLE measures (id INTEGER PRIMARY KEY) STRICT",
+        "CREATE TRIGGER more AFTER INSERT ON step BEGIN DELETE FROM moment; END",
+        "DROP TABLE extra",
+    ],
+)
+@pytest.mark.parametrize("read_only", [True, False])
+def test_an_older_file_whose_tables_are_not_exactly_those_of_its_time_is_refused(stranger, statement, read_only):
+    changed(as_before_measures(stranger), statement)
+    before = stranger.read_bytes()
+    with pytest.raises(CaseFileError, match="its tables are not those of schema 1"):
+        CaseFile.open(stranger, read_only=read_only)
+    assert stranger.read_bytes() == before
+
+
+@pytest.mark.parametrize("has_journal", [False, True])
+def test_a_live_case_of_an_older_carina_becomes_one_of_this_and_lies_beside_it_as_it_was(
+    made, stranger, tmp_path, has_journal
+):
+    as_before_measures(stranger)
+    with contextlib.closing(sqlite3.connect(stranger)) as connection:
+        before = connection.execute("SELECT n, label FROM step").fetchall()
+    if has_journal:
+        live = sqlite3.connect(stranger, isolation_level=None)
+        live.execute("PRAGMA journal_mode=WAL")
+        live.execute("UPDATE step SET label = 'cut, in the journal' WHERE n = 2")
+        for name in (stranger.name, f"{stranger.name}-wal"):
+            (tmp_path / "taken").mkdir(exist_ok=True)
+            shutil.copy(stranger.with_name(name), tmp_path / "taken" / name)
+        live.close()
+        stranger, before = tmp_path / "taken" / stranger.name, None
+    beside = migrate_live(stranger)
+    assert sorted(p.name for p in stranger.parent.iterdir()) == ["stranger-schema-1.carina", "stranger.carina"]
+    assert {stat.S_IMODE(p.stat().st_mode) for p in (beside, stranger)} == {0o600}
+    connection = sqlite3.connect(beside)
+    assert connection.execute("PRAGMA user_version").fetchone() == (1,)
+    kept = connection.execute("SELECT n, label FROM step").fetchall()
+    connection.close()
+    with CaseFile.open(stranger) as file:
+        labels = [step.label for step in file.history()]
+        file.load(made[0].case.volume)
+    assert [label for _, label in kept[1:]] == labels
+    assert kept == before or ("cut, in the journal" in labels and has_journal)
 
 
 # ------------------------------------------------------------ journals
@@ -214,6 +274,13 @@ def test_a_spoilt_journal_loses_what_it_held_and_nothing_more(made, tmp_path):
         ("UPDATE source SET nz = 65536", "record of the scan"),
         ("UPDATE source SET lps_from_ijk = zeroblob(128)", "record of the scan"),
         ("UPDATE source SET path = '/etc/passwd'", "record of the scan"),
+        ("DELETE FROM sections", "sections"),
+        ("UPDATE sections SET num_sections = 2000000000", "sections"),
+        ("UPDATE sections SET figures = x'00'", "sections"),
+        ("UPDATE measured_branch SET flags = x''", "measured_branch"),
+        ("UPDATE measured_branch SET facts = '{}'", "measured_branch"),
+        ("UPDATE measures SET branches = x''", "measures"),
+        ("UPDATE measures SET facts = '{}'", "measures"),
         ("UPDATE recording_chunk SET size = 1000000000", "recording"),
         ("UPDATE recording_chunk SET n = 7", "recording"),
     ],
@@ -300,12 +367,14 @@ def test_what_was_lost_is_listed_and_the_rest_is_rescued(made, stranger, tmp_pat
         "PRAGMA foreign_keys=OFF",
         "UPDATE airways SET facts = '{}' WHERE id = (SELECT max(id) FROM airways)",
         "UPDATE route SET facts = '{}' WHERE id = (SELECT max(id) FROM route)",
+        "UPDATE measures SET facts = '{}' WHERE id = 1",
         "DELETE FROM moment",
         "DELETE FROM recording_chunk",
     )
     lost = rescued(stranger, tmp_path / "rescued.carina")
     assert "the displayed views and the tip position" in lost
     assert any("the airways" in line for line in lost), lost
+    assert "step 0 (the start): the measurements of the airways" in lost
     with CaseFile.open(tmp_path / "rescued.carina") as file:
         moment = file.load(doing.case.volume)
         assert [s.label for s in moment.steps] == [s.label for s in doing.history.steps]

@@ -224,6 +224,7 @@ def test_a_window_takes_a_case_file_over_and_goes_on_from_there(saved, window, m
     state = session.snapshot()
     assert (state.undo_label or "").startswith("rename")
     assert state.redo_label is not None
+    assert session._saving.write_now()
     (record,) = records.all()
     assert record.copy_path == str(saved)
     assert record.place == str(saved.parent / "scan" / "ct.nii.gz")

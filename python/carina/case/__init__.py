@@ -4,7 +4,7 @@ from carina.case.document import Document, Key, Keys, Target
 from carina.case.file import CaseFile, StepFacts, migrate
 from carina.case.history import History, Step
 from carina.case.moment import LaidScope, Moment
-from carina.case.reading import KeptAirways
+from carina.case.reading import KeptAirways, KeptMeasures
 from carina.case.rescue import rescued
 from carina.case.routes import ChosenRoute
 from carina.case.source import SourceFacts
@@ -17,6 +17,7 @@ __all__ = [
     "Document",
     "History",
     "KeptAirways",
+    "KeptMeasures",
     "Key",
     "Keys",
     "LaidScope",

@@ -19,12 +19,17 @@ __all__ = [
     "AirwaysFacts",
     "BadgeFacts",
     "BranchFacts",
+    "ForkFacts",
     "KeyFacts",
     "KeysFacts",
+    "MeasuredFacts",
+    "MeasuresFacts",
     "MomentFacts",
     "RouteFacts",
     "ScopeFacts",
     "SpanFacts",
+    "StenosisFacts",
+    "SummaryFacts",
     "TargetFacts",
     "TreeFacts",
     "decoders",
@@ -91,6 +96,62 @@ class AirwaysFacts(_Facts, frozen=True):
     bridges: Ids
     found_by: ShortWords | None = None
     """The version of Carina that found them; null for edited ones, whose base has it."""
+
+
+class StenosisFacts(_Facts, frozen=True):
+    """A narrowing, as :class:`carina.track.Stenosis`."""
+
+    percent: Number
+    percent_error: Number
+    area_percent: Number
+    at_mm: Mm
+    min_mm: Mm
+    reference_mm: Mm
+    reference_from: Literal["branch", "neighbours"]
+
+
+class SummaryFacts(_Facts, frozen=True, omit_defaults=True):
+    """A branch in a few figures, as :class:`carina.track.BranchSummary`."""
+
+    length_mm: Mm = 0.0
+    angle_deg: Number | None = None
+    num_sections: Count = 0
+    mean_mm: Mm | None = None
+    mean_error_mm: Mm | None = None
+    min_mm: Mm | None = None
+    min_at_mm: Mm | None = None
+    taper: Number | None = None
+    wall_mm: Mm | None = None
+    wall_error_mm: Mm | None = None
+    stenosis: StenosisFacts | None = None
+
+
+class ForkFacts(_Facts, frozen=True):
+    """Where a branch divides, as :class:`carina.track.ForkMeasures`."""
+
+    children: Annotated[tuple[BranchId, ...], Meta(max_length=MAX_BRANCHES)]
+    fork_lps: PointLps
+    carina_lps: PointLps | None
+    fork_to_carina_mm: Mm | None
+    angle_between_deg: Number | None
+
+
+class MeasuredFacts(_Facts, frozen=True):
+    """What a branch measures beside its sections."""
+
+    branch_id: BranchId
+    summary: SummaryFacts
+    fork: ForkFacts | None
+    found_by: ShortWords
+    """The version of Carina that measured the sections."""
+
+
+class MeasuresFacts(_Facts, frozen=True):
+    """What the measures of a tree were made with."""
+
+    blur_mm: tuple[Mm, Mm] | None
+    noise: Number
+    notes: Annotated[tuple[LongWords, ...], Meta(max_length=1000)]
 
 
 class SpanFacts(_Facts, frozen=True):
@@ -180,6 +241,8 @@ class _Decoders:
         commands = tuple(cls for cls in all_commands() if not issubclass(cls, LocalCommand) and cls is not Command)
         self.tree = msgspec.json.Decoder(TreeFacts)
         self.airways = msgspec.json.Decoder(AirwaysFacts)
+        self.measured = msgspec.json.Decoder(MeasuredFacts)
+        self.measures = msgspec.json.Decoder(MeasuresFacts)
         self.route = msgspec.json.Decoder(RouteFacts)
         self.targets = msgspec.json.Decoder(Annotated[tuple[TargetFacts, ...], Meta(max_length=MAX_LIST)])
         self.keys = msgspec.json.Decoder(KeysFacts)

@@ -41,7 +41,7 @@ from carina.display import one_line
 from carina.navigate import Recording
 from carina.volume import Volume
 
-__all__ = ["CaseFile", "StepFacts", "all_content", "step_rows"]
+__all__ = ["CaseFile", "StepFacts", "all_content", "migrate", "migrate_live", "step_rows"]
 
 MAX_CONTENT_BYTES: Final = 2 << 30
 """Of all rows of a case without its CT."""
@@ -448,7 +448,9 @@ class CaseFile:
 
     # ------------------------------------------------------------ copies
 
-    def write_copy(self, path: Path | str, *, ct_place: str | None = None, volume: Volume | None = None) -> None:
+    def write_copy(
+        self, path: Path | str, *, ct_place: str | None = None, volume: Volume | None = None, private: bool = False
+    ) -> None:
         """Write all of it as one whole file, without a journal: what a person names, shares and backs up.
 
         It is made in memory, or where it is large in a temporary folder, and put in its place whole: no database is
@@ -460,6 +462,8 @@ class CaseFile:
             Where the scan lies relative to the copy; None where that is not known.
         volume
             The CT, to be packed into the copy: lossless, in pieces with checksums.
+        private
+            For this person alone: a live file.
 
         Raises
         ------
@@ -486,7 +490,7 @@ class CaseFile:
                         write_ct(copy, volume)
             needed_bytes = made.stat().st_size
             with (
-                drafted(target, what="the case", needed_bytes=needed_bytes, lasting=True) as file,
+                drafted(target, what="the case", needed_bytes=needed_bytes, private=private, lasting=True) as file,
                 made.open("rb") as whole,
             ):
                 shutil.copyfileobj(whole, file, 1 << 20)
@@ -551,6 +555,41 @@ def migrate(path: Path | str, target: Path | str) -> None:
     """
     with CaseFile.open(path, read_only=True) as case:
         case.write_copy(target, ct_place=case.source.path)
+
+
+def migrate_live(path: Path) -> Path:
+    """Have a live file of an older Carina be one of this, in its place; whoever calls owns the case.
+
+    At each moment one of the two lies there whole.
+
+    Returns
+    -------
+    Path
+        Where it lies as it was.
+
+    Raises
+    ------
+    CaseFileError
+        As :meth:`CaseFile.open`.
+    DiskError
+        If it cannot be written; it stays as it was.
+    """
+    with CaseFile.open(path, read_only=True) as case, told(path):
+        if has_journal(path):
+            # Looked through in a copy just now: what stands in its journal goes into the file.
+            with contextlib.closing(connected(path, "rw")) as live:
+                live.execute("PRAGMA journal_mode=DELETE")
+        with contextlib.closing(connected(path, "ro", immutable=True)) as old:
+            schema = old.execute("PRAGMA user_version").fetchone()[0]
+        before = path.with_name(f"{path.stem}-schema-{schema}{path.suffix}")
+        size = path.stat().st_size
+        with (
+            drafted(before, what="the case", needed_bytes=size, private=True) as file,
+            path.open("rb") as whole,
+        ):
+            shutil.copyfileobj(whole, file, 1 << 20)
+        case.write_copy(path, ct_place=case.source.path, private=True)
+    return before
 
 
 def all_content(connection: sqlite3.Connection) -> Rows:

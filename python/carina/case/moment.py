@@ -47,6 +47,9 @@ class Moment:
     """Whether a person has moved the tip: airways that are found then do not move it."""
     numbers: dict[str, int] = field(default_factory=dict)
     """The last number that was given, by what was numbered (``target``, ``key``): none is given twice."""
+    measures: tuple[tuple[Any, Any], ...] = ()
+    """Airways of the steps, whole or folded, each with its :class:`carina.track.TreeMeasures`, or with the
+    :class:`carina.case.KeptMeasures` of a file; those that were measured."""
 
     def history(self) -> History[Document]:
         """The steps as they can be undone and done again."""

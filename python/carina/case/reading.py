@@ -15,6 +15,7 @@ from carina.case import facts as f
 from carina.case.database import no_surprise
 from carina.case.document import Document, Key, Keys, Target
 from carina.case.history import Step
+from carina.case.measures import branch_from, fork_from
 from carina.case.moment import LaidScope, Moment
 from carina.case.packing import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
 from carina.case.routes import ChosenRoute, RouteSpan
@@ -26,14 +27,23 @@ from carina.errors import CarinaError
 from carina.navigate import FlightPath
 from carina.render import TransferFunction
 from carina.scopes import Pose
-from carina.track import Airways, AirwayTree, Branch, DrawnPart, TreeEdit, edits_from_json, edits_to_json
+from carina.track import (
+    Airways,
+    AirwayTree,
+    Branch,
+    DrawnPart,
+    TreeEdit,
+    TreeMeasures,
+    edits_from_json,
+    edits_to_json,
+)
 from carina.track.edit.folded import FoldedAirways
 from carina.track.edit.lumen import edited_core, found_core
 from carina.track.find.kept import KeptForVolume
 from carina.track.paths.tracker import PathTracker
 from carina.volume import Note, Volume
 
-__all__ = ["CaseReader", "KeptAirways", "Rows"]
+__all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]
 
 Rows = dict[str, dict[int, tuple[Any, ...]]]
 """By table and id, the columns after the id."""
@@ -63,6 +73,29 @@ class KeptAirways(FoldedAirways):
         assert volume.hu_zyx is self.reader.volume.hu_zyx
         with no_surprise():
             return self.reader.airways(self.row)
+
+
+class KeptMeasures:
+    """What airways measured when the case was saved: still as the file has it."""
+
+    __slots__ = ("reader", "row")
+
+    def __init__(self, reader: CaseReader, row: int) -> None:
+        self.reader, self.row = reader, row
+
+    def __repr__(self) -> str:
+        return f"KeptMeasures(row={self.row})"
+
+    def load(self) -> TreeMeasures:
+        """The measures as they were saved; nothing is measured.
+
+        Raises
+        ------
+        CaseFileError
+            ``case.damaged``.
+        """
+        with no_surprise():
+            return self.reader.measures(self.row)
 
 
 class CaseReader:
@@ -96,7 +129,8 @@ class CaseReader:
         self._routes: dict[int, ChosenRoute] = {}
         self._values: dict[int, Any] = {}
         self._documents: dict[int, Document] = {}
-        self._depth = 0
+        self._measures = {columns[1]: row for row, columns in rows["measures"].items()}
+        """By the row of the airways."""
 
     # ------------------------------------------------------------ the moment
 
@@ -110,6 +144,7 @@ class CaseReader:
             if present is not None:
                 self._whole[present] = self.airways(present)
             documents = [self.document(step[3]) for step in steps]
+            measures = self._all_measures([step[3] for step in steps])
             if present is not None and self.columns("airways", present)[0] is not None:
                 # The document holds it; this reader lives as long as any step does.
                 del self._whole[present]
@@ -128,6 +163,7 @@ class CaseReader:
                 search_words=facts.search_words,
                 person_moved=facts.person_moved,
                 numbers=facts.numbers,
+                measures=measures,
             )
 
     def _command(self, said: object) -> Any:
@@ -137,6 +173,16 @@ class CaseReader:
         """The row of a document's airways."""
         row: int | None = self.columns("document", document)[0]
         return row
+
+    def _all_measures(self, documents: Sequence[int]) -> tuple[tuple[Any, KeptMeasures], ...]:
+        """Of the airways of documents that were measured."""
+        measured = dict.fromkeys(self.airways_of(document) for document in documents)
+        found = []
+        for row in measured:
+            kept = None if row is None else self.measures_of(row)
+            if row is not None and kept is not None:
+                found.append((self.any_airways(row), kept))
+        return tuple(found)
 
     def document(self, row: int) -> Document:
         """A row of ``document``."""
@@ -399,6 +445,49 @@ class CaseReader:
         bits = inflated(data, TILE_BYTES, f"tile {row}")
         self._check("tile", row, digest_of("tile", bits))
         return bits
+
+    # ------------------------------------------------------------ measures
+
+    def measures_of(self, airways: int) -> KeptMeasures | None:
+        """What a row of ``airways`` measured; None where it was not measured."""
+        row = self._measures.get(airways)
+        if row is None:
+            return None
+        kept = KeptMeasures(self, row)
+        self._know("measures", kept, row)
+        return kept
+
+    def measures(self, row: int) -> TreeMeasures:
+        """A row of ``measures``."""
+        with self._lock:
+            where = f"measures {row}"
+            airways, packed, said = self.columns("measures", row)
+            facts: f.MeasuresFacts = from_json(said, self._decoders.measures, where)
+            branches, notes = self._tree(self.columns("airways", airways)[2])
+            ids = unpacked_ints(packed, len(branches), where)
+            found, forks = [], []
+            for one, branch in zip(ids, branches, strict=True):
+                place = f"measured_branch {one}"
+                sections, flags, of_branch = self.columns("measured_branch", int(one))
+                told: f.MeasuredFacts = from_json(of_branch, self._decoders.measured, place)
+                if told.branch_id != branch.id:
+                    raise damaged(place, f"branch {branch.id}", str(told.branch_id))
+                columns = self.columns("sections", sections)
+                found.append(branch_from(columns, flags, told, len(branch.points), place))
+                self._know("sections", found[-1].edge_mm, sections)
+                fork = fork_from(told)
+                if fork is not None:
+                    forks.append(fork)
+            made = TreeMeasures.made_before(
+                AirwayTree(branches, notes=notes),
+                tuple(found),
+                tuple(forks),
+                blur_mm=facts.blur_mm,
+                noise=facts.noise,
+                notes=facts.notes,
+            )
+            self._know("measures", made, row)
+            return made
 
     # ------------------------------------------------------------ content
 

@@ -21,7 +21,7 @@ from carina.case.moment import LaidScope, Moment
 from carina.case.packed_ct import packed_volume
 from carina.case.packing import from_json
 from carina.case.reading import CaseReader, Rows
-from carina.case.schema import APPLICATION_ID, CONTENT
+from carina.case.schema import APPLICATION_ID, CONTENT, SCHEMA, SINCE
 from carina.case.source import read_source, turn_between
 from carina.case.trouble import CaseFileError, refused
 from carina.commands.look import Look
@@ -104,7 +104,12 @@ class _Rescue:
     # ------------------------------------------------------------ rows
 
     def _content(self) -> Rows:
-        return {table: {row[0]: row[1:] for row in self._rows(table, "*")} for table in CONTENT}
+        schema = SCHEMA
+        with contextlib.suppress(sqlite3.Error):
+            schema = self._connection.execute("PRAGMA user_version").fetchone()[0]
+        tables = [table for table in CONTENT if SINCE.get(table, 1) <= max(schema, 1)]
+        found: Rows = {table: {} for table in CONTENT}
+        return found | {table: {row[0]: row[1:] for row in self._rows(table, "*")} for table in tables}
 
     def _rows(self, table: str, columns: str, key: str = "id") -> Iterator[tuple[Any, ...]]:
         """The rows of a table that can be read: all in turn, and where that stops each by its number."""
@@ -165,7 +170,26 @@ class _Rescue:
             search_words=facts.search_words,
             person_moved=facts.person_moved,
             numbers=facts.numbers,
+            measures=self._measures(documents),
         )
+
+    def _measures(self, documents: Sequence[tuple[tuple[Any, ...], Document]]) -> tuple[tuple[Any, Any], ...]:
+        """What is whole of the measures of the airways that are."""
+        found: dict[int, tuple[Any, Any]] = {}
+        lost: set[int] = set()
+        for (n, label, _, _, row), document in documents:
+            if document.airways is None:
+                continue
+            airways = self._reader.airways_of(row)
+            kept = None if airways is None else self._reader.measures_of(airways)
+            if kept is None or kept.row in found or kept.row in lost:
+                continue
+            try:
+                found[kept.row] = document.airways, kept.load()
+            except TROUBLE:
+                lost.add(kept.row)
+                self._lost.append(f"step {n} ({str(label)[:80] or 'the start'}): the measurements of the airways")
+        return tuple(found.values())
 
     def _facts(self, num_steps: int) -> tuple[int, f.MomentFacts]:
         try:

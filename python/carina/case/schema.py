@@ -16,6 +16,7 @@ __all__ = [
     "JOURNALS",
     "MIGRATIONS",
     "SCHEMA",
+    "SINCE",
     "TABLES",
     "check_schema",
     "make_tables",
@@ -24,12 +25,9 @@ __all__ = [
 
 APPLICATION_ID: Final = 0x43415249
 """``CARI``."""
-SCHEMA: Final = 1
+SCHEMA: Final = 2
 JOURNALS: Final = ("-wal", "-journal")
 Standing = Literal["ours", "older", "newer"]
-MIGRATIONS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {}
-"""By the schema that they begin with: what makes a file of it one of the next."""
-
 # What is content is kept once, found by its digest, and never changed; what points to it does so by its id.
 _CONTENT = "id INTEGER PRIMARY KEY, digest BLOB NOT NULL UNIQUE"
 TABLES: Final = {
@@ -66,6 +64,15 @@ TABLES: Final = {
   base INTEGER REFERENCES airways, lumen INTEGER NOT NULL REFERENCES lumen, tree INTEGER NOT NULL REFERENCES tree,
   tracker INTEGER NOT NULL REFERENCES tracker, facts TEXT NOT NULL
 ) STRICT""",
+    "sections": f"""CREATE TABLE sections ({_CONTENT},
+  num_sections INTEGER NOT NULL, figures BLOB NOT NULL, rays BLOB NOT NULL
+) STRICT""",
+    "measured_branch": f"""CREATE TABLE measured_branch ({_CONTENT},
+  sections INTEGER NOT NULL REFERENCES sections, flags BLOB NOT NULL, facts TEXT NOT NULL
+) STRICT""",
+    "measures": f"""CREATE TABLE measures ({_CONTENT},
+  airways INTEGER NOT NULL UNIQUE REFERENCES airways, branches BLOB NOT NULL, facts TEXT NOT NULL
+) STRICT""",
     "route": f"""CREATE TABLE route ({_CONTENT},
   points INTEGER NOT NULL REFERENCES array, cumulative_mm INTEGER NOT NULL REFERENCES array,
   radius_mm INTEGER NOT NULL REFERENCES array, wall_mm INTEGER NOT NULL REFERENCES array,
@@ -99,8 +106,24 @@ TABLES: Final = {
   n INTEGER PRIMARY KEY, first_k INTEGER NOT NULL, num_k INTEGER NOT NULL, digest BLOB NOT NULL, data BLOB NOT NULL
 ) STRICT""",
 }
-CONTENT: Final = ("value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "route", "document")
+SINCE: Final = {"sections": 2, "measured_branch": 2, "measures": 2}
+"""The schema that a table came with, where it was not the first."""
+CONTENT: Final = (
+    "value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "sections", "measured_branch",
+    "measures", "route", "document",
+)  # fmt: skip
 """Tables of content, each after those that it points to."""
+
+
+def _add_measures(connection: sqlite3.Connection) -> None:
+    """To schema 2: what airways measure is kept with them, and empty here, since nothing was."""
+    for name, since in SINCE.items():
+        if since == 2:
+            connection.execute(TABLES[name])
+
+
+MIGRATIONS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _add_measures}
+"""By the schema that they begin with: what makes a file of it one of the next."""
 
 
 def make_tables(connection: sqlite3.Connection) -> None:
@@ -128,7 +151,7 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
     if application != APPLICATION_ID:
         raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
     found = set(connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 200"))
-    ours = _our_schema()
+    ours = _tables_of(SCHEMA)
     if version == SCHEMA and found == ours:
         return "ours"
     if version > SCHEMA:
@@ -139,11 +162,12 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
             f"a newer version of Carina saved it (schema {version}; this version reads {SCHEMA}); update Carina",
             code="case.newer",
         )
-    if version in MIGRATIONS:
+    if version in MIGRATIONS and found == _tables_of(version):
         return "older"
+    schema = version if version in MIGRATIONS else SCHEMA
     raise refused(
         path,
-        f"its tables are not those of schema {SCHEMA}, so it is damaged or was changed by another program; "
+        f"its tables are not those of schema {schema}, so it is damaged or was changed by another program; "
         "open an earlier copy",
         code="case.damaged",
     )
@@ -167,7 +191,10 @@ def migrated(connection: sqlite3.Connection, target: Path) -> None:
         check_schema(made, target)
 
 
-def _our_schema() -> set[tuple[str, str, str, str | None]]:
+def _tables_of(schema: int) -> set[tuple[str, str, str, str | None]]:
+    """What a file of a schema holds, as SQLite lists it."""
     with contextlib.closing(sqlite3.connect(":memory:")) as empty:
-        make_tables(empty)
+        for name, sql in TABLES.items():
+            if SINCE.get(name, 1) <= schema:
+                empty.execute(sql)
         return set(empty.execute("SELECT type, name, tbl_name, sql FROM sqlite_master"))

@@ -31,6 +31,8 @@ class CaseSummary:
     """The version of Carina; None where nothing was saved yet."""
     is_packed: bool
     """The CT is in the file."""
+    is_measured: bool = False
+    """What the airways measure is in it."""
 
 
 def read_summary(connection: sqlite3.Connection) -> CaseSummary:
@@ -47,7 +49,8 @@ def read_summary(connection: sqlite3.Connection) -> CaseSummary:
         return CaseSummary(None, 0, (), (), None, None, is_packed)
     said: f.MomentFacts = from_json(moment[1], f.decoders().moment, "the moment")
     row = connection.execute(
-        "SELECT tree.num_branches, airways.facts, route.facts, targets.json, keys.json "
+        "SELECT tree.num_branches, airways.facts, route.facts, targets.json, keys.json, "
+        "EXISTS (SELECT 1 FROM measures WHERE measures.airways = document.airways) "
         "FROM (SELECT document FROM step ORDER BY n LIMIT 1 OFFSET ?) AS now "
         "JOIN document ON document.id = now.document "
         "JOIN value AS targets ON targets.id = document.targets JOIN value AS keys ON keys.id = document.keys "
@@ -57,7 +60,7 @@ def read_summary(connection: sqlite3.Connection) -> CaseSummary:
     ).fetchone()
     if row is None:
         return CaseSummary(None, 0, (), (), None, said.saved_by, is_packed)
-    num_branches, airways, route, targets, keys = row
+    num_branches, airways, route, targets, keys, is_measured = row
     decoders = f.decoders()
     frames = from_json(keys, decoders.keys, "the key frames").frames
     return CaseSummary(
@@ -68,4 +71,5 @@ def read_summary(connection: sqlite3.Connection) -> CaseSummary:
         route=None if route is None else from_json(route, decoders.route, "the route").title,
         saved_by=said.saved_by,
         is_packed=is_packed,
+        is_measured=bool(is_measured),
     )

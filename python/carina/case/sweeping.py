@@ -42,6 +42,8 @@ def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
     found: dict[str, set[int]] = {table: set() for table in CONTENT}
     decoders = f.decoders()
     waiting = [("document", row) for row in documents]
+    # Measures point to their airways, and not the other way round.
+    measures = {columns[1]: row for row, columns in rows["measures"].items()}
     while waiting:
         table, row = waiting.pop()
         if row is None or row in found[table]:
@@ -64,8 +66,16 @@ def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
                 waiting += [("airways", base), ("lumen", lumen), ("tree", tree), ("tracker", tracker)]
                 waiting += [("value", value) for value in (*facts.edits, facts.uncertain)]
                 waiting += [("array", bridge) for bridge in facts.bridges]
+                if row in measures:
+                    waiting.append(("measures", measures[row]))
             case "tracker", (lumen, tree, _, _, _, _, nodes, num_nodes):
                 waiting += [("lumen", lumen), ("tree", tree), ("array", nodes), ("array", num_nodes)]
+            case "measures", (airways, branches, _):
+                tree = rows["airways"][airways][3]
+                count = rows["tree"][tree][1]
+                waiting += [("measured_branch", int(one)) for one in unpacked_ints(branches, count, where)]
+            case "measured_branch", (sections, *_):
+                waiting += [("sections", sections)]
             case "tree", (count, branches, *_):
                 waiting += [("branch", int(branch)) for branch in unpacked_ints(branches, count, where)]
             case "branch", arrays:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import sqlite3
 import weakref
@@ -15,21 +16,24 @@ from numpy.typing import NDArray
 from carina.case import facts as f
 from carina.case.document import Document, Keys, Target
 from carina.case.history import Step
+from carina.case.measures import branch_facts, flags_of, sections_of
 from carina.case.moment import Moment
 from carina.case.packing import as_checked_json, deflated, digest_of, packed_ints
-from carina.case.reading import KeptAirways
+from carina.case.reading import KeptAirways, KeptMeasures
 from carina.case.routes import ChosenRoute
 from carina.case.schema import CONTENT
 from carina.case.tiles import to_tiles
 from carina.commands.value import LocalCommand
-from carina.errors import UsageError
+from carina.errors import CarinaError, UsageError
 from carina.render import TransferFunction
-from carina.track import Airways, AirwayTree, Branch, edits_to_json
+from carina.track import Airways, AirwayTree, Branch, BranchMeasures, TreeMeasures, edits_to_json
 from carina.track.edit.folded import FoldedAirways, PackedAirways
 from carina.track.paths.tracker import PathTracker
 from carina.version import VERSION
 
 __all__ = ["CaseWriter", "StepRow"]
+
+logger = logging.getLogger(__name__)
 
 StepRow = tuple[str, str | None, float, int]
 """Label, command, seconds, document."""
@@ -80,7 +84,7 @@ class CaseWriter:
 
     def know(self, kind: str, value: object, row: int) -> None:
         """Something was read from this file."""
-        if kind in {"array", "lumen", "tracker"}:
+        if kind in {"array", "lumen", "tracker", "sections"}:
             self._weak.note(kind, value, row)
         else:
             self._of_last[kind, id(value)] = (value, row)
@@ -90,6 +94,8 @@ class CaseWriter:
         self._of_this = {}
         entries = [(moment, self._first(moment)), *((step, self._step(step)) for step in moment.steps)]
         self._write_steps(entries)
+        for airways, measures in moment.measures:
+            self._measures(self._airways(airways), measures)
         scope = moment.scope
         facts = f.MomentFacts(
             sight=moment.sight,
@@ -368,6 +374,53 @@ class CaseWriter:
             found = self._insert("lumen", digest, values)
         self._weak.note("lumen", lumen_zyx, found)
         return found
+
+    # ------------------------------------------------------------ measures
+
+    def _measures(self, airways: int, measures: TreeMeasures | KeptMeasures) -> None:
+        """What airways measure, in the place of what stood there."""
+        if self._found("measures", measures) is not None:
+            return
+        if isinstance(measures, KeptMeasures) and measures.reader is self.reader:
+            self._note("measures", measures, measures.row)
+            return
+        try:
+            whole = measures.load() if isinstance(measures, KeptMeasures) else measures
+            row = self._whole_measures(airways, whole)
+        except CarinaError as trouble:
+            # They can be made again; what a person did cannot, and is saved without them.
+            logger.warning("the measurements of the airways are not saved (%s)", trouble.code)
+            row = 0
+        self._note("measures", measures, row)
+
+    def _whole_measures(self, airways: int, measures: TreeMeasures) -> int:
+        forks = {fork.branch_id: fork for fork in measures.forks}
+        rows = [self._measured_branch(branch, forks.get(branch.branch_id)) for branch in measures.branches]
+        facts = f.MeasuresFacts(measures.blur_mm, measures.noise, tuple(measures.notes))
+        values = {
+            "airways": airways,
+            "branches": packed_ints(rows),
+            "facts": as_checked_json(facts, self._decoders.measures, "the measures of the airways"),
+        }
+        digest = digest_of("measures", *values.values())
+        known = self._ids["measures"].get(digest)
+        if known is not None:
+            return known
+        # Airways have one row of measures.
+        for (old,) in self._connection.execute("SELECT digest FROM measures WHERE airways = ?", (airways,)).fetchall():
+            self._connection.execute("DELETE FROM measures WHERE airways = ?", (airways,))
+            self._ids["measures"].pop(bytes(old), None)
+        return self._insert("measures", digest, values)
+
+    def _measured_branch(self, branch: BranchMeasures, fork: Any) -> int:
+        # An edit takes the rays of a branch that it leaves alone over as they are, with all that was found by them.
+        known = self._weak.find("sections", branch.edge_mm)
+        if known is None:
+            known = self._put("sections", sections_of(branch))
+            self._weak.note("sections", branch.edge_mm, known)
+        facts = branch_facts(branch, fork)
+        said = as_checked_json(facts, self._decoders.measured, f"the measures of branch {branch.branch_id}")
+        return self._put("measured_branch", {"sections": known, "flags": flags_of(branch), "facts": said})
 
     # ------------------------------------------------------------ content
 

@@ -43,6 +43,7 @@ def case_json(path: Path) -> dict[str, Any]:
         },
         "num_branches": holds.num_branches,
         "num_edits": holds.num_edits,
+        "measured": holds.is_measured,
         "route": holds.route,
         "targets": list(holds.targets),
         "key_frames": list(holds.key_frames),
@@ -64,7 +65,8 @@ def case_lines(path: Path) -> list[str]:
         f"  scan: {nx} x {ny} x {nz} voxels, {where}, digest {source['digest'][:12]}",
         "  airways: none"
         if found["num_branches"] is None
-        else f"  airways: {found['num_branches']} branches, {_many(found['num_edits'], 'edit')}",
+        else f"  airways: {found['num_branches']} branches, {_many(found['num_edits'], 'edit')}, "
+        + ("measured" if found["measured"] else "not measured yet"),
         f"  targets: {', '.join(found['targets']) or 'none'}",
         f"  key frames: {', '.join(found['key_frames']) or 'none'}",
     ]

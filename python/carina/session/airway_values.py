@@ -8,8 +8,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from carina.case import KeptMeasures
+from carina.errors import CarinaError
 from carina.session.derived import Attempt, Derived
 from carina.session.jobs import JobRunner
+from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts
 from carina.track import edits_to_json
 
@@ -49,16 +52,40 @@ def derived_measures(
     jobs: JobRunner,
     lock: AbstractContextManager[Any],
     changed: Callable[[], None],
+    measured: MeasuredAirways,
+    lost: Callable[[CarinaError], None],
 ) -> Derived[Airways, TreeMeasures]:
-    """What airways in a volume measure; nothing is to be wanted where :attr:`Parts.measure_tree` is None."""
+    """What airways in a volume measure; nothing is to be wanted where :attr:`Parts.measure_tree` is None.
+
+    Parameters
+    ----------
+    measured
+        What airways of the history measured before: none of them is measured again.
+    lost
+        Told of what was kept and cannot be read: those airways are measured again.
+    """
 
     def make(airways: Airways, attempt: Attempt[TreeMeasures]) -> TreeMeasures:
         assert parts.measure_tree is not None
+        with lock:
+            kept = measured.of(airways)
+        if kept is not None:
+            try:
+                return _loaded(kept)
+            except CarinaError as trouble:
+                lost(trouble)
         # Branches that an edit did not touch keep their sections.
         before = attempt.before
-        return parts.measure_tree(volume, airways, previous=before, progress=attempt.progress, cancel=attempt.cancel)
+        made = parts.measure_tree(volume, airways, previous=before, progress=attempt.progress, cancel=attempt.cancel)
+        with lock:
+            measured.put(airways, made)
+        return made
 
     return Derived(jobs, lock, kind="measures", title="measuring the airways", make=make, settled=changed)
+
+
+def _loaded(kept: TreeMeasures | KeptMeasures) -> TreeMeasures:
+    return kept.load() if isinstance(kept, KeptMeasures) else kept
 
 
 def _made_from(wall: WallField, airways: Any) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from carina.case.history import History
 from carina.case.moment import LaidScope, Moment
 from carina.case.routes import AirwayIndex, ChosenRoute, path_move
 from carina.commands import TakeMask
-from carina.errors import UsageError
+from carina.errors import CarinaError, UsageError
 from carina.navigate import Navigator, Pilot
 from carina.render import GreyWindow, Sight
 from carina.session.airway_values import LumenWall, derived_measures, derived_wall
@@ -24,6 +24,7 @@ from carina.session.derived import Cached, Derived
 from carina.session.inside import in_lumen
 from carina.session.jobs import JobRunner
 from carina.session.key_flight import KeyFlight, key_flight
+from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts, RendererFactory
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
@@ -93,6 +94,8 @@ class OpenCase:
     """Of airways that a scope was to be held in."""
     measures: Derived[Airways, TreeMeasures]
     """Of the document's airways."""
+    measured: MeasuredAirways
+    """Of all airways of the history that were measured."""
     outlined: Cached[Airways, LumenOutline]
     """The outline of the newest lumen that was looked at."""
     indexed: Cached[AirwayTree, AirwayIndex]
@@ -170,12 +173,17 @@ def new_case(
     jobs: JobRunner,
     lock: AbstractContextManager[Any],
     changed: Callable[..., None],
+    say: Callable[[str], None] = lambda _words: None,
     kept: Moment | None = None,
 ) -> OpenCase:
     """A case that shows a volume: as it was kept, or before anything was found in it.
 
-    ``changed`` is told topics by its jobs.
+    ``changed`` is told topics by its jobs, and ``say`` what is worth a line.
     """
+
+    def say_lost(trouble: CarinaError) -> None:
+        say(f"the saved measurements of the airways cannot be read, so they are made again: {trouble}")
+
     off: tuple[FeatureOff, ...] = ()
     threshold: float | None = None
     window = LUNG_WINDOW
@@ -195,6 +203,7 @@ def new_case(
         )
     document = Document(transfer=transfer, lumen_threshold=threshold)
     history = History(document) if kept is None else kept.history()
+    measured = MeasuredAirways(() if kept is None else kept.measures)
     transfer = history.current.transfer
     case = OpenCase(
         number=number,
@@ -207,7 +216,16 @@ def new_case(
         presets=presets,
         threshold_from_histogram=threshold,
         wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
-        measures=derived_measures(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "state", "tree")),
+        measures=derived_measures(
+            volume,
+            parts,
+            jobs=jobs,
+            lock=lock,
+            changed=partial(changed, "state", "tree"),
+            measured=measured,
+            lost=say_lost,
+        ),
+        measured=measured,
         # Edits that leave the lumen as it is (a name, a smoother centreline) keep its outline.
         outlined=Cached(partial(LumenOutline, volume), same=lambda a, b: a.lumen_zyx is b.lumen_zyx),
         indexed=Cached(AirwayIndex),
@@ -247,6 +265,7 @@ def moment_of(case: OpenCase) -> Moment:
         search_words=case.search.words,
         person_moved=case.last_move.person_moved,
         numbers=dict(case.numbers),
+        measures=case.measured.among(document.airways for document in history.documents()),
     )
 
 

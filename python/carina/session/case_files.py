@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carina.case import CaseFile, SourceFacts
+from carina.case import CaseFile, CaseFileError, SourceFacts
+from carina.case.file import migrate_live
 from carina.session.case_scan import CaseScans
 from carina.session.kept_files import KeptFile, KeptFiles
 from carina.session.pictures import small_picture
@@ -29,6 +30,12 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
         return CaseFile.create(path, SourceFacts.of(volume, digest))
 
     def reopen(path: Path) -> KeptFile:
+        try:
+            return CaseFile.open(path)
+        except CaseFileError as trouble:
+            if trouble.code != "case.older":
+                raise
+        migrate_live(path)
         return CaseFile.open(path)
 
     def write(path: Path, volume: Volume, digest: str, moment: Moment, ct_place: str | None) -> None:

@@ -77,6 +77,7 @@ class TreeEditing(Subject):
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold(case.info.volume)
             case.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
+            case.measured.became(airways, whole)
 
     def fold(self, case: OpenCase) -> None:
         """Airways of steps far away are kept small, with the session locked."""
@@ -89,6 +90,7 @@ class TreeEditing(Subject):
                 return document
             if id(edited) not in folded:
                 folded[id(edited)] = fold_airways(volume, edited)
+                case.measured.became(edited, folded[id(edited)])
             return replace(document, airways=folded[id(edited)])
 
         case.history.fold_far(lambda d: d.airways, NUM_EDITS_WHOLE, fold)
@@ -124,6 +126,8 @@ class TreeEditing(Subject):
     def _put_names(self, case: OpenCase, edited: Any, named: Any) -> None:
         """Names follow the edit: part of its step, wherever undo has taken the document meanwhile."""
         case.history.amend(lambda document: _with_names(document, edited, named))
+        # Nothing is measured by its name.
+        case.measured.became(edited, named)
         if self.core.case is case:
             self.core.follow(case)
             self.core.changed(*ALL_TOPICS)

@@ -225,6 +225,7 @@ class Opening(Subject):
                     jobs=self.core.jobs,
                     lock=self.core.lock,
                     changed=self.core.changed,
+                    say=lambda words: self.core.emit(Said(words)),
                     kept=kept,
                 )
                 if path is not None and self.core.store is not None:

@@ -220,7 +220,7 @@ class Saving(Subject):
         assert self._files is not None
         held = self.records.begin(digest, None, volume.source.title)
         try:
-            case.write_copy(held.path)
+            case.write_copy(held.path, private=True)
             file = self._files.open(held.path)
         except BaseException:
             held.release()

@@ -24,13 +24,22 @@ from carina.track.measures.forks import (
 from carina.track.measures.summary import BranchSummary, Stenosis, healthy_neighbours_mm, stenosis_of, summed_up
 from carina.track.stages import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.version import VERSION as CARINA_VERSION
 from carina.volume.model import Volume
 
 if TYPE_CHECKING:
     from carina._core import SectionCasts
     from carina.track.find.found import Airways
 
-__all__ = ["BranchMeasures", "BranchSummary", "ForkMeasures", "Stenosis", "TreeMeasures", "measure_tree"]
+__all__ = [
+    "RAYS_PER_MM",
+    "BranchMeasures",
+    "BranchSummary",
+    "ForkMeasures",
+    "Stenosis",
+    "TreeMeasures",
+    "measure_tree",
+]
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +53,8 @@ BRIGHTEST_WALL_HU = 100.0
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
 """Where fewer rays than this meet a wall the lumen is open to another one: as at a fork."""
+RAYS_PER_MM = 1024.0
+"""Single rays are told in steps of 1/1024 mm, a hundredth of their error: what is kept of them takes a quarter."""
 
 
 @one_line
@@ -81,12 +92,15 @@ class BranchMeasures:
     shift_mm: Floats
     """(n,) how far the edges lie outside the half-maximum ones: the correction for the scanner's blur."""
     edge_mm: Floats
-    """(n, 64) distance of the lumen's edge from the centre along rays at even angles from ``section_axes(normal)``."""
+    """(n, 64) distance of the lumen's edge from the centre along rays at even angles from ``section_axes(normal)``, to
+    1/1024 mm."""
     outer_mm: Floats
     """(n, 64) the same for the wall's far side."""
     share: Floats
     """(n,) rays that met a wall, 0 to 1."""
     summary: BranchSummary
+    found_by: str = CARINA_VERSION
+    """The version of Carina that measured the sections."""
 
     @property
     def is_usable(self) -> NDArray[np.bool_]:
@@ -137,6 +151,32 @@ class TreeMeasures:
     notes: tuple[str, ...] = ()
     _keys: tuple[bytes, ...] = dataclasses.field(default=(), repr=False)
     """What each branch was measured from: see :func:`measure_tree`."""
+
+    @classmethod
+    def made_before(
+        cls,
+        tree: AirwayTree,
+        branches: tuple[BranchMeasures, ...],
+        forks: tuple[ForkMeasures, ...],
+        *,
+        blur_mm: tuple[float, float] | None,
+        noise: float,
+        notes: tuple[str, ...],
+    ) -> TreeMeasures:
+        """What was measured of a tree and kept; an edit of it is measured from there.
+
+        Raises
+        ------
+        UsageError
+            If the sections are not those of the tree's centrelines.
+        """
+        for branch, own in zip(tree.branches, branches, strict=True):
+            if branch.id != own.branch_id or len(branch.points) != len(own.at_mm):
+                raise UsageError(
+                    f"expected {len(branch.points)} sections of branch {branch.id}; "
+                    f"found {len(own.at_mm)} of branch {own.branch_id}"
+                )
+        return cls(branches, forks, blur_mm, noise, notes, tuple(_key(branch, tree) for branch in tree.branches))
 
     def of(self, branch_id: int) -> BranchMeasures:
         """The measures of a branch.
@@ -249,13 +289,14 @@ def measure_tree(
     for number, branch in enumerate(tree.branches):
         if keys[number] in known:
             old = known[keys[number]]
-            columns = {name: getattr(old, name) for name in _COLUMNS}
+            columns = {name: getattr(old, name) for name in (*_COLUMNS, "at_mm", "found_by")}
         else:
             first = begins[fresh.index(number)]
             columns = _columns(rows, slice(first, first + len(branch.points)), normals[number])
-        if branch.kind != "tracked":
-            # A calibre of what nobody sees would be an invention, and a narrowing beside it another.
-            columns = {name: np.full_like(v, np.nan) if name in _FIGURES else v for name, v in columns.items()}
+            if branch.kind != "tracked":
+                # A calibre of what nobody sees would be an invention, and a narrowing beside it another.
+                columns = {name: np.full_like(v, np.nan) if name in _FIGURES else v for name, v in columns.items()}
+            columns |= {"at_mm": run_mm(branch.points), "found_by": CARINA_VERSION}
         parent = None if branch.parent is None else tree.branch(branch.parent)
         flags = junction_flags(
             branch,
@@ -265,8 +306,11 @@ def measure_tree(
             None if parent is None else float(np.median(parent.radius)),
         )
         flags |= columns["share"] < OPEN_SHARE
-        sections.append({**columns, "at_mm": run_mm(branch.points), "at_junction": flags})
-    measured = _summed_up(tree, sections)
+        sections.append({**columns, "at_junction": flags})
+    measured = tuple(
+        known[key] if key in known and _is_same(known[key], one) else one
+        for key, one in zip(keys, _summed_up(tree, sections), strict=True)
+    )
     notes = []
     if blur is None:
         notes.append(
@@ -311,6 +355,11 @@ def _key(branch: Branch, tree: AirwayTree) -> bytes:
     if len(branch.points) == 1 and branch.parent is not None:
         before = tree.branch(branch.parent).points[-2:].tobytes()
     return np.int64(branch.id).tobytes() + branch.kind.encode() + branch.points.tobytes() + before
+
+
+def _is_same(old: BranchMeasures, new: BranchMeasures) -> bool:
+    """Whether a branch that an edit left as it is also measures what it did beside its neighbours."""
+    return old.summary == new.summary and np.array_equal(old.at_junction, new.at_junction)
 
 
 def _normals(branch: Branch, tree: AirwayTree) -> Floats:
@@ -381,6 +430,8 @@ def _columns(rows: dict[str, Any], which: slice, normals: Floats) -> dict[str, A
     # d(pi d^2 / 4) = pi d / 2 dd.
     part["area_error_mm2"] = 0.5 * np.pi * part["equivalent_mm"] * part["equivalent_error_mm"]
     del part["wall_share"]
+    for name in ("edge_mm", "outer_mm"):
+        part[name] = np.rint(part[name] * RAYS_PER_MM) / RAYS_PER_MM
     return part
 
 

@@ -1,0 +1,137 @@
+"""What airways measure as a case file keeps it: the sections of a branch once, however many edits leave them alone."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.case import facts as f
+from carina.case.packing import deflated, inflated, packed_ints, unpacked_ints
+from carina.case.trouble import damaged
+from carina.track import BranchMeasures, BranchSummary, ForkMeasures, Stenosis
+from carina.track.measures.tree import RAYS_PER_MM
+
+__all__ = ["branch_facts", "branch_from", "flags_of", "fork_from", "sections_of"]
+
+FIGURES: Final = {
+    "at_mm": 1,
+    "centre_lps": 3,
+    "normal_lps": 3,
+    "area_mm2": 1,
+    "equivalent_mm": 1,
+    "min_mm": 1,
+    "max_mm": 1,
+    "wall_mm": 1,
+    "area_error_mm2": 1,
+    "equivalent_error_mm": 1,
+    "min_error_mm": 1,
+    "max_error_mm": 1,
+    "wall_error_mm": 1,
+    "shift_mm": 1,
+    "share": 1,
+}
+"""The columns of sections in their order, and how many numbers each has."""
+RAYS: Final = {"edge_mm": 64, "outer_mm": 64}
+NO_RAY: Final = -1
+AT_JUNCTION, AT_EDGE = 1, 2
+MAX_SECTIONS: Final = 1_000_000
+
+
+def sections_of(measures: BranchMeasures) -> dict[str, Any]:
+    """The columns of a row of ``sections``."""
+    columns = [np.asarray(getattr(measures, name), dtype="<f8") for name in FIGURES]
+    # Column by column: what is alike lies together.
+    figures = b"".join(np.ascontiguousarray(column.T).tobytes() for column in columns)
+    rays = np.concatenate([getattr(measures, name) for name in RAYS], axis=1)
+    steps = np.where(np.isfinite(rays), np.rint(rays * RAYS_PER_MM), NO_RAY).astype(np.int32)
+    return {"num_sections": len(measures.at_mm), "figures": deflated(figures), "rays": packed_ints(steps.ravel())}
+
+
+def flags_of(measures: BranchMeasures) -> bytes:
+    """Which sections do not count: packed numbers, one for each."""
+    return packed_ints(measures.at_junction * AT_JUNCTION + measures.at_edge * AT_EDGE)
+
+
+def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.MeasuredFacts:
+    """What a branch and the fork at its end measure, beside the sections."""
+    summary, stenosis = measures.summary, measures.summary.stenosis
+    names = [name for name in f.SummaryFacts.__struct_fields__ if name != "stenosis"]
+    return f.MeasuredFacts(
+        branch_id=measures.branch_id,
+        summary=f.SummaryFacts(
+            **{name: getattr(summary, name) for name in names},
+            stenosis=None
+            if stenosis is None
+            else f.StenosisFacts(*(getattr(stenosis, name) for name in f.StenosisFacts.__struct_fields__)),
+        ),
+        fork=None
+        if fork is None
+        else f.ForkFacts(
+            children=tuple(fork.children),
+            fork_lps=fork.fork_lps,
+            carina_lps=fork.carina_lps,
+            fork_to_carina_mm=fork.fork_to_carina_mm,
+            angle_between_deg=fork.angle_between_deg,
+        ),
+        found_by=measures.found_by,
+    )
+
+
+def branch_from(
+    columns: tuple[Any, ...], flags: object, facts: f.MeasuredFacts, num_points: int, where: str
+) -> BranchMeasures:
+    """The measures of a branch from a row of ``sections``, flags and facts.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    count, figures, rays = columns
+    if count != num_points or not 0 <= count <= MAX_SECTIONS:
+        raise damaged(where, f"{num_points} sections", str(count)[:40])
+    width = sum(FIGURES.values())
+    numbers = np.frombuffer(inflated(figures, 8 * width * count, where), dtype="<f8").reshape(width, count)
+    if np.isinf(numbers).any():
+        raise damaged(where, "finite numbers, or none", "infinite ones")
+    values: dict[str, Any] = {}
+    at = 0
+    for name, wide in FIGURES.items():
+        values[name] = numbers[at] if wide == 1 else np.ascontiguousarray(numbers[at : at + wide].T)
+        at += wide
+    steps = unpacked_ints(rays, sum(RAYS.values()) * count, where).reshape(count, sum(RAYS.values()))
+    at = 0
+    for name, wide in RAYS.items():
+        part = steps[:, at : at + wide]
+        values[name] = np.where(part == NO_RAY, np.nan, part / RAYS_PER_MM)
+        at += wide
+    marks = unpacked_ints(flags, count, where)
+    return BranchMeasures(
+        branch_id=facts.branch_id,
+        at_junction=_frozen(marks & AT_JUNCTION != 0),
+        at_edge=_frozen(marks & AT_EDGE != 0),
+        summary=_summary(facts.summary),
+        found_by=facts.found_by,
+        **{name: _frozen(value) for name, value in values.items()},
+    )
+
+
+def fork_from(facts: f.MeasuredFacts) -> ForkMeasures | None:
+    """The fork at the end of a branch; None at a tip."""
+    fork = facts.fork
+    return None if fork is None else ForkMeasures(facts.branch_id, **msgspec.structs.asdict(fork))
+
+
+def _summary(facts: f.SummaryFacts) -> BranchSummary:
+    values = msgspec.structs.asdict(facts)
+    stenosis = facts.stenosis
+    values["stenosis"] = None if stenosis is None else Stenosis(**msgspec.structs.asdict(stenosis))
+    return BranchSummary(**values)
+
+
+def _frozen(values: NDArray[Any]) -> NDArray[Any]:
+    values.flags.writeable = False
+    return values
