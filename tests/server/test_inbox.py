@@ -133,14 +133,14 @@ def flooded(live, window, calls, *, num_sent, rate_hz=1000):
 def test_others_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(live, monkeypatch, num_sent):
     plain, calls = Session.do, []
 
-    def slow(self, command):
+    def slow(self, command, **options):
         if not isinstance(command, wire.Steer):
-            return plain(self, command)
+            return plain(self, command, **options)
         calls.append(command.roll_rad)
         until_s = time.perf_counter() + 0.003  # as in a patient's lumen
         while time.perf_counter() < until_s:
             pass
-        return plain(self, command)
+        return plain(self, command, **options)
 
     with live.window() as window:
         open_case(window)

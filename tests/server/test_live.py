@@ -11,8 +11,9 @@ import pytest
 from live_server import SHOWN, WAIT_S, open_case, running
 
 from carina.render import TransferFunction
-from carina.server import hub
 from carina.server import messages as wire
+from carina.server import shared_texts
+from carina.server import window as a_window
 from small_case import BRANCHES_IJK, small_volume
 
 
@@ -35,13 +36,13 @@ def test_thousands_of_steers_and_acks_of_frames_never_sent_leave_the_session_ans
 
 
 def test_poses_go_on_while_a_tree_is_written_and_its_route_comes_after_it(live, monkeypatch):
-    may_end, written = threading.Event(), hub.tree_message
+    may_end, written = threading.Event(), shared_texts.tree_message
 
     def slowly(airways, measures):
         assert airways is None or may_end.wait(WAIT_S)
         return written(airways, measures)
 
-    monkeypatch.setattr(hub, "tree_message", slowly)
+    monkeypatch.setattr(shared_texts, "tree_message", slowly)
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)
@@ -91,7 +92,7 @@ def test_one_bad_message_closes_the_socket_with_its_code_and_a_sentence(live, te
 
 def test_a_state_that_cannot_be_told_ends_the_windows_connection(live, monkeypatch):
     """A window that is told nothing any more would show an old state as if it were the present one."""
-    monkeypatch.setattr(hub, "state_message", lambda *_, **__: wire.Value((0.0, 0.0, float("nan")), None))
+    monkeypatch.setattr(a_window, "state_message", lambda *_, **__: wire.Value((0.0, 0.0, float("nan")), None))
     with live.window(hello=False) as window:
         window.send(wire.ClientHello(wire.WIRE_VERSION))
         assert window.close_code()[0] == 1011
@@ -343,13 +344,3 @@ def test_a_reload_gets_the_whole_state_and_fresh_pictures(live):
         for view in ("airway", "axial", "tree"):
             if view not in {p.view for p in window.pictures}:
                 window.until(lambda m, view=view: isinstance(m, wire.PictureHeader) and m.view == view)
-
-
-def test_a_second_window_takes_over_and_the_first_is_told(live):
-    with live.window() as first:
-        open_case(first)
-        with live.window() as second:
-            code, reason = first.close_code()
-            assert (code, reason) == (4409, "Carina was opened in another window")
-            second.send(SHOWN, wire.Steer(1.0, 0.0, 0.0, 0.0))
-            second.until(lambda m: isinstance(m, wire.PictureHeader))

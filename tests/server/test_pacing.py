@@ -383,13 +383,14 @@ def test_a_client_that_lost_its_pictures_is_not_left_without_any():
     assert player.step({"airway": 9}).key == 9
 
 
-def test_a_new_client_gets_everything_and_old_orders_are_for_nobody():
+def test_a_view_that_comes_back_to_the_screen_gets_everything_and_its_old_pictures_are_forgotten():
     player = Player({"airway": (64, 64)}, acknowledges=False)
     player.scheduler.observe({"airway": 1}, player.now_s)
     under_way = player.scheduler.next_order(player.now_s)
-    player.scheduler.forget_sent()
+    player.scheduler.set_layout({})
     assert not player.scheduler.rendered(under_way, 5, 0.01, player.now_s)
     assert player.scheduler.num_in_flight("airway") == 0
+    player.scheduler.set_layout({"airway": (64, 64)})
     player.now_s += 0.02
     assert player.step({"airway": 1}).view == "airway"
 

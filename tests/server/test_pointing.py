@@ -14,6 +14,7 @@ from carina.commands import OpenPath
 from carina.server import messages as wire
 from carina.server.newest import NewestOnly
 from carina.server.pointing import Pointing, live_path_message
+from carina.server.warming import Warming
 from carina.session.questions import lumen_before_wall
 from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
 from small_case import small_bench, small_lps
@@ -118,12 +119,13 @@ def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
 def test_what_the_first_question_would_wait_for_is_done_before_it_comes(pointing, monkeypatch):
     asked = queue.Queue()
     monkeypatch.setattr(pointing.session, "ask", asked.put)
-    pointing.pointing.warm()
+    warming = Warming(pointing.session)
+    warming.start()
+    warming.airways_changed()
     assert asked.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))
     # Once for the same airways, and without an answer.
-    pointing.pointing.warm()
-    monkeypatch.undo()
-    assert ask(pointing, 8, lps=small_lps((16.0, 14.0, 30.0))).request_id == 8
+    warming.airways_changed()
+    warming.stop()
     assert asked.empty()
 
 

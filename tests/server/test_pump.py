@@ -152,11 +152,11 @@ def test_only_visible_views_are_rendered(screen):
     assert {type(v) for v in screen.bench.renderers[-1].views} == {SliceView}
 
 
-def test_a_picture_for_a_client_that_is_gone_is_not_delivered(screen):
-    screen.bench.renderers[-1].on_render = lambda _view: screen.pump.new_client()
+def test_a_picture_of_a_view_that_leaves_the_screen_meanwhile_is_not_delivered(screen):
+    screen.bench.renderers[-1].on_render = lambda _view: screen.pump.set_layout({})
     assert screen.pump.step()
     assert screen.data == []
-    assert not screen.pump.step()  # the new client has sent no layout
+    assert not screen.pump.step()
 
 
 def test_a_view_that_cannot_be_rendered_is_told_once_and_the_others_go_on(screen):
@@ -340,11 +340,11 @@ class Network:
             if self.rng.random() > 0.05:
                 self.screen.pump.acknowledge(header.frame_id)
 
-    def reconnect(self):
+    def hide_and_show(self):
         self.line.clear()
         self.shown.clear()
-        self.drawn.append(("reconnect", 0))
-        self.screen.pump.new_client()
+        self.drawn.append(("hidden", 0))
+        self.screen.pump.set_layout({})
         self.screen.pump.set_layout({"airway": (320, 240), "axial": (120, 100)})
 
 
@@ -361,7 +361,7 @@ def test_order_holds_over_a_bad_line_and_the_newest_pose_arrives(screen, seed):
         if rng.random() < 0.7:
             screen.bench.session.do(Steer(float(rng.normal(0.0, 0.3)), 0.01, 0.0, 0.0))
         if rng.random() < 0.01:
-            network.reconnect()
+            network.hide_and_show()
         clock.advance(float(rng.exponential(0.01)))
         screen.pump.step()
         network.arrive()
@@ -374,7 +374,7 @@ def test_order_holds_over_a_bad_line_and_the_newest_pose_arrives(screen, seed):
         network.arrive()
     sessions = [[]]
     for place, pose_id in network.drawn:
-        if place == "reconnect":
+        if place == "hidden":
             sessions.append([])
         else:
             sessions[-1].append((place, pose_id))

@@ -20,12 +20,12 @@ from carina.server import messages as wire
 from carina.server.closing import close_socket
 from carina.server.downloads import Downloads
 from carina.server.gate_middleware import GateMiddleware, page
-from carina.server.hub import Hub, Outbox
-from carina.server.inbox import Inbox
+from carina.server.hub import Hub
 from carina.server.security import Gate
 from carina.server.senders import start_sender
 from carina.server.uploads import Uploads
 from carina.server.web_files import asset_path, web_folder
+from carina.server.window import Window
 
 __all__ = ["create_app", "web_folder"]
 
@@ -54,7 +54,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     Parameters
     ----------
     hub
-        Session, pump and client; started and stopped with the application.
+        Session and windows; started and stopped with the application.
     gate
         Secrets and checks.
     uploads
@@ -146,7 +146,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             reason = "Carina was restarted since this page was opened; open the link that it printed"
             await close_socket(websocket, "protocol.not-authorised", reason)
             return
-        await _serve_client(websocket, hub)
+        await _serve_window(websocket, hub)
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
@@ -173,11 +173,10 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     return app
 
 
-async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
-    """One client, from its hello to its end."""
-    outbox: Outbox | None = None
+async def _serve_window(websocket: WebSocket, hub: Hub) -> None:
+    """One window, from its hello to its end."""
+    window: Window | None = None
     sender: asyncio.Task[None] | None = None
-    inbox: Inbox | None = None
     worker: asyncio.Task[None] | None = None
     try:
         async with asyncio.timeout(HELLO_WITHIN_S):
@@ -190,14 +189,12 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
                 f"{wire.WIRE_VERSION}; reload the page"
             )
             raise ProtocolError(msg, code="protocol.version")
+        window = hub.attach()
         await websocket.send_text(wire.encode_message(wire.ServerHello(wire.WIRE_VERSION, carina.__version__)))
-        outbox = hub.attach()
-        sender = start_sender(websocket, "the window", _send_all(websocket, hub, outbox))
-        current = outbox
-        inbox = Inbox(lambda message: hub.handle(message) if hub.is_current(current) else None)
-        worker = asyncio.create_task(inbox.work())
+        sender = start_sender(websocket, "the window", _send_all(websocket, hub, window))
+        worker = asyncio.create_task(window.inbox.work())
         while not worker.done():
-            await inbox.put(wire.parse_client_message(await _receive_text(websocket)))
+            await window.inbox.put(wire.parse_client_message(await _receive_text(websocket)))
         worker.result()
     except ProtocolError as trouble:
         await close_socket(websocket, trouble.code, str(trouble))
@@ -206,13 +203,13 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
     except WebSocketDisconnect:
         pass
     finally:
-        if worker is not None and inbox is not None:
+        if worker is not None:
             worker.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await worker
-            inbox.finish()
-        if outbox is not None:
-            hub.detach(outbox)
+        if window is not None:
+            window.inbox.finish()
+            hub.detach(window)
         if sender is not None:
             sender.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -229,18 +226,17 @@ async def _receive_text(websocket: WebSocket) -> str:
     return str(text)
 
 
-async def _send_all(websocket: WebSocket, hub: Hub, outbox: Outbox) -> None:
+async def _send_all(websocket: WebSocket, hub: Hub, window: Window) -> None:
+    outbox = window.outbox
     while True:
-        topics, texts, pictures = await outbox.take()
-        if not hub.is_current(outbox):
-            reason = "Carina was opened in another window"
-            await close_socket(websocket, "protocol.taken-over", reason)
-            return
+        await outbox.filled()
         if outbox.overflowed:
             await close_socket(websocket, "protocol.slow-client", "this window could not keep up with the data")
             return
-        for topic in topics:
-            text = hub.topic_text(topic)
+        topics, texts, pictures = outbox.take()
+        # All of one moment, before anything is sent: what is called handled then has been told.
+        told = [(topic, window.topic_text(topic)) for topic in topics]
+        for topic, text in told:
             if text is not None and outbox.is_news(topic, text):
                 await websocket.send_text(hub.with_own_names(text))
         for text in texts:

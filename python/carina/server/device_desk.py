@@ -66,7 +66,7 @@ class DeviceDesk:
     session
         What is driven.
     push
-        Sends a message to the client; from any thread.
+        Sends a message to all windows; from any thread.
     recordings
         Folder of recordings.
     phone
@@ -91,7 +91,8 @@ class DeviceDesk:
             phone.changed = self._show
         self._sources: dict[str, Source] = {}
         self._publisher: IgtlServer | None = None
-        self._watched = False
+        self._watching: set[int | None] = set()
+        """The windows that show the values of devices."""
         self._shown_s = 0.0
         self._pen_told: wire.Pen | None = None
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)
@@ -120,8 +121,8 @@ class DeviceDesk:
 
     # ------------------------------------------------------------ in
 
-    def handle(self, message: Any) -> bool:
-        """Do what a client asks of connections; False if it is not about devices."""
+    def handle(self, message: Any, window: int | None = None) -> bool:
+        """Do what a window asks of connections; False if it is not about devices."""
         session = self._session
         match message:
             case wire.DeviceSample():
@@ -143,8 +144,9 @@ class DeviceDesk:
                 # Keys, sockets and threads: not while the window waits.
                 threading.Thread(target=self._switch_phone, args=(message.on,), daemon=True).start()
             case wire.WatchDevices():
-                self._watched = message.on
+                self._watching.discard(window)
                 if message.on:
+                    self._watching.add(window)
                     self._ports = _ports()
                 session.devices.woken.set()
             case wire.StartRecording():
@@ -160,11 +162,14 @@ class DeviceDesk:
         if type(command).__module__ == commands.devices.__name__:
             self._show()
 
-    def forget_client(self) -> None:
-        """Another window took over: it says itself whether it wants to see devices."""
-        self._watched = False
+    def window_came(self) -> None:
+        """It is told of the pen, and says itself whether it wants to see devices."""
         self._pen_told = None
         self._session.devices.woken.set()
+
+    def window_went(self, window: int) -> None:
+        """It sees no devices any more."""
+        self._watching.discard(window)
 
     def _gone(self, device: str) -> None:
         self._session.do(commands.DeviceGone(device))
@@ -261,14 +266,14 @@ class DeviceDesk:
         woken, moving = self._session.devices.woken, False
         while not self._ended.is_set():
             # While nobody says anything and nobody looks, it sleeps.
-            woken.wait(1.0 / 60.0 if moving else SHOWN_EVERY_S if self._watched else None)
+            woken.wait(1.0 / 60.0 if moving else SHOWN_EVERY_S if self._watching else None)
             if self._ended.is_set():
                 return
             began_s = time.monotonic()
             try:
                 moving = self._session.devices.frame()
                 self._show_pen()
-                if self._watched and began_s - self._shown_s >= SHOWN_EVERY_S:
+                if self._watching and began_s - self._shown_s >= SHOWN_EVERY_S:
                     self._shown_s = began_s
                     self._show()
             except Exception as trouble:

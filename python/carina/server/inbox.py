@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from carina.commands import Command
 from carina.server import messages as wire
 
 __all__ = ["Inbox"]
@@ -40,7 +41,7 @@ NEWEST_ONLY = (
 
 
 class Inbox:
-    """The messages of one client, in their order; event loop only.
+    """The messages of one window, in their order; event loop only.
 
     Parameters
     ----------
@@ -50,7 +51,10 @@ class Inbox:
 
     def __init__(self, handle: Callable[[Any], None]) -> None:
         self._handle = handle
-        self._waiting: deque[Any] = deque()
+        self._waiting: deque[tuple[int, Any]] = deque()
+        """Each with the number of commands that have come with it, those that went into it included."""
+        self._num_commands = 0
+        self._num_handled = 0
         self._changed = asyncio.Event()
         self._room = asyncio.Event()
         self._room.set()
@@ -61,13 +65,19 @@ class Inbox:
         """How many have not been done."""
         return len(self._waiting)
 
+    @property
+    def num_handled(self) -> int:
+        """How many commands have been done or refused, those included of which a newer one took the place."""
+        return self._num_handled
+
     async def put(self, message: Any) -> None:
         """One more; waits while there are too many."""
         await self._room.wait()
-        if self._waiting and (merged := _merged(self._waiting[-1], message)) is not None:
-            self._waiting[-1] = merged
+        self._num_commands += isinstance(message, Command)
+        if self._waiting and (merged := _merged(self._waiting[-1][1], message)) is not None:
+            self._waiting[-1] = self._num_commands, merged
             return
-        self._waiting.append(message)
+        self._waiting.append((self._num_commands, message))
         if len(self._waiting) >= MAX_WAITING:
             self._room.clear()
         self._changed.set()
@@ -83,15 +93,18 @@ class Inbox:
     async def _work(self, loop: asyncio.AbstractEventLoop) -> None:
         while True:
             await self._changed.wait()
-            if len(self._waiting) == 1 and isinstance(self._waiting[0], wire.Steer):
+            if len(self._waiting) == 1 and self._is_steer_next():
                 # Behind it there may be more of the same in a moment; nothing else waits for it.
                 soon_s = self._steered_s + STEER_EVERY_S - loop.time()
                 if soon_s > 0.0:
                     await asyncio.sleep(soon_s)
-            if self._waiting and isinstance(self._waiting[0], wire.Steer):
+            if self._is_steer_next():
                 self._steered_s = loop.time()
             self._do_next()
             await asyncio.sleep(0)
+
+    def _is_steer_next(self) -> bool:
+        return bool(self._waiting) and isinstance(self._waiting[0][1], wire.Steer)
 
     def finish(self) -> None:
         """Do all that is left, now: the client has gone, and meant it."""
@@ -100,11 +113,12 @@ class Inbox:
 
     def _do_next(self) -> None:
         if self._waiting:
-            message = self._waiting.popleft()
+            num_commands, message = self._waiting.popleft()
             self._room.set()
             if not self._waiting:
                 self._changed.clear()
             self._handle(message)
+            self._num_handled = num_commands
 
 
 def _merged(before: Any, after: Any) -> Any:

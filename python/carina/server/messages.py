@@ -47,6 +47,7 @@ CLOSE_CODES: dict[str, int] = {
     "protocol.order": 4403,
     "protocol.taken-over": 4409,
     "protocol.slow-client": 4413,
+    "protocol.too-many-windows": 4429,
 }
 """Why the server closes a socket; each comes with one sentence."""
 

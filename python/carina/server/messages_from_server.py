@@ -352,6 +352,12 @@ class Notice(ServerMessage, frozen=True):
     message: Words
 
 
+class Handled(ServerMessage, frozen=True):
+    """So many of this window's commands have been done or refused, and what came of them at once has been told."""
+
+    number: Count
+
+
 class Value(ServerMessage, frozen=True):
     """Answer to ``probe``; only the newest is sent."""
 

@@ -32,14 +32,23 @@ class NewestOnly:
             self._tasks[kind] = task
             self._changed.notify()
 
-    def stop(self) -> None:
-        """End after the task under way; what waits is dropped."""
+    def end(self) -> None:
+        """End after the task under way, for which nobody waits here; what waits is dropped."""
         with self._changed:
             self._stopped = True
             self._tasks.clear()
             self._changed.notify()
+
+    def stop(self) -> None:
+        """End, and wait for the task under way."""
+        self.end()
         if self._thread.is_alive():
             self._thread.join()
+
+    @property
+    def thread(self) -> threading.Thread:
+        """That runs them."""
+        return self._thread
 
     def _run(self) -> None:
         while True:

@@ -57,8 +57,6 @@ class RenderOrder:
     full_width: int
     full_height: int
     """Size that the client asked for."""
-    epoch: int
-    """Which client it was made for."""
     level: int
     purpose: Literal["picture", "finder", "probe"] = "picture"
     """A finder picture is the cut-plane in the place of the view; a probe is measured and not shown."""
@@ -118,7 +116,6 @@ class FrameScheduler:
         self._budgets: dict[str, FrameBudget] = {}
         self._credit_s = 0.0
         self._turn: list[str] = []
-        self._epoch = 0
         self._due_s = -math.inf
         """When the next airway picture may begin while moving."""
         self._airway_s = 0.0
@@ -145,13 +142,6 @@ class FrameScheduler:
             self._views[name] = view
         self._turn = [name for name in self._turn if name in self._views]
         self._turn += [name for name in self._views if name not in self._turn]
-
-    def forget_sent(self) -> None:
-        """A new client: everything is sent again, nothing is in flight, and orders under way are for nobody."""
-        self._epoch += 1
-        for view in self._views.values():
-            view.sent_key, view.sent_grade = None, -1
-            view.in_flight.clear()
 
     def observe(self, keys: Mapping[str, Hashable], now_s: float) -> None:
         """Note what each visible view should show now; equal keys mean equal pictures, None is nothing to show."""
@@ -206,10 +196,10 @@ class FrameScheduler:
         return self._due_s if waits_s > 0.0 >= self._credit_s and expected_s > waits_s else now_s
 
     def rendered(self, order: RenderOrder, frame_id: int, seconds: float, now_s: float) -> bool:
-        """A picture was rendered; False if it is not to be sent: another client, a view that is gone, a probe."""
+        """A picture was rendered; False if it is not to be sent: a view that is gone, a probe."""
         view = self._views.get(order.view)
         self._account(order, seconds)
-        if view is None or order.epoch != self._epoch:
+        if view is None:
             return False
         pixels = view.pixels
         if order.purpose == "probe":
@@ -242,7 +232,7 @@ class FrameScheduler:
             view.sent_key, view.sent_grade = order.key, FULL
 
     def acknowledge(self, frame_id: int) -> None:
-        """The client has decoded a picture; ids that are not known are of an earlier client."""
+        """The client has decoded a picture; ids that are not known were never sent, or count as lost."""
         for view in self._views.values():
             view.in_flight.pop(frame_id, None)
 
@@ -351,7 +341,6 @@ class FrameScheduler:
             key=view.seen_key,
             full_width=view.width,
             full_height=view.height,
-            epoch=self._epoch,
             level=level,
             purpose=purpose,
             begun_s=now_s,

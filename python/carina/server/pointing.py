@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -49,15 +50,23 @@ class Pointing:
         self._shown = shown
         self._push = push
         self._newest = NewestOnly("carina-pointing")
-        self._warmed: object = None
 
     def start(self) -> None:
         """Begin."""
         self._newest.start()
 
+    def end(self) -> None:
+        """End after the answer under way, for which nobody waits here."""
+        self._newest.end()
+
     def stop(self) -> None:
-        """End."""
+        """End, and wait for the answer under way."""
         self._newest.stop()
+
+    @property
+    def thread(self) -> threading.Thread:
+        """In which questions are answered."""
+        return self._newest.thread
 
     def ask_live_path(self, message: wire.AskLivePath) -> None:
         """The way to a place; trouble is said in the answer, since a cursor would raise it again and again."""
@@ -66,23 +75,6 @@ class Pointing:
     def ask_edit_preview(self, message: wire.AskEditPreview) -> None:
         """What an edit would make at a place; trouble is said in the answer, as for the live path."""
         self._newest.ask("edit_preview", lambda: self._answer_edit_preview(message))
-
-    def warm(self) -> None:
-        """For other airways: what the first question would wait for, such as the scan's noise, is found out now."""
-        self._newest.ask("warm", self._ask_for_the_root)
-
-    def _ask_for_the_root(self) -> None:
-        document = self._session.snapshot().document
-        if document is None or document.airways is None or document.airways is self._warmed:
-            return
-        self._warmed = document.airways
-        x, y, z = (float(v) for v in document.airways.root_lps)
-        try:
-            self._session.ask(LivePathTo((x, y, z)))
-        except CarinaError as trouble:
-            logger.debug("no path to the root: %s", trouble)
-        except Exception as trouble:
-            log_fault(logger, "the live path failed", trouble)
 
     def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
         """What was measured along a branch."""

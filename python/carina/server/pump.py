@@ -148,12 +148,6 @@ class FramePump:
             self._scheduler.acknowledge(frame_id)
         self.wake()
 
-    def new_client(self) -> None:
-        """Another client takes over: no view is visible until its layout comes, and everything is sent again."""
-        with self._lock:
-            self._scheduler.forget_sent()
-            self._scheduler.set_layout({})
-
     def wake(self) -> None:
         """Something changed."""
         self._woken.set()

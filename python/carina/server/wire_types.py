@@ -164,6 +164,7 @@ def typescript() -> str:
 def _shown() -> list[str]:
     """What look and sight begin with, and which commands only set a field of one of them."""
     lines = []
+    commands = {type_name(cls) for cls in all_commands()}
     for name, value in (("LOOK", Look()), ("SIGHT", Sight())):
         lines += [
             f"/** What `{name.lower()}` begins with. */",
@@ -188,7 +189,15 @@ def _shown() -> list[str]:
             }
             words = ", ".join(f"{name}: {json.dumps(value)}" for name, value in row.items())
             lines.append(f"  {type_name(cls)}: {{ {words} }},")
-    return [*lines, "} as const;", ""]
+    connections_own = ", ".join(json.dumps(name) for name in messages.CLIENT_MESSAGES if name not in commands)
+    return [
+        *lines,
+        "} as const;",
+        "",
+        "/** What a client sends that is no command, and that `handled` does not count. */",
+        f"export const NO_COMMANDS: readonly string[] = [{connections_own}];",
+        "",
+    ]
 
 
 def _schema_of(kind: inspect.Type) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from carina.session.jobs import JobRunner
 from carina.session.key_flight import KeyFlight, key_flight
 from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts, RendererFactory
+from carina.session.sights import Sights
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.track import LumenOutline
@@ -101,9 +102,9 @@ class OpenCase:
     indexed: Cached[AirwayTree, AirwayIndex]
     key_flight: Cached[tuple[Keys, Airways | None], KeyFlight]
     """The flight through the newest key frames that were asked for."""
+    sights: Sights
     search: AirwaySearch = AirwaySearch()
     last_move: LastMove = LastMove()
-    sight: Sight = Sight()
     laid_scope: str | None = None
     """The scope that was last laid in the lumen."""
     flown_route: ChosenRoute | None = None
@@ -130,6 +131,11 @@ class OpenCase:
         """The centreline points of the document's tree; None where it has none."""
         airways = self.document.airways
         return None if airways is None else self.indexed.of(airways.tree)
+
+    @property
+    def sight(self) -> Sight:
+        """Of the window that was looked through last."""
+        return self.sights.latest
 
     def discard(self) -> None:
         """Make nothing more for it, and keep nothing large: another case is open, or none."""
@@ -230,7 +236,7 @@ def new_case(
         outlined=Cached(partial(LumenOutline, volume), same=lambda a, b: a.lumen_zyx is b.lumen_zyx),
         indexed=Cached(AirwayIndex),
         key_flight=Cached(lambda keys_and_airways: key_flight(volume, *keys_and_airways)),
-        sight=Sight(window=window) if kept is None else kept.sight,
+        sights=Sights(Sight(window=window) if kept is None else kept.sight),
     )
     if kept is not None:
         _restore(case, kept)

@@ -9,10 +9,8 @@ import time
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
-
-import msgspec
 
 from carina.case.document import Document
 from carina.case.history import History
@@ -21,12 +19,13 @@ from carina.commands import Command, SetOperator, Steer
 from carina.commands.value import LocalCommand
 from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
-from carina.render import VIEWS
+from carina.render import Sight
 from carina.session.case import LastMove, OpenCase, pose_info
 from carina.session.jobs import JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
 from carina.session.scene import ShownCase
+from carina.session.sights import following_tip
 from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, SavingInfo, Snapshot, Topic, Trouble
 
 __all__ = ["Event", "SessionCore"]
@@ -35,8 +34,19 @@ Event = Changed | Trouble | NotEvident | Said | JobProgress | JobEnded
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
 ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "history", "pose", "views")
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What is being done, and for which window."""
+
+    command: Command | None = None
+    window: int | None = None
+
+
+_BY_NOBODY = _Asked()
 # Goes along into the jobs that a command starts: their change is a step that it made.
-_doing: contextvars.ContextVar[Command | None] = contextvars.ContextVar("doing", default=None)
+_asked: contextvars.ContextVar[_Asked] = contextvars.ContextVar("asked", default=_BY_NOBODY)
 
 
 class SessionCore:
@@ -60,7 +70,8 @@ class SessionCore:
         self.lock = threading.RLock()
         self._pool = None if submit else ThreadPoolExecutor(4, thread_name_prefix="carina-job")
         self.jobs = JobRunner(submit or self._submit_to_pool, self.emit, clock)
-        self._listeners: list[Callable[[Event], None]] = []
+        self._listeners: list[tuple[Callable[[Event], None], int | None]] = []
+        """Each with the number of the window that it is, if it is one."""
         self.case: OpenCase | None = None
         self.case_numbers = itertools.count(1)
         self.device_woken = threading.Event()
@@ -79,15 +90,20 @@ class SessionCore:
 
     # ------------------------------------------------------------ listeners, jobs, life
 
-    def subscribe(self, listener: Callable[[Event], None]) -> Callable[[], None]:
-        """Be told of every event; returns the function that ends it."""
+    def subscribe(self, listener: Callable[[Event], None], window: int | None = None) -> Callable[[], None]:
+        """Be told of every event, and have a sight of one's own as a window; returns the function that ends it."""
+        entry = listener, window
         with self.lock:
-            self._listeners.append(listener)
+            self._listeners.append(entry)
+            if self.case is not None and window is not None:
+                self.case.sights.begin(window)
 
         def unsubscribe() -> None:
             with self.lock:
-                if listener in self._listeners:
-                    self._listeners.remove(listener)
+                if entry in self._listeners:
+                    self._listeners.remove(entry)
+                if self.case is not None and window is not None:
+                    self.case.sights.end(window)
 
         return unsubscribe
 
@@ -101,21 +117,35 @@ class SessionCore:
         assert self._pool is not None
         self._pool.submit(work)
 
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """The windows that look at the case."""
+        return tuple(window for _, window in self._listeners if window is not None)
+
     @contextmanager
-    def doing(self, command: Command) -> Iterator[None]:
-        """What is changed here, and by the jobs that are started here, was asked for by this command."""
-        token = _doing.set(command)
+    def doing(self, command: Command, window: int | None) -> Iterator[None]:
+        """What is changed here, and by the jobs that are started here, was asked for by this command of this window."""
+        token = _asked.set(_Asked(command, window))
         try:
             yield
         finally:
-            _doing.reset(token)
+            _asked.reset(token)
 
     def emit(self, event: Event) -> None:
+        """Tell all."""
         with self.lock:
-            for listener in tuple(self._listeners):
-                if isinstance(event, JobEnded) and event.error is not None and not _is_asked(event.error):
-                    listener(Trouble(event.error.code, str(event.error)))
+            if isinstance(event, JobEnded) and event.error is not None and not _is_asked(event.error):
+                self.answer(Trouble(event.error.code, str(event.error)))
+            for listener, _ in tuple(self._listeners):
                 listener(event)
+
+    def answer(self, event: Event) -> None:
+        """Tell the window that asked, and who is none; all, where no window asked, or it is gone."""
+        with self.lock:
+            asking = _asked.get().window
+            for listener, window in tuple(self._listeners):
+                if window in {None, asking} or asking not in self.windows:
+                    listener(event)
 
     def changed(self, *topics: Topic) -> None:
         self.emit(Changed(frozenset(topics)))
@@ -164,7 +194,7 @@ class SessionCore:
         with self.lock:
             label = move(case.history)
             if label is None:
-                self.emit(Said("there is nothing to " + ("undo" if words == "undone" else "redo")))
+                self.answer(Said("there is nothing to " + ("undo" if words == "undone" else "redo")))
                 return
             self._moved_in_history(case, f"{words}: {label}")
 
@@ -181,7 +211,7 @@ class SessionCore:
 
     def add_step(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
         """A step of undo that nothing follows yet, with the session locked."""
-        command = _doing.get()
+        command = _asked.get().command
         now_s = self.clock()
         case.history.change(
             label,
@@ -193,13 +223,13 @@ class SessionCore:
             at_s=max(0.0, now_s - case.begun_s),
         )
 
-    def see(self, case: OpenCase, **values: Any) -> None:
-        """Change fields of the sight, which is no step of undo."""
+    def see(self, case: OpenCase, change: Callable[[Sight], Sight]) -> None:
+        """Change the sight of the window that asks, or of all where none does; that is no step of undo."""
         with self.lock:
-            case.sight = msgspec.structs.replace(case.sight, **values)
+            case.sights.change(_asked.get().window, change)
             for step in self.after_sight:
                 step(case)
-            self.changed("state", "views")
+            self.answer(Changed(frozenset({"state", "views"})))
 
     def edit(self, label: str | None, gesture: Hashable, **values: Any) -> None:
         """Change fields of the document; nothing where they are so already."""
@@ -256,20 +286,18 @@ class SessionCore:
 
     def after_move(self, case: OpenCase, mode: str) -> None:
         """The pose is news; with the session locked."""
-        # Slices follow the tip again; the cut-plane does in any case.
-        following = [view for view in case.sight.zoom if case.sight.crosshair_lps is None or VIEWS[view].at_tip]
-        before, case.sight = case.sight, case.sight.centred(following)
+        is_recentred = case.sights.change(None, following_tip)
         self.moved()
         case.last_move = LastMove("hand", person_moved=True)
-        if case.navigator.mode != mode or case.sight is not before:
+        if case.navigator.mode != mode or is_recentred:
             self.changed("state", "pose", "views")
         else:
             self.changed("pose", "views")
 
     # ------------------------------------------------------------ what others read
 
-    def snapshot(self) -> Snapshot:
-        """All but the pose."""
+    def snapshot(self, window: int | None = None) -> Snapshot:
+        """All but the pose, as a window sees it; unless told, the one that was looked through last."""
         with self.lock:
             case = self.case
             if case is None:
@@ -284,7 +312,7 @@ class SessionCore:
                 airways_words=case.search.words,
                 document=case.document,
                 mode=case.navigator.mode,
-                sight=case.sight,
+                sight=case.sights.of(window),
                 undo_label=case.history.undo_label,
                 redo_label=case.history.redo_label,
                 steps=case.history.steps,
@@ -300,8 +328,8 @@ class SessionCore:
         with self.lock:
             return None if self.case is None else pose_info(self.case, self._pose_id)
 
-    def scene(self) -> ShownCase | None:
-        """What the views show now, for the render thread; None without a case."""
+    def scene(self, window: int | None = None) -> ShownCase | None:
+        """What the views of a window show now, for its render thread; None without a case."""
         with self.lock:
             case = self.case
             if case is None:
@@ -316,7 +344,7 @@ class SessionCore:
                 pose_id=self._pose_id,
                 pose_s=self._pose_s,
                 look=document.look,
-                sight=case.sight,
+                sight=case.sights.of(window),
                 has_lumen=case.content.has_lumen,
                 frames=None if document.route is None else document.route.frames,
                 path_mm=case.navigator.path_mm,

@@ -64,7 +64,7 @@ class TreeEditing(Subject):
                 if not isinstance(edit, AddBranch):
                     # Nothing can be drawn in its place: no question, but an answer.
                     raise NoResultError(str(doubt), code=doubt.code) from doubt
-                self.core.emit(NotEvident(job.job_id, edit.lps, doubt))
+                self.core.answer(NotEvident(job.job_id, edit.lps, doubt))
                 raise
             finally:
                 self._one_edit.release()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from carina import commands as c
 from carina.case.document import Document
 from carina.render import Sight
@@ -82,4 +84,4 @@ class Flying(Subject):
             self.core.fly(place_pose(pose))
             # As the operator stands.
             self.core.fly(c.LevelHorizon())
-        self.core.see(case, crosshair_lps=lps)
+        self.core.see(case, lambda sight: msgspec.structs.replace(sight, crosshair_lps=lps))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from functools import partial
 from typing import Any
 
 import msgspec
 
 from carina import commands as c
 from carina.errors import UsageError
+from carina.render import Sight
 from carina.scopes import scope_preset
 from carina.session.case import HISTOGRAM_PRESET, OpenCase
 from carina.session.subject import Subject, does
@@ -34,9 +36,7 @@ class Looking(Subject):
                 gesture = command.sets if isinstance(value, float) else None
                 self._change_look(case, command.undo_label, gesture, **{command.sets: value})
                 return
-            if view is not None:
-                value = {**getattr(case.sight, command.sets), view: value}
-            self.core.see(case, **{command.sets: value})
+            self.core.see(case, partial(_with_field, name=command.sets, view=view, value=value))
 
     def _change_look(self, case: OpenCase, label: str | None, gesture: Hashable, **values: Any) -> None:
         self.core.edit(label, gesture, look=msgspec.structs.replace(case.document.look, **values))
@@ -81,6 +81,13 @@ class Looking(Subject):
         case = self.core.needed_case()
         if command.lps is not None:
             case.check_inside(command.lps)
-            self.core.see(case, crosshair_lps=command.lps)
+            self.set_field(command)
         else:
-            self.core.see(case, crosshair_lps=None, zoom=case.sight.centred(case.sight.zoom).zoom)
+            self.core.see(case, lambda sight: _with_field(sight.centred(sight.zoom), "crosshair_lps", None, None))
+
+
+def _with_field(sight: Sight, name: str, view: str | None, value: Any) -> Sight:
+    """The same with another value of a field, or of one view in it."""
+    if view is not None:
+        value = {**getattr(sight, name), view: value}
+    return msgspec.structs.replace(sight, **{name: value})

@@ -250,6 +250,8 @@ class Opening(Subject):
         self.core.jobs.cancel_others(job)
         self._discard_case()
         case.begun_s = self.core.clock()
+        for window in self.core.windows:
+            case.sights.begin(window)
         self.core.case = case
         self.core.moved()
 

@@ -114,8 +114,16 @@ class Session:
 
     # ------------------------------------------------------------ the two doors
 
-    def do(self, command: Command) -> str | None:
+    def do(self, command: Command, *, window: int | None = None) -> str | None:
         """Do a command of :mod:`carina.commands`.
+
+        Parameters
+        ----------
+        command
+            What is asked.
+        window
+            Who asks: what only sets the sight changes that window's, and it alone is told what goes wrong later. None
+            asks for all of them.
 
         Returns
         -------
@@ -133,7 +141,7 @@ class Session:
         if handler is None or not isinstance(command, Command):
             raise UsageError(f"expected a command of carina.commands; found {type(command).__name__}")
         command = checked(command)
-        with self._core.doing(command):
+        with self._core.doing(command, window):
             return cast("str | None", handler(command))
 
     def ask(self, question: Question[A]) -> A:
@@ -165,9 +173,9 @@ class Session:
 
     # ------------------------------------------------------------ what others read
 
-    def snapshot(self) -> Snapshot:
-        """All but the pose."""
-        return self._core.snapshot()
+    def snapshot(self, window: int | None = None) -> Snapshot:
+        """All but the pose, as a window sees it; unless told, the one that was looked through last."""
+        return self._core.snapshot(window)
 
     def pose_info(self) -> PoseInfo | None:
         """The newest pose and where it is; None without a case."""
@@ -177,9 +185,9 @@ class Session:
         """The key frames as they are shown."""
         return self._keys.info()
 
-    def scene(self) -> ShownCase | None:
-        """What the views show now, for the render thread; None without a case."""
-        return self._core.scene()
+    def scene(self, window: int | None = None) -> ShownCase | None:
+        """What the views of a window show now, for its render thread; None without a case."""
+        return self._core.scene(window)
 
     @property
     def devices(self) -> Devices:
@@ -188,9 +196,13 @@ class Session:
 
     # ------------------------------------------------------------ life
 
-    def subscribe(self, listener: Callable[[Event], None]) -> Callable[[], None]:
-        """Be told of every event; returns the function that ends it."""
-        return self._core.subscribe(listener)
+    def subscribe(self, listener: Callable[[Event], None], *, window: int | None = None) -> Callable[[], None]:
+        """Be told of every event; returns the function that ends it.
+
+        A window, which names itself by a number, has a sight of its own until then, and is not told what concerns
+        another one alone.
+        """
+        return self._core.subscribe(listener, window)
 
     @property
     def jobs(self) -> JobRunner:

@@ -1,10 +1,12 @@
-import { useApp } from "./context";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
 import { KeyCard, NoticeDialog } from "./Dialogs";
 import { Messages } from "./Messages";
 import { StartPage } from "./StartPage";
 import { WorkstationPage } from "./WorkstationPage";
 
 export function App() {
+  const station = useStation();
   const hasCase = useApp((state) => state.session?.case != null);
   const greeted = useApp((state) => state.start !== null && state.session !== null);
   const connection = useApp((state) => state.connection);
@@ -24,6 +26,9 @@ export function App() {
                 ? "Carina is not responding. Check that it is still running. This page keeps trying to reconnect."
                 : "Connecting to Carina\u2026"}
           </p>
+          {connection.status === "refused" ? (
+            <Act kind="primary" label="Connect" words="Connect this window again" onPress={station.reconnect} />
+          ) : null}
         </main>
       )}
       <Messages />

@@ -211,7 +211,7 @@ function ConnectionWords() {
       return (
         <span className="connection error-text" role="alert">
           {connection.reason}
-          <Act kind="quiet" label="Connect here" words="Use Carina in this window again" onPress={station.reconnect} />
+          <Act kind="quiet" label="Connect" words="Connect this window again" onPress={station.reconnect} />
         </span>
       );
   }

@@ -13,6 +13,7 @@ import { type AppState, crosshairLps, pathMm, shownBranch, tipLps, type Ui } fro
 import { routeDoubts } from "../state/branch-words";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
+import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
 import { wasUsedByPen } from "../state/pen";
 import type { PixelPoint } from "../state/projection";
@@ -85,6 +86,7 @@ export class Workstation implements Station {
     this.wall = new Wall({
       scene: () => sceneOf(this.store.get()),
       layoutChanged: (views) => void this.#stream.send({ type: "layout", views }),
+      isSeen: () => !document.hidden || this.state.ui.headset === "inside",
       nextRefresh: (task) => void requestAnimationFrame(task),
     });
     this.flight = new Flight({
@@ -113,7 +115,7 @@ export class Workstation implements Station {
         message: (message) => {
           const before = this.state;
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
-          this.store.dispatch({ kind: "server", message, nowMs: performance.now() });
+          this.store.dispatch({ kind: "server", message });
           if (message.type === "pose") this.#posed(message);
           if (message.type === "keys") this.player.reset(message);
           if (message.type === "picked") this.#picked(message);
@@ -162,6 +164,8 @@ export class Workstation implements Station {
       enabled: () => this.state.session?.case != null && this.state.start?.notice_accepted !== false,
     });
     const stopTouch = this.store.subscribe(() => this.wall.touch());
+    const seenOrNot = (): void => this.wall.tellLayout(false);
+    document.addEventListener("visibilitychange", seenOrNot);
     let last = performance.now();
     let refresh = requestAnimationFrame(
       function tick(this: Workstation, now: number) {
@@ -181,6 +185,7 @@ export class Workstation implements Station {
     return () => {
       stopKeys();
       stopTouch();
+      document.removeEventListener("visibilitychange", seenOrNot);
       this.devices.stop();
       cancelAnimationFrame(refresh);
       clearInterval(counter);
@@ -194,7 +199,7 @@ export class Workstation implements Station {
   /** Sends now; what the person should see at once is shown at once. */
   send = (message: ClientMessage): boolean => {
     if (!this.#stream.send(message)) return false;
-    this.store.dispatch({ kind: "sent", message, nowMs: performance.now() });
+    this.store.dispatch({ kind: "sent", message, number: this.#stream.numCommands });
     return true;
   };
 
@@ -202,7 +207,7 @@ export class Workstation implements Station {
   sendSoon(message: ClientMessage): void {
     const kind = "view" in message ? `${message.type} ${message.view}` : message.type;
     this.#soon.set(kind, message);
-    this.store.dispatch({ kind: "sent", message, nowMs: performance.now() });
+    this.store.dispatch({ kind: "sent", message, number: NOT_SENT });
   }
 
   ui(change: Partial<Ui>): void {
@@ -605,7 +610,7 @@ export class Workstation implements Station {
     if (this.#soon.size === 0) return;
     const messages = [...this.#soon.values()];
     this.#soon.clear();
-    for (const message of messages) this.#stream.send(message);
+    for (const message of messages) this.send(message);
   }
 
   // ------------------------------------------------------------------ places

@@ -89,7 +89,7 @@ describe("the stream", () => {
   });
 
   it("does not try again where only a person can help", () => {
-    for (const name of ["protocol.taken-over", "protocol.not-authorised", "protocol.version"] as const) {
+    for (const name of ["protocol.too-many-windows", "protocol.not-authorised", "protocol.version"] as const) {
       const { made, sockets, statuses, due } = stream();
       made.open();
       sockets[0]?.drop(CLOSE_CODES[name]);
@@ -117,6 +117,19 @@ describe("the stream", () => {
     sockets[0]?.open();
     expect(made.send({ type: "undo" })).toBe(true);
     expect(sockets[0]?.sent).toHaveLength(2);
+  });
+
+  it("counts the commands of each connection", () => {
+    const { made, sockets } = stream();
+    made.open();
+    made.send({ type: "undo" });
+    sockets[0]?.open();
+    made.send({ type: "undo" });
+    made.send({ type: "ack", frame_id: 1 });
+    made.send({ type: "set_fov", fov_deg: 90 });
+    expect(made.numCommands).toBe(2);
+    made.open();
+    expect(made.numCommands).toBe(0);
   });
 
   it("reports what it cannot read and goes on", () => {

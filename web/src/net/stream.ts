@@ -1,6 +1,6 @@
 /** The socket: speaks the wire, comes back by itself when it is lost, and says honestly how it stands. */
 
-import { CLOSE_CODES, type ClientMessage, type ServerMessage, WIRE_VERSION } from "../wire/messages";
+import { CLOSE_CODES, type ClientMessage, NO_COMMANDS, type ServerMessage, WIRE_VERSION } from "../wire/messages";
 import { parsePicture, parseServerMessage, WireError, type WirePicture } from "../wire/parse";
 
 export type StreamStatus =
@@ -52,7 +52,10 @@ const NO_USE_TRYING = new Map<number, string>([
     "This page no longer has access to Carina. Open the address that Carina printed when it started.",
   ],
   [CLOSE_CODES["protocol.version"], "This page and Carina have different versions. Reload the page."],
-  [CLOSE_CODES["protocol.taken-over"], "Carina is now open in another window. Reload this page to work here instead."],
+  [
+    CLOSE_CODES["protocol.too-many-windows"],
+    "Carina is already open in as many windows as it takes. Close one of them, then connect again.",
+  ],
 ]);
 
 export class Stream {
@@ -63,6 +66,7 @@ export class Stream {
   #attempt = 0;
   #callOff: (() => void) | null = null;
   #ended = false;
+  #numCommands = 0;
 
   constructor(connect: () => Socket, handlers: StreamHandlers, clock: StreamClock) {
     this.#connect = connect;
@@ -88,6 +92,7 @@ export class Stream {
     }
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
+    this.#numCommands = 0;
     socket.onopen = () => {
       if (this.#socket !== socket) return;
       socket.send(JSON.stringify({ type: "hello", wire_version: WIRE_VERSION }));
@@ -109,8 +114,14 @@ export class Stream {
   send = (message: ClientMessage): boolean => {
     if (this.#socket === null || this.#socket.readyState !== OPEN) return false;
     this.#socket.send(JSON.stringify(message));
+    if (!NO_COMMANDS.includes(message.type)) this.#numCommands += 1;
     return true;
   };
+
+  /** How many commands this connection has been sent; `handled` counts those that are done. */
+  get numCommands(): number {
+    return this.#numCommands;
+  }
 
   close = (): void => {
     this.#ended = true;

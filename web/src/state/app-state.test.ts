@@ -10,7 +10,7 @@ import {
   type StateMessage,
 } from "../wire/messages";
 import { type AppEvent, type AppState, crosshairLps, INITIAL_STATE, pathMm, reduce } from "./app-state";
-import { OPTIMISTIC_MS } from "./optimistic";
+import { NOT_SENT } from "./optimistic";
 
 const EMPTY: StateMessage = {
   type: "state",
@@ -90,7 +90,7 @@ function pose(poseId: number, pathMillimetres: number | null = null): PoseMessag
   };
 }
 
-const from = (message: ServerMessage, nowMs = 0): AppEvent => ({ kind: "server", message, nowMs });
+const from = (message: ServerMessage): AppEvent => ({ kind: "server", message });
 const following = (state: AppState, ...events: AppEvent[]): AppState => events.reduce(reduce, state);
 
 describe("poses", () => {
@@ -106,9 +106,9 @@ describe("poses", () => {
   });
 });
 
-const sent = (message: ClientMessage, nowMs = 0): AppEvent => ({ kind: "sent", message, nowMs });
-const told = (sight: Partial<Sight>, nowMs: number): AppEvent =>
-  from({ ...OPEN, sight: { ...OPEN.sight, ...sight } }, nowMs);
+const sent = (message: ClientMessage, number = 1): AppEvent => ({ kind: "sent", message, number });
+const handled = (number: number): AppEvent => from({ type: "handled", number });
+const told = (sight: Partial<Sight>): AppEvent => from({ ...OPEN, sight: { ...OPEN.sight, ...sight } });
 
 describe("look and sight", () => {
   it("hold as soon as they are sent", () => {
@@ -135,25 +135,43 @@ describe("look and sight", () => {
 
   it("hold against older news, so that a second press goes on from the first", () => {
     const carm = (tone: "radiograph" | "fluoroscopy") => ({ ...FIRST_SIGHT.carm, tone });
-    let state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_carm", ...carm("fluoroscopy") }), told({}, 5));
+    const first = sent({ type: "set_carm", ...carm("fluoroscopy") }, 3);
+    let state = following(INITIAL_STATE, from(OPEN), first, told({}), handled(2));
     expect(state.sight.carm.tone).toBe("fluoroscopy");
-    state = following(state, told({ carm: carm("fluoroscopy") }, 9));
+    state = following(state, told({ carm: carm("fluoroscopy") }), handled(3));
     expect(state.local.sight).toEqual({});
     // From now on the server's word counts at once.
-    expect(following(state, told({ carm: carm("radiograph") }, 10)).sight.carm.tone).toBe("radiograph");
+    expect(following(state, told({ carm: carm("radiograph") })).sight.carm.tone).toBe("radiograph");
   });
 
-  it("are confirmed by an answer that writes out what was left out", () => {
-    const orbit = { azimuth_deg: 5, elevation_deg: 6 };
-    const state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_orbit", view: "tree", ...orbit }));
-    const orbits = { tree: { ...orbit, distance_mm: null } };
-    expect(following(state, told({ orbits }, 5)).local.sight).toEqual({});
+  it("are what another window made of them, once this window's own command is done", () => {
+    const look = (fov_deg: number): AppEvent => from({ ...OPEN, look: { ...OPEN.look, fov_deg } });
+    // The other's came first: its news are older than what this window has sent.
+    let state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_fov", fov_deg: 100 }, 4), look(80));
+    expect(state.look.fov_deg).toBe(100);
+    expect(following(state, look(100), handled(4)).look.fov_deg).toBe(100);
+    // The other's came last: of both only its value was told.
+    state = following(state, look(70), handled(4));
+    expect(state.look.fov_deg).toBe(70);
+  });
+
+  it("are as they were where the server refused", () => {
+    const refused = [sent({ type: "set_fov", fov_deg: 100 }, 4), handled(4)];
+    expect(following(INITIAL_STATE, from(OPEN), ...refused).look.fov_deg).toBe(OPEN.look.fov_deg);
+  });
+
+  it("hold until they were sent, and are the server's on a new connection", () => {
+    const soon = sent({ type: "set_shading", on: false }, NOT_SENT);
+    const open = { kind: "connection", connection: { status: "open", reason: null, retryAtMs: null } } as const;
+    const state = following(INITIAL_STATE, from(OPEN), soon, told({}), handled(9));
+    expect(state.sight.shading).toBe(false);
+    expect(following(state, open, told({})).sight.shading).toBe(true);
   });
 
   it("are what a scope or an undo brings, whatever was sent before", () => {
     for (const then of [{ type: "undo" }, { type: "set_scope", scope: "ebus" }] as const) {
       const state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_fov", fov_deg: 100 }), sent(then));
-      expect(following(state, from({ ...OPEN, look: { ...OPEN.look, fov_deg: 80 } }, 5)).look.fov_deg).toBe(80);
+      expect(following(state, from({ ...OPEN, look: { ...OPEN.look, fov_deg: 80 } })).look.fov_deg).toBe(80);
     }
   });
 
@@ -166,16 +184,12 @@ describe("look and sight", () => {
 
 describe("what a person moves", () => {
   it("shows at once and is not thrown back by an answer to an older drag", () => {
-    const drag = (x: number, nowMs: number): AppEvent => ({
-      kind: "sent",
-      message: { type: "set_crosshair", lps: [x, 0, 0] },
-      nowMs,
-    });
-    let state = following(INITIAL_STATE, from(OPEN), drag(1, 0), drag(2, 16));
+    const drag = (x: number, number: number): AppEvent => sent({ type: "set_crosshair", lps: [x, 0, 0] }, number);
+    let state = following(INITIAL_STATE, from(OPEN), drag(1, 1), drag(2, 2));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, told({ crosshair_lps: [1, 0, 0] }, 30));
+    state = following(state, told({ crosshair_lps: [1, 0, 0] }), handled(1));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, told({ crosshair_lps: [2, 0, 0] }, 40));
+    state = following(state, told({ crosshair_lps: [2, 0, 0] }), handled(2));
     expect(state.local.sight).toEqual({});
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
   });
@@ -190,30 +204,19 @@ describe("what a person moves", () => {
     expect(following(held, from({ ...OPEN, case: { ...open, number: 2 } })).ui.selected).toBeNull();
   });
 
-  it("gives way to the server where it does not agree for long", () => {
-    const there = sent({ type: "set_crosshair", lps: [9, 9, 9] });
-    const state = following(INITIAL_STATE, from(OPEN), there, told({}, OPTIMISTIC_MS + 1));
-    expect(crosshairLps(state)).toBeNull();
-  });
-
   it("moves the path slider until the pose has come", () => {
-    const sent: AppEvent = { kind: "sent", message: { type: "go_to", path_mm: 42 }, nowMs: 0 };
-    let state = following(INITIAL_STATE, from(OPEN), from(pose(1, 10)), sent);
+    let state = following(INITIAL_STATE, from(OPEN), from(pose(1, 10)), sent({ type: "go_to", path_mm: 42 }, 2));
     expect(pathMm(state)).toBe(42);
-    state = following(state, from(pose(2, 30), 20));
+    state = following(state, from(pose(2, 30)), handled(1));
     expect(pathMm(state)).toBe(42);
-    state = following(state, from(pose(3, 42), 40));
+    state = following(state, from(pose(3, 42)), handled(2));
     expect(state.local.pathMm).toBeNull();
     expect(pathMm(state)).toBe(42);
   });
 
   it("follows steering again after the slider was let go", () => {
-    const slide: AppEvent = { kind: "sent", message: { type: "go_to", path_mm: 42 }, nowMs: 0 };
-    const steer: AppEvent = {
-      kind: "sent",
-      message: { type: "steer", advance_mm: 1, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 },
-      nowMs: 5,
-    };
+    const slide = sent({ type: "go_to", path_mm: 42 });
+    const steer = sent({ type: "steer", advance_mm: 1, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 }, 2);
     expect(pathMm(following(INITIAL_STATE, from(pose(1, 10)), slide, steer))).toBe(10);
   });
 });
@@ -264,7 +267,6 @@ describe("cases and jobs", () => {
 
   it("takes the safety sentence away as soon as it was read", () => {
     const start = from({ type: "start", notice_accepted: false, recent: [], demos: [], scopes: [], storage: null });
-    const read: AppEvent = { kind: "sent", message: { type: "accept_notice" }, nowMs: 0 };
-    expect(following(INITIAL_STATE, start, read).start?.notice_accepted).toBe(true);
+    expect(following(INITIAL_STATE, start, sent({ type: "accept_notice" })).start?.notice_accepted).toBe(true);
   });
 });

@@ -33,7 +33,7 @@ import { type BranchTree, buildTree } from "./airways";
 import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
 import type { LiveAnswer } from "./live-path";
-import { allShown, type Local, type Optimistic, shown } from "./optimistic";
+import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import { NOT_PLAYING, type Playing } from "./playing";
 import { AUTO_SPEED_MM_S } from "./speed";
@@ -252,8 +252,9 @@ export const INITIAL_STATE: AppState = {
 };
 
 export type AppEvent =
-  | { kind: "server"; message: ServerMessage; nowMs: number }
-  | { kind: "sent"; message: ClientMessage; nowMs: number }
+  | { kind: "server"; message: ServerMessage }
+  /** A command, with its number among those of this connection. */
+  | { kind: "sent"; message: ClientMessage; number: number }
   | { kind: "connection"; connection: Connection }
   | { kind: "picture"; header: PictureHeader }
   | { kind: "picked"; message: PickedMessage }
@@ -289,9 +290,9 @@ const NOTHING_HELD = {
 export function reduce(state: AppState, event: AppEvent): AppState {
   switch (event.kind) {
     case "server":
-      return receive(state, event.message, event.nowMs);
+      return receive(state, event.message);
     case "sent":
-      return foresee(state, event.message, event.nowMs);
+      return foresee(state, event.message, event.number);
     case "connection":
       return connectionChanged(state, event.connection);
     case "picture":
@@ -328,20 +329,22 @@ export function reduce(state: AppState, event: AppEvent): AppState {
   }
 }
 
-function receive(state: AppState, message: ServerMessage, nowMs: number): AppState {
+function receive(state: AppState, message: ServerMessage): AppState {
   switch (message.type) {
     case "hello":
       return { ...state, version: message.carina_version };
     case "start":
       return { ...state, start: message };
     case "state":
-      return sessionChanged(state, message, nowMs);
+      return sessionChanged(state, message);
     case "tree":
       return treeChanged(state, message.tree === null ? null : buildTree(message.tree, message));
     case "route":
       return { ...state, route: message.route, local: { ...state.local, pathMm: null } };
     case "pose":
-      return poseChanged(state, message, nowMs);
+      return poseChanged(state, message);
+    case "handled":
+      return handled(state, message.number);
     case "value":
       // An answer that comes after the cursor has left says nothing any more.
       return state.ui.cursorLps === null ? state : { ...state, probed: message };
@@ -382,7 +385,7 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
   }
 }
 
-function sessionChanged(state: AppState, session: StateMessage, nowMs: number): AppState {
+function sessionChanged(state: AppState, session: StateMessage): AppState {
   const before = state.session?.case ?? null;
   const now = session.case;
   let next: AppState = { ...state, session };
@@ -398,15 +401,26 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
     const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };
     next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, ui };
   }
-  const look = allShown(next.local.look, session.look, nowMs);
-  const sight = allShown(next.local.sight, session.sight, nowMs);
-  return {
-    ...next,
-    look: look.value,
-    sight: sight.value,
-    local: { ...next.local, look: look.local, sight: sight.local },
-  };
+  return { ...next, look: shown(next.local.look, session.look), sight: shown(next.local.sight, session.sight) };
 }
+
+/** So many commands of this connection are done, and the server has told what came of them. */
+function handled(state: AppState, number: number): AppState {
+  const { session, local } = state;
+  const now = {
+    look: allUnderWay(local.look, number),
+    sight: allUnderWay(local.sight, number),
+    pathMm: underWay(local.pathMm, number),
+  };
+  const isAsBefore =
+    now.pathMm === local.pathMm &&
+    numberOf(now.look) === numberOf(local.look) &&
+    numberOf(now.sight) === numberOf(local.sight);
+  if (isAsBefore || session === null) return state;
+  return { ...state, local: now, look: shown(now.look, session.look), sight: shown(now.sight, session.sight) };
+}
+
+const numberOf = (values: object): number => Object.keys(values).length;
 
 /** Branches that are gone are not pointed at any more. */
 function treeChanged(state: AppState, tree: BranchTree | null): AppState {
@@ -431,14 +445,12 @@ export function shownBranch(state: AppState): number | null {
   return state.ui.selected ?? state.route?.spans.at(-1)?.branch_id ?? null;
 }
 
-function poseChanged(state: AppState, pose: PoseMessage, nowMs: number): AppState {
-  if (state.pose !== null && pose.pose_id < state.pose.pose_id) return state;
-  const local = shown(state.local.pathMm, pose.path_mm ?? Number.NaN, samePathMm, nowMs).local;
-  return { ...state, pose, local: { ...state.local, pathMm: local } };
+function poseChanged(state: AppState, pose: PoseMessage): AppState {
+  return state.pose !== null && pose.pose_id < state.pose.pose_id ? state : { ...state, pose };
 }
 
 /** What the person should see at once, before the server has answered. */
-function foresee(state: AppState, message: ClientMessage, nowMs: number): AppState {
+function foresee(state: AppState, message: ClientMessage, number: number): AppState {
   switch (message.type) {
     case "undo":
     case "redo":
@@ -452,7 +464,7 @@ function foresee(state: AppState, message: ClientMessage, nowMs: number): AppSta
       // Of another tree than the one that was asked about, or the answer itself.
       return { ...state, doubt: null };
     case "go_to":
-      return { ...state, local: { ...state.local, pathMm: { value: message.path_mm, atMs: nowMs } } };
+      return { ...state, local: { ...state.local, pathMm: { value: message.path_mm, number } } };
     case "steer":
     case "next_fork":
     case "previous_fork":
@@ -461,14 +473,14 @@ function foresee(state: AppState, message: ClientMessage, nowMs: number): AppSta
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
     default:
-      return message.type in SETS ? fieldSet(state, message as FieldSetting, nowMs) : state;
+      return message.type in SETS ? fieldSet(state, message as FieldSetting, number) : state;
   }
 }
 
 type FieldSetting = Extract<ClientMessage, { type: keyof typeof SETS }>;
 
-/** Look and sight hold as soon as they are sent; the server's next word confirms them. */
-function fieldSet(state: AppState, message: FieldSetting, nowMs: number): AppState {
+/** Look and sight hold as soon as they are sent, until the server has told what came of it. */
+function fieldSet(state: AppState, message: FieldSetting, number: number): AppState {
   const { of, field, from, by_view } = SETS[message.type];
   const { type: _, view, ...fields } = message as { type: string; view?: string } & Record<string, unknown>;
   const said = from === null ? fields : fields[from];
@@ -477,7 +489,7 @@ function fieldSet(state: AppState, message: FieldSetting, nowMs: number): AppSta
   return {
     ...state,
     [of]: { ...before, [field]: value },
-    local: { ...state.local, [of]: { ...state.local[of], [field]: { value, atMs: nowMs } } },
+    local: { ...state.local, [of]: { ...state.local[of], [field]: { value, number } } },
   };
 }
 
@@ -486,7 +498,7 @@ function connectionChanged(state: AppState, connection: Connection): AppState {
   const jobs = connection.status === "open" || connection.status === "connecting" ? state.jobs : [];
   // A server counts poses anew when it is started again: the first pose of a connection is always the newest.
   const pose = connection.status === "open" ? null : state.pose;
-  return { ...state, connection, jobs, pose, pen: null, ui: { ...state.ui, advancing: false } };
+  return { ...state, connection, jobs, pose, pen: null, local: NOTHING_LOCAL, ui: { ...state.ui, advancing: false } };
 }
 
 /** Older news leave when too many wait; errors stay until they are read. */
@@ -506,7 +518,6 @@ function say(state: AppState, message: Omit<Message, "id">): AppState {
 const asPoint = (point: readonly number[] | null): Vec3 | null => (point === null ? null : asVec3(point));
 
 const samePace = (a: Pace, b: Pace): boolean => a.fps === b.fps && a.ageMs === b.ageMs && a.waitingMs === b.waitingMs;
-const samePathMm = (a: number, b: number): boolean => Math.abs(a - b) < 0.05;
 
 /** The tip, from the newest pose. */
 export function tipLps(state: AppState): Vec3 | null {

@@ -1,46 +1,42 @@
 /**
- * A value that a person is moving: shown at once, until the server says the same or has had its chance.
+ * A value that a person is moving: shown at once, until the server has told what came of it.
  *
- * Without it, an answer to an older drag would throw the slider or the crosshair back for a moment.
+ * Without it, an answer to an older drag would throw the slider or the crosshair back for a moment. What another window
+ * sets meanwhile is shown as soon as this window's own command is done: commands are done in one order for all.
  */
 export interface Optimistic<T> {
   readonly value: T;
-  readonly atMs: number;
+  /** Which of this connection's commands says it. */
+  readonly number: number;
 }
 
-/** After this long without an answer the server's word counts again (it may have refused). */
-export const OPTIMISTIC_MS = 1200;
-
-export function shown<T>(
-  local: Optimistic<T> | null,
-  server: T,
-  same: (a: T, b: T) => boolean,
-  nowMs: number,
-): { value: T; local: Optimistic<T> | null } {
-  if (local === null) return { value: server, local: null };
-  if (same(local.value, server) || nowMs - local.atMs > OPTIMISTIC_MS) return { value: server, local: null };
-  return { value: local.value, local };
-}
+/** The number of a command that will be sent at the next refresh. */
+export const NOT_SENT = Number.POSITIVE_INFINITY;
 
 /** Values by name, as far as a person is moving them. */
 export type Local<T> = { readonly [K in keyof T]?: Optimistic<T[K]> };
 
-/** What is shown of several values once the server has told them anew. */
-export function allShown<T extends object>(local: Local<T>, server: T, nowMs: number): { value: T; local: Local<T> } {
-  const value = { ...server };
-  const kept: { [K in keyof T]?: Optimistic<T[K]> } = {};
-  for (const name of Object.keys(local) as (keyof T)[]) {
-    const one = shown(local[name] ?? null, server[name], isAlike, nowMs);
-    value[name] = one.value;
-    if (one.local !== null) kept[name] = one.local;
-  }
-  return { value, local: kept };
+/** The value, unless so many commands have been handled that what the server tells is the outcome. */
+export function underWay<T>(local: Optimistic<T> | null, handled: number): Optimistic<T> | null {
+  return local !== null && local.number > handled ? local : null;
 }
 
-/** The same values, fields that are null or missing alike. */
-export function isAlike(a: unknown, b: unknown): boolean {
-  if (typeof a !== "object" || typeof b !== "object" || a === null || b === null) return (a ?? null) === (b ?? null);
-  const names = new Set([...Object.keys(a), ...Object.keys(b)]);
-  const [left, right] = [a as Record<string, unknown>, b as Record<string, unknown>];
-  return [...names].every((name) => isAlike(left[name], right[name]));
+/** Those of several values for which that holds. */
+export function allUnderWay<T extends object>(local: Local<T>, handled: number): Local<T> {
+  const kept: { [K in keyof T]?: Optimistic<T[K]> } = {};
+  for (const name of Object.keys(local) as (keyof T)[]) {
+    const one = underWay(local[name] ?? null, handled);
+    if (one !== null) kept[name] = one;
+  }
+  return kept;
+}
+
+/** What is shown: the server's values, and in their place those that a person is moving. */
+export function shown<T extends object>(local: Local<T>, server: T): T {
+  const value = { ...server };
+  for (const name of Object.keys(local) as (keyof T)[]) {
+    const one = local[name];
+    if (one !== undefined) value[name] = one.value;
+  }
+  return value;
 }

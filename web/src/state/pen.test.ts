@@ -21,9 +21,9 @@ describe("what a pen's button marks", () => {
   });
 
   it("is the pen's point, and nothing while no pen moves the tip", () => {
-    const told = reduce(INITIAL_STATE, { kind: "server", message: pen(), nowMs: 0 });
+    const told = reduce(INITIAL_STATE, { kind: "server", message: pen() });
     expect(penPoint(told)).toEqual([1, 2, 3]);
-    const gone = reduce(told, { kind: "server", message: pen({ device: null, lps: null }), nowMs: 1 });
+    const gone = reduce(told, { kind: "server", message: pen({ device: null, lps: null }) });
     expect(gone.pen).toBeNull();
     expect(penPoint(gone)).toBeNull();
   });

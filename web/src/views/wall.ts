@@ -13,6 +13,8 @@ import type { Viewport } from "./viewport";
 export interface WallHooks {
   scene(): Scene;
   layoutChanged(views: ViewSize[]): void;
+  /** Whether anybody sees the pictures: those of a window in the background are not asked for. */
+  isSeen(): boolean;
   /** Runs a task at the next screen refresh. */
   nextRefresh(task: () => void): void;
 }
@@ -87,7 +89,7 @@ export class Wall {
   /** Tells the server what is visible; `again` also where nothing changed, for a new connection. */
   tellLayout(again: boolean): void {
     const views: ViewSize[] = [];
-    for (const viewport of this.#viewports) {
+    for (const viewport of this.#hooks.isSeen() ? this.#viewports : []) {
       const pixels = viewport.wantedPixels;
       if (pixels !== null) views.push({ view: viewport.view, ...pixels });
     }

@@ -10,6 +10,7 @@ export const CLOSE_CODES = {
   "protocol.order": 4403,
   "protocol.taken-over": 4409,
   "protocol.slow-client": 4413,
+  "protocol.too-many-windows": 4429,
 } as const;
 
 /** 4x4, row-major. */
@@ -1025,6 +1026,12 @@ export interface NoticeMessage {
   readonly message: string;
 }
 
+/** So many of this window's commands have been done or refused, and what came of them at once has been told. */
+export interface HandledMessage {
+  readonly type: "handled";
+  readonly number: number;
+}
+
 /** Answer to `probe`; only the newest is sent. */
 export interface ValueMessage {
   readonly type: "value";
@@ -1453,6 +1460,9 @@ export const SETS = {
   set_method: { of: "sight", field: "method", from: "method", by_view: false },
 } as const;
 
+/** What a client sends that is no command, and that `handled` does not count. */
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_keys"];
+
 export type ClientMessage =
   | OpenPathMessage
   | OpenDemoMessage
@@ -1548,6 +1558,7 @@ export type ServerMessage =
   | DoneMessage
   | ErrorMessage
   | NoticeMessage
+  | HandledMessage
   | ValueMessage
   | PickedMessage
   | StatusMessage

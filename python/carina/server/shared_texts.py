@@ -1,0 +1,125 @@
+"""Messages that are the same for every window: written once, a tree in a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from carina.server import messages as wire
+from carina.server.outbox import Outbox
+from carina.server.presenter import keys_message, route_message, start_message
+from carina.server.tree_words import tree_message
+from carina.session import Session, log_fault
+from carina.volume import Citation
+
+__all__ = ["SharedTexts"]
+
+logger = logging.getLogger(__name__)
+
+
+class SharedTexts:
+    """The texts of the topics that do not depend on the window; event loop only.
+
+    Parameters
+    ----------
+    session
+        What they tell of.
+    patient_citation
+        Of the bundled patient, for the start page.
+    tell
+        Tells all windows what could not be written.
+    """
+
+    def __init__(self, session: Session, patient_citation: Citation | None, tell: Callable[[Any], None]) -> None:
+        self._session = session
+        self._patient_citation = patient_citation
+        self._tell = tell
+        self._known: dict[str, tuple[tuple[object, ...], str]] = {}
+        self._writing: asyncio.Task[None] | None = None
+        self._waiting: dict[Outbox, set[str]] = {}
+        """What each window is to be sent once the tree has been written."""
+
+    def mark(self, outbox: Outbox, *topics: str) -> None:
+        """Send a window these topics anew.
+
+        A tree of some hundred branches takes a third of a second to write: it and the route through it follow, while
+        poses and pictures go on.
+        """
+        waits: set[str] = set()
+        if self._writing is not None or ("tree" in topics and not self._is_known("tree", *self._newest_tree())):
+            waits = {"tree", "route"} & set(topics)
+        outbox.mark(*(t for t in topics if t not in waits))
+        if waits:
+            self._waiting.setdefault(outbox, set()).update(waits)
+            if self._writing is None:
+                self._writing = asyncio.get_running_loop().create_task(self._write_tree())
+
+    def start(self) -> str:
+        """What the start page shows."""
+        store, cases = self._session.store, self._session.cases
+        return wire.encode_message(
+            start_message(
+                notice_accepted=store is not None and store.notice_accepted(),
+                recent=cases.listed(),
+                patient_citation=self._patient_citation,
+                storage=cases.storage(),
+            )
+        )
+
+    def tree(self) -> str | None:
+        """None where the newest is still to be written: it is marked then."""
+        return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None
+
+    def route(self) -> str:
+        """The present route."""
+        document = self._session.snapshot().document
+        route = None if document is None else document.route
+        return self._cached("route", lambda: route_message(route), route)
+
+    def keys(self) -> str:
+        """The key frames."""
+        return wire.encode_message(keys_message(self._session.keys_info()))
+
+    def _tree_text(self) -> str:
+        """From any thread."""
+        airways, measures = self._newest_tree()
+        return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
+
+    def _newest_tree(self) -> tuple[Any, Any]:
+        snapshot = self._session.snapshot()
+        airways = None if snapshot.document is None else snapshot.document.airways
+        return airways, getattr(snapshot, "measures", None)
+
+    async def _write_tree(self) -> None:
+        is_written = False
+        try:
+            # What is marked meanwhile may be of a newer tree.
+            known = None
+            while known != (known := await asyncio.to_thread(self._tree_text)):
+                pass
+            is_written = True
+        except Exception as trouble:
+            log_fault(logger, "the airway tree could not be prepared for the window", trouble)
+            words = f"the airway tree cannot be shown: internal error in Carina ({type(trouble).__name__})"
+            self._tell(wire.Error("carina.fault", words, None))
+        finally:
+            self._writing = None
+            waiting, self._waiting = self._waiting, {}
+            for outbox, topics in waiting.items():
+                if is_written:
+                    # A tree may have come since the last look: it is written, too, before a route through it goes.
+                    self.mark(outbox, *topics)
+                else:
+                    outbox.mark(*topics)
+
+    def _cached(self, topic: str, message: Callable[[], Any], *values: object) -> str:
+        """A tree is some hundred kilobytes and changes rarely; every change and every new window asks for it."""
+        if not self._is_known(topic, *values):
+            self._known[topic] = (values, wire.encode_message(message()))
+        return self._known[topic][1]
+
+    def _is_known(self, topic: str, *values: object) -> bool:
+        known = self._known.get(topic)
+        return known is not None and all(a is b for a, b in zip(known[0], values, strict=True))

@@ -1,0 +1,86 @@
+"""Two windows on one workstation: what is edited is seen in both, and each is looked through in its own way."""
+
+from __future__ import annotations
+
+import pytest
+from workstation import open_page, picture_of
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def two(browser, server, workstation, request, has_failed):
+    """Two pages of one workstation, in contexts of their own as two browsers have."""
+    other = open_page(browser, ())
+    for page in (workstation, other):
+        page.open(server)
+        page.wait_ready()
+    yield workstation, other
+    if has_failed():
+        other.failed(request.node.name)
+    assert other.faults == []
+    other.page.context.close()
+
+
+def test_an_edit_in_one_is_seen_in_the_other_which_takes_it_back(two):
+    first, second = two
+    first.page.keyboard.press("o")
+    second.wait_for("window.__carina.state.session.can_undo === 'image outline'")
+    assert second.state("look.outline") == first.state("look.outline")
+    first.page.get_by_test_id("list-airways").click()
+    first.page.get_by_role("row").nth(3).click()
+    second.wait_for("window.__carina.state.session.can_undo.startsWith('route to')")
+    assert first.once("window.__carina.state.route !== null", "window.__carina.state.route.route_id") == second.state(
+        "route.route_id"
+    )
+    second.page.keyboard.press("Shift+h")
+    steps = second.page.get_by_test_id("history").get_by_role("button")
+    assert "Route to" in steps.first.inner_text() or "Route to" in steps.last.inner_text()
+    picture_of(second.page, "windows-second-with-history")
+    second.page.keyboard.press("Control+z")
+    first.wait_for("window.__carina.state.session.can_redo?.startsWith('route to') === true")
+    second.page.keyboard.press("Control+z")
+    first.wait_for("window.__carina.state.session.can_undo === null")
+    assert first.state("look") == second.state("look")
+
+
+def test_a_flight_is_seen_in_both_and_slices_are_each_windows_own(two):
+    first, second = two
+    first.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
+    first.wait_still()
+    second.wait_still()
+    assert second.state("pose.path_mm") == first.state("pose.path_mm") > 5
+    pose = first.state("pose.pose_id")
+    assert second.state("pose.pose_id") == pose
+    assert second.frame_answers("airway", pose)
+    # A slice is scrolled and zoomed here, and stays as it was there.
+    before = second.state("sight")
+    box = first.page.locator("canvas[data-view=axial]").bounding_box()
+    first.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    first.page.mouse.wheel(0, 240)
+    first.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
+    first.page.keyboard.press("3")
+    first.wait_for("window.__carina.state.session.sight.window.width_hu === 2000")
+    first.settle()
+    second.settle()
+    assert second.state("session.sight") == before
+    second.page.keyboard.press("i")
+    second.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 10")
+    first.settle()
+    assert first.state("session.sight.slab.thickness_mm") == 0
+    for station, name in zip(two, ("first", "second"), strict=True):
+        station.wait_still()
+        picture_of(station.page, f"windows-{name}")
+
+
+def test_one_that_is_loaded_again_or_closed_leaves_the_other_as_it_is(two):
+    first, second = two
+    first.page.keyboard.press("3")
+    first.wait_for("window.__carina.state.session.sight.window.width_hu === 2000")
+    second.page.reload()
+    second.wait_ready()
+    assert second.state("session.sight.window.width_hu") == 2000, "a window begins with what was looked at last"
+    second.page.goto("about:blank")
+    first.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
+    first.wait_still()
+    assert first.page.locator(".connection").count() == 0

@@ -1,0 +1,232 @@
+"""Several windows on one session: what they share, what each has of its own, and that none is felt by another."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+
+import pytest
+from live_server import SHOWN, WAIT_S, open_case, running
+
+from carina.errors import VolumeImportError
+from carina.server import messages as wire
+from carina.server.hub import MAX_WINDOWS
+from small_case import LEFT_TIP, small_volume
+
+
+@pytest.fixture
+def two(live):
+    """Two windows with the same case, which the first has opened."""
+    with live.window() as first, live.window() as second:
+        for window in (first, second):
+            window.send(SHOWN)
+        open_case(first)
+        second.until_state(lambda s: s.airways == "found")
+        yield first, second
+
+
+def newest(window, kind):
+    """The newest message of a kind that has come, or the first that will."""
+    return next((m for m in reversed(window.seen) if isinstance(m, kind)), None) or window.until(
+        lambda m: isinstance(m, kind)
+    )
+
+
+def settle(window):
+    """All that was sent before has been done: the answer to a question comes after it."""
+    window.send(wire.Probe((0.5, 0.0, 0.0)))
+    window.until(lambda m: isinstance(m, wire.Value) and m.lps == (0.5, 0.0, 0.0))
+
+
+def test_case_pose_route_and_history_are_those_of_all(two):
+    first, second = two
+    first.send(wire.GoTo(20.0))
+    pose = second.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
+    assert first.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0) == pose
+    second.send(wire.AddTarget(LEFT_TIP))
+    for window in two:
+        state = window.until_state(lambda s: len(s.targets) == 1)
+        assert state.can_undo is not None
+    first.send(wire.Undo())
+    for window in two:
+        assert window.until_state(lambda s: not s.targets).can_redo is not None
+    for window in two:
+        settle(window)
+    histories = [newest(window, wire.History) for window in two]
+    assert histories[0] == histories[1]
+    trees = [window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None) for window in two]
+    assert trees[0] == trees[1]
+
+
+def test_a_sight_is_the_windows_own(two, live):
+    first, second = two
+    told = len(second.seen)
+    first.send(wire.SetWindow(400.0, 40.0), wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
+    sight = first.until_state(lambda s: not s.sight.texture).sight
+    assert (sight.window.width_hu, sight.crosshair_lps) == (400.0, LEFT_TIP)
+    settle(second)
+    assert not [m for m in second.seen[told:] if isinstance(m, wire.State)]
+    second.send(wire.SetFov(77.0))
+    for window in two:
+        window.until_state(lambda s: s.look.fov_deg == 77.0)
+    assert newest(second, wire.State).sight.texture
+    assert newest(first, wire.State).sight == sight
+    # What is kept is what was looked at last; whoever comes begins with it.
+    with live.window() as third:
+        assert third.until_state(lambda s: s.case is not None).sight == sight
+        second.send(wire.SetSlab(10.0, "max"))
+        second.until_state(lambda s: s.sight.slab.thickness_mm == 10.0)
+        settle(third)
+        assert newest(third, wire.State).sight == sight
+    assert live.session.snapshot().sight.slab.thickness_mm == 10.0
+
+
+def test_pictures_of_a_window_are_in_its_size_and_of_its_sight_and_one_that_looks_away_gets_none(two):
+    first, second = two
+    second.send(wire.Layout((wire.ViewSize("axial", 200, 150),)))
+    settle(second)
+    begun = len(second.pictures)
+    first.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
+    picture = second.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial" and m.full)
+    assert (picture.width, picture.height) == (200, 150)
+    assert {p.view for p in second.pictures[begun:]} == {"axial"}
+    first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id >= picture.pose_id)
+    # Another sight is another picture here, and none there.
+    second.send(wire.Layout(()))
+    settle(second)
+    begun = len(second.pictures)
+    first.send(wire.SetCrosshair(LEFT_TIP))
+    first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial" and m.full)
+    settle(second)
+    assert len(second.pictures) == begun
+
+
+def test_edits_of_two_hands_are_one_history_and_each_takes_back_the_last(two):
+    first, second = two
+    for n in range(5):
+        first.send(wire.SetFov(70.0 + n))
+        first.until_state(lambda s, n=n: s.look.fov_deg == 70.0 + n)
+        second.send(wire.SetOperator("facing" if n % 2 == 0 else "head"))
+        second.until_state(lambda s, n=n: s.look.operator == ("facing" if n % 2 == 0 else "head"))
+    for window in two:
+        settle(window)
+    labels = [[step.label for step in newest(window, wire.History).steps] for window in two]
+    assert labels[0] == labels[1]
+    assert labels[0][-4:] == ["field of view", "operator position"] * 2
+    second.send(wire.Undo())
+    assert first.until_state(lambda s: s.look.operator == "head").can_redo == "operator position"
+    first.send(wire.Undo())
+    assert second.until_state(lambda s: s.look.fov_deg == 73.0).can_redo == "field of view"
+
+
+def test_an_error_and_an_answer_are_told_to_whoever_asked(two):
+    first, second = two
+    told = len(second.seen)
+    first.send(wire.RemoveTarget("nobody"), wire.Probe(LEFT_TIP))
+    first.until(lambda m: isinstance(m, wire.Error))
+    first.until(lambda m: isinstance(m, wire.Value) and m.lps == pytest.approx(LEFT_TIP))
+    settle(second)
+    others = [m for m in second.seen[told:] if isinstance(m, wire.Error) or getattr(m, "lps", None) == LEFT_TIP]
+    assert others == []
+
+
+def test_what_goes_wrong_later_is_told_to_whoever_asked_and_to_all_if_it_is_gone(tmp_path):
+    may_fail = threading.Event()
+
+    def open_volume(path, progress, cancel):
+        if path == "case":
+            return small_volume()
+        progress("looking", None)
+        assert may_fail.wait(WAIT_S)
+        raise VolumeImportError("no CT here", code="import.nothing")
+
+    def is_looking(message):
+        return isinstance(message, wire.Progress) and message.what == "looking"
+
+    def is_error(message):
+        return isinstance(message, wire.Error)
+
+    with running(tmp_path, open_volume=open_volume) as live, live.window() as other:
+        with live.window() as asker:
+            open_case(other)
+            asker.send(wire.OpenPath("nowhere"))
+            asker.until(is_looking)
+            may_fail.set()
+            assert asker.until(is_error).code == "import.nothing"
+            other.until(lambda m: isinstance(m, wire.Done))
+            settle(other)
+            assert not list(filter(is_error, other.seen))
+            may_fail.clear()
+            asker.send(wire.OpenPath("nowhere"))
+            asker.until(is_looking)
+        while len(live.session._core.windows) > 1:
+            settle(other)
+        may_fail.set()
+        assert other.until(is_error).code == "import.nothing"
+
+
+def test_what_was_handled_is_said_after_what_came_of_it(two):
+    first, second = two
+    before = newest(first, wire.Handled).number
+    assert not [m for m in second.seen if isinstance(m, wire.Handled)]
+    first.send(*(wire.SetFov(80.0 + n / 10.0) for n in range(30)), wire.Probe(LEFT_TIP), wire.RemoveTarget("nobody"))
+    first.until(lambda m: isinstance(m, wire.Handled) and m.number == before + 31)
+    assert newest(first, wire.State).look.fov_deg == pytest.approx(82.9)
+
+
+def test_a_window_that_does_not_read_stalls_no_other(two):
+    first, second = two
+    # It acknowledges nothing, and reads nothing.
+    for n in range(200):
+        first.send(wire.GoTo(10.0 + n / 10.0))
+    pose = first.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(29.9))
+    first.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id == pose.pose_id)
+    # What it then reads is the newest, and little.
+    second.until(lambda m: isinstance(m, wire.Pose) and m.pose_id == pose.pose_id)
+
+
+def test_one_that_goes_leaves_the_others_as_they_are(two, live):
+    first, second = two
+    first.send(wire.SetWindow(400.0, 40.0))
+    first.until_state(lambda s: s.sight.window is not None and s.sight.window.width_hu == 400.0)
+    first.socket.close()
+    second.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
+    pose = second.until(lambda m: isinstance(m, wire.Pose))
+    second.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id >= pose.pose_id)
+    second.send(wire.SetShading(on=False))
+    assert second.until_state(lambda s: not s.sight.shading).sight.window.width_hu != 400.0
+
+
+def test_one_too_many_is_refused_in_words_and_a_place_that_is_left_can_be_taken_at_once(live):
+    with contextlib.ExitStack() as opened:
+        windows = [opened.enter_context(live.window()) for _ in range(MAX_WINDOWS)]
+        with live.window(hello=False) as refused:
+            refused.send(wire.ClientHello(wire.WIRE_VERSION))
+            code, reason = refused.close_code()
+            assert code == wire.CLOSE_CODES["protocol.too-many-windows"] == 4429
+            assert reason == "Carina is already open in 8 windows; close one of them, then connect again"
+        windows[0].socket.close()
+        with live.window() as another:
+            another.until_state(lambda _state: True)
+        windows[1].send(wire.AskStorage())
+
+
+def test_another_case_begins_anew_for_all(two):
+    first, second = two
+    begun = newest(second, wire.State).sight
+    first.send(wire.SetTexture(on=False))
+    first.until_state(lambda s: not s.sight.texture)
+    first.send(wire.OpenPath("another"))
+    for window in two:
+        assert window.until_state(lambda s: s.case is not None and s.case.number == 2).sight == begun
+
+
+def test_devices_are_told_to_all_and_values_go_on_while_one_looks(two):
+    first, second = two
+    for window in two:
+        window.send(wire.WatchDevices(on=True))
+        window.until(lambda m: isinstance(m, wire.Devices))
+    first.send(wire.WatchDevices(on=False))
+    settle(first)
+    for _ in range(3):
+        second.until(lambda m: isinstance(m, wire.Devices))

@@ -1,0 +1,144 @@
+"""Each window looks at the open case with a sight of its own; whoever is none speaks for all."""
+
+from __future__ import annotations
+
+import pytest
+
+from carina.case import Document
+from carina.commands import (
+    OpenPath,
+    SetCrosshair,
+    SetFov,
+    SetOrbit,
+    SetTexture,
+    SetWindow,
+    SetZoom,
+    ShowPlace,
+    Steer,
+    Undo,
+)
+from carina.errors import VolumeImportError
+from carina.session import Changed, JobEnded, Said, Trouble
+from small_case import LEFT_TIP, RIGHT_TIP, small_bench
+
+
+class Windows:
+    """A case that two windows look at, and what each was told."""
+
+    def __init__(self, **replaced) -> None:
+        self.bench = small_bench(**replaced)
+        self.session = self.bench.session
+        self.told = {1: [], 2: []}
+        self.ends = {n: self.session.subscribe(self.told[n].append, window=n) for n in self.told}
+
+    def sight(self, window=None):
+        return self.session.snapshot(window).sight
+
+    def of_type(self, window, kind):
+        return [event for event in self.told[window] if isinstance(event, kind)]
+
+
+@pytest.fixture
+def windows():
+    made = Windows()
+    made.bench.open()
+    for told in made.told.values():
+        told.clear()
+    return made
+
+
+def test_what_one_looks_at_the_other_does_not_and_the_latest_is_kept(windows):
+    begun = windows.sight()
+    windows.session.do(SetCrosshair(LEFT_TIP), window=1)
+    windows.session.do(SetOrbit(view="tree", azimuth_deg=20.0, elevation_deg=5.0), window=2)
+    assert windows.sight(1).crosshair_lps == LEFT_TIP
+    assert windows.sight(1).orbits == begun.orbits
+    assert windows.sight(2).crosshair_lps is None
+    assert windows.sight() == windows.sight(2)
+    assert windows.session.scene(1).shown_lps == LEFT_TIP
+    assert windows.session.scene(1).key("tree") != windows.session.scene(2).key("tree")
+    assert windows.session.scene(1).key("airway") == windows.session.scene(2).key("airway")
+
+
+def test_only_the_window_whose_sight_it_is_is_told_of_it(windows):
+    windows.session.do(SetTexture(on=False), window=1)
+    assert [event.topics for event in windows.of_type(1, Changed)] == [{"state", "views"}]
+    assert windows.told[2] == []
+    windows.session.do(SetFov(90.0), window=1)
+    assert windows.of_type(2, Changed)
+
+
+def test_whoever_is_no_window_sets_it_for_all(windows):
+    windows.session.do(SetZoom(view="axial", mm_per_px=0.5), window=1)
+    windows.session.do(SetZoom(view="coronal", mm_per_px=0.7))
+    windows.session.do(SetWindow(400.0, 40.0))
+    assert set(windows.sight(1).zoom) == {"axial", "coronal"}
+    assert set(windows.sight(2).zoom) == {"coronal"}
+    assert windows.sight(1).window == windows.sight(2).window == windows.sight().window
+    assert windows.of_type(1, Changed)
+    assert windows.of_type(2, Changed)
+
+
+def test_a_move_recentres_every_window_that_follows_the_tip(windows):
+    for window in (1, 2):
+        windows.session.do(SetZoom(view="axial", mm_per_px=0.5, centre_lps=LEFT_TIP), window=window)
+    windows.session.do(SetCrosshair(RIGHT_TIP), window=2)
+    windows.session.do(Steer(1.0, 0.0, 0.0, 0.0), window=1)
+    assert windows.sight(1).place("axial").centre_lps is None
+    assert windows.sight(2).place("axial").centre_lps == LEFT_TIP
+
+
+def test_a_place_that_is_shown_moves_the_tip_of_all_and_the_crosshair_of_one(windows):
+    before = windows.session.pose_info().pose_id
+    windows.session.do(ShowPlace(LEFT_TIP, None), window=2)
+    assert windows.session.pose_info().pose_id > before
+    assert (windows.sight(1).crosshair_lps, windows.sight(2).crosshair_lps) == (None, LEFT_TIP)
+
+
+def test_one_that_comes_begins_with_the_latest_and_one_that_goes_is_forgotten(windows):
+    windows.session.do(SetTexture(on=False), window=1)
+    end = windows.session.subscribe(lambda _event: None, window=3)
+    windows.session.do(SetTexture(on=True), window=1)
+    assert not windows.sight(3).texture
+    end()
+    assert windows.sight(3) == windows.sight()
+    windows.ends[1]()
+    windows.session.do(SetTexture(on=False), window=2)
+    assert not windows.sight(1).texture
+
+
+def test_another_case_begins_anew_for_all(windows):
+    begun = windows.sight()
+    windows.session.do(SetTexture(on=False), window=1)
+    windows.session.do(OpenPath("another"), window=2)
+    windows.bench.background.run_all()
+    # Not with what one of them looks at since.
+    windows.session.do(SetWindow(400.0, 40.0), window=1)
+    assert windows.sight(2) == begun
+    assert windows.sight(1).texture
+
+
+def test_there_is_one_history(windows):
+    windows.session.do(SetFov(90.0), window=1)
+    windows.session.do(Undo(), window=2)
+    assert isinstance(windows.session.snapshot(1).document, Document)
+    assert windows.session.snapshot(1).document is windows.session.snapshot(2).document
+    assert windows.session.snapshot().redo_label == "field of view"
+    assert windows.of_type(1, Said) == windows.of_type(2, Said) != []
+    windows.session.do(Undo(), window=2)
+    assert [len(windows.of_type(n, Said)) for n in (1, 2)] == [1, 2], "nothing to undo is the matter of one"
+
+
+def test_a_job_that_fails_is_told_to_the_window_that_asked_and_to_all_once_it_is_gone():
+    def open_volume(path, progress, cancel):
+        raise VolumeImportError("no CT here", code="import.nothing")
+
+    windows = Windows(open_volume=open_volume)
+    windows.session.do(OpenPath("case"), window=1)
+    windows.bench.background.run_all()
+    assert windows.of_type(2, JobEnded)
+    assert [len(windows.of_type(n, Trouble)) for n in (1, 2)] == [1, 0]
+    windows.session.do(OpenPath("case"), window=1)
+    windows.ends[1]()
+    windows.bench.background.run_all()
+    assert len(windows.of_type(2, Trouble)) == 1
