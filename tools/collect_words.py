@@ -44,6 +44,7 @@ TOKENS = {
     "python/carina/export/tree_formats.py": r"# badge .*",
     "python/carina/scopes/library.py": r"(s|k|size|channel|OD)\b.*(\bs|\bk|\(s\)|s\))",
     "python/carina/server/strangers.py": r"accept\(\).*",
+    "python/carina/session/key_framing.py": r"keys speed",
     "python/carina/track/names/solve.py": r"go on",
     "python/carina/volume/grid_writing.py": r"unsigned char|endian: little",
     "python/carina/volume/header_nrrd.py": (
@@ -84,6 +85,8 @@ def name_of(node: ast.expr) -> str:
             return name
         case ast.Constant(value=value):
             return str(value)
+        case ast.Subscript(slice=ast.Constant(value=str(name))):
+            return name
         case ast.Subscript(value=value) | ast.Starred(value=value) | ast.UnaryOp(operand=value):
             return name_of(value)
         case ast.BinOp(left=left, right=right):

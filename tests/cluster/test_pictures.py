@@ -238,7 +238,7 @@ def test_wrong_answers_are_never_shown(case, cluster, what):
         shows_the_truth()
     _wait(
         made,
-        lambda: any("lane-0 returned a wrong answer" in n and words in n for n in made.console.status().notices),
+        lambda: any("lane-0 returned an invalid reply" in n and words in n for n in made.console.status().notices),
         shows_the_truth,
     )
 

@@ -171,7 +171,7 @@ def test_wrong_answers_are_told_and_never_shown(whole, trouble, words):
 
         def is_told() -> bool:
             notices = flight.console.status().notices
-            return any(f"{name} returned a wrong answer" in n and words in n for n in notices)
+            return any(f"{name} returned an invalid reply" in n and words in n for n in notices)
 
         _fly(flight, 0.5, is_told)
     finally:

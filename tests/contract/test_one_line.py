@@ -350,7 +350,7 @@ def test_a_tree_is_drawn_from_the_front_with_a_table_of_its_branches() -> None:
         ["<b>mine</b>", "1", "42.4", "6.0"],
     ]
     words = "".join(root.itertext())
-    assert "2 branches (2 with a name), 1 tips, generations 0 to 1" in words
+    assert "2 branches (2 named), 1 tips, generations 0 to 1" in words
     assert "1 branches drawn by hand" in words
     assert "! the mask leaks" in words
 

@@ -66,7 +66,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
         assert workstation.pixels(view) != pixels, f"{view} did not change"
 
     # Scrubbed to the end; then a change of the list, undone and done again.
-    page.get_by_role("slider", name="Time in the flight, seconds").press("End")
+    page.get_by_role("slider", name="Time in the flight (seconds)").press("End")
     wait(page, f"Math.abs(window.__carina.state.pose.keys_s - {lasts}) < 1e-6")
     third = state("keys.keys")[2]["key_id"]
     rows = page.get_by_test_id("key")

@@ -122,7 +122,7 @@ def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
     assert message is not None
     (device,) = message.devices
     assert (device.num_used, device.num_ignored) == (1, 50)
-    assert "50 for" in device.ignored_words
+    assert "(50)" in device.ignored_words
     assert sum("ignored" in getattr(e, "message", "") for e in bench.events) == 1
     wire.encode_message(message)
 

@@ -257,7 +257,7 @@ def test_what_is_deleted_for_good_does_not_come_back(desk, tmp_path):
     desk.session.do(c.ForgetCase(listed.recent_id))
     desk.session.do(c.EmptyForgotten())
     assert list((tmp_path / "cases" / ".forgotten").iterdir()) == []
-    with pytest.raises(UsageError, match="deleted for good"):
+    with pytest.raises(UsageError, match="permanently deleted"):
         desk.session.do(c.RestoreCase(listed.recent_id))
 
 
@@ -276,7 +276,7 @@ def test_the_cache_of_cts_is_told_emptied_and_switched_off_for_the_next_time_too
     assert desk.cache.is_on
     desk.cache.is_on = desk.cache.can_be_on = False
     assert desk.session.cases.storage().keeps_cts == "never"
-    with pytest.raises(UsageError, match="keeps no CTs"):
+    with pytest.raises(UsageError, match="without the CT cache"):
         desk.session.do(c.KeepCts(True))
 
 

@@ -95,15 +95,15 @@ def test_every_change_of_the_list_is_one_step_of_undo(three):
     ids = [key.key_id for key in session.keys_info().keys]
     steps = [
         ("rename key frame 1", lambda: session.do(EditKeys(KeyRename(ids[0], "start")))),
-        ("speed to key frame 2", lambda: session.do(EditKeys(KeySpeed(ids[1], 5.0)))),
+        ("set the speed to key frame 2", lambda: session.do(EditKeys(KeySpeed(ids[1], 5.0)))),
         ("move key frame 3 to 2", lambda: session.do(EditKeys(KeyMove(ids[2], -1)))),
         (
             "update key frame 1",
             lambda: (session.do(place_pose(looking_down(LEFT))), session.do(EditKeys(KeyUpdate(ids[0])))),
         ),
         ("remove key frame 3", lambda: session.do(EditKeys(KeyRemove(ids[1])))),
-        ("path through the key frames", lambda: session.do(SetKeyFlight(through="space"))),
-        ("speed through the key frames", lambda: session.do(SetKeyFlight(speed_mm_s=44.0))),
+        ("set the path of the key-frame flight", lambda: session.do(SetKeyFlight(through="space"))),
+        ("set the speed of the key-frame flight", lambda: session.do(SetKeyFlight(speed_mm_s=44.0))),
         ("add key frame 3", lambda: session.do(EditKeys(KeyAdd()))),
     ]
     states = [session.keys_info()]

@@ -138,7 +138,7 @@ def test_work_is_saved_where_the_program_fails(saved):
 
 def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
     with carina.Case.open(saved) as first:
-        with pytest.warns(UserWarning, match="open for change elsewhere"):
+        with pytest.warns(UserWarning, match="open for editing elsewhere"):
             second = carina.Case.open(saved)
         with second:
             second.do(c.SetFov(100.0))
@@ -151,7 +151,7 @@ def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
             assert second.note is None
             with pytest.raises(UsageError, match="already"):
                 first.save(tmp_path / "two.carina")
-            with pytest.raises(UsageError, match="open for change elsewhere"):
+            with pytest.raises(UsageError, match="open for editing elsewhere"):
                 first.save(tmp_path / "two.carina", replace=True)
             assert first.path == saved
     with carina.Case.open(tmp_path / "two.carina") as case:
@@ -172,7 +172,7 @@ def test_a_case_that_a_window_has_open_may_be_looked_at(saved):
 
 def test_the_ct_of_a_case_is_found_or_given(saved, tmp_path):
     (saved.parent / "scan").rename(tmp_path / "moved")
-    with pytest.raises(carina.VolumeImportError, match="give its place as ct=") as refused:
+    with pytest.raises(carina.VolumeImportError, match="give its location as ct=") as refused:
         carina.Case.open(saved)
     assert refused.value.code == "case.no-scan"
     with carina.Case.open(saved, ct=tmp_path / "moved" / "ct.nii.gz") as case:

@@ -178,7 +178,7 @@ def test_a_case_gets_a_name_and_a_place_and_follows_there(desk, tmp_path):
     copy.write_text("of somebody else")
     other = tmp_path / "other.carina"
     other.write_text("there")
-    with pytest.raises(UsageError, match="there is a file already"):
+    with pytest.raises(UsageError, match="already exists"):
         session.do(c.SaveCase(str(other)))
     session.do(c.SaveCase(str(other), replace=True))
     desk.background.run_all()

@@ -50,7 +50,7 @@ def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -
     """
     if sqlite3.sqlite_version_info < OLDEST_SQLITE:
         raise CaseFileError(
-            f"{path}: cases need SQLite 3.37 or newer; this Python brings {sqlite3.sqlite_version}: use a newer Python",
+            f"{path}: cases need SQLite 3.37 or newer; this Python has {sqlite3.sqlite_version}; use a newer Python",
             code="case.sqlite",
         )
     uri = ":memory:"

@@ -49,7 +49,7 @@ class History(Generic[D]):
         self._steps = list(steps)
         self._position = len(self._steps) if position is None else position
         if not 0 <= self._position <= len(self._steps):
-            raise ValueError(f"expected a position of 0 to {len(self._steps)} in the history; found {position}")
+            raise ValueError(f"expected a position from 0 to {len(self._steps)} in the history; found {position}")
         self._gesture: Hashable = None
         self._gesture_s = float("-inf")
 
@@ -180,7 +180,7 @@ class History(Generic[D]):
             If there are not so many.
         """
         if not 0 <= position <= len(self._steps):
-            raise IndexError(f"the history has {len(self._steps)} steps; found {position}")
+            raise IndexError(f"the history has {len(self._steps)} steps; found position {position}")
         self._position, self._gesture = position, None
 
     def _forget_oldest(self) -> None:

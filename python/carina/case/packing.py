@@ -68,7 +68,7 @@ def inflated(data: object, size: object, where: str) -> bytes:
     except zlib.error as trouble:
         raise damaged(where, "deflated bytes", str(trouble)) from None
     if len(content) != size or not inflater.eof or inflater.unused_data:
-        raise damaged(where, f"{size} bytes", "another number")
+        raise damaged(where, f"{size} bytes", "a different size")
     return content
 
 

@@ -300,7 +300,7 @@ class CaseReader:
 
     def _base(self, row: int) -> Airways:
         if self.columns("airways", row)[0] is not None:
-            raise damaged(f"airways {row}", "unedited airways as their base", "edited ones")
+            raise damaged(f"airways {row}", "unedited airways as their base", "edited airways")
         whole = self._whole.get(row)
         if whole is None:
             whole = self._whole[row] = self.airways(row)
@@ -348,7 +348,7 @@ class CaseReader:
         inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
         root = self._turn.voxel((i, j, k))
         if not inside or not lumen_zyx[root[::-1]]:
-            raise damaged(where, "a root in the lumen", str((i, j, k)))
+            raise damaged(where, "a start point in the lumen", str((i, j, k)))
         make = edited_core if nodes is None else found_core
         volume = self.volume
         made = PathTracker(volume, lambda: make(volume, lumen_zyx, root, levels), root_ijk=root)
@@ -362,7 +362,9 @@ class CaseReader:
             ends = np.cumsum(counts)
             voxels = np.count_nonzero(lumen_zyx) if len(all_nodes) else 0
             if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= voxels:
-                raise damaged(where, "nodes in the lumen for each branch", f"{len(all_nodes)} for {len(branches)}")
+                raise damaged(
+                    where, "nodes in the lumen for each branch", f"{len(all_nodes)} nodes for {len(branches)} branches"
+                )
             made.set_branches(branches, np.split(all_nodes, ends[:-1]))
         self._trackers[row] = made
         self._know("tracker", made, row)
@@ -432,7 +434,7 @@ class CaseReader:
             "lumen", row, digest_of("lumen", nz, ny, nx, places.astype("<i4").tobytes(), tiles.astype("<i4").tobytes())
         )
         if count and (places[0] < 0 or places[-1] >= most or (np.diff(places) <= 0).any()):
-            raise damaged(where, "tiles in ascending order", "another order")
+            raise damaged(where, "tiles in ascending order", "a different order")
         made = self._turn.turned(
             from_tiles(shape, ((int(p), self._tile(int(t))) for p, t in zip(places, tiles, strict=True)))
         )
@@ -497,7 +499,7 @@ class CaseReader:
         if known is None:
             kind, num, across, data = self._rows_of("array", row)
             if kind not in DTYPES or not 0 <= across <= 16 or not 0 <= num <= MAX_PIECE_BYTES:
-                raise damaged(where, f"one of {', '.join(DTYPES)}, at most 16 wide", f"{kind}, {num} x {across}")
+                raise damaged(where, f"type {', '.join(DTYPES)} and at most 16 columns", f"{kind} with {across}")
             content = inflated(data, num * max(across, 1) * int(kind[1]), where)
             self._check("array", row, digest_of("array", kind, num, across, content))
             found = np.frombuffer(content, dtype=DTYPES[kind])
@@ -506,11 +508,11 @@ class CaseReader:
             self._know("array", known, row)
         shape = known.shape
         if known.dtype.str != DTYPES[dtype] or len(shape) != (2 if width else 1) or (width and shape[1] != width):
-            raise damaged(where, f"{dtype}, {width or 1} wide", f"{known.dtype}, {shape}")
+            raise damaged(where, f"{width or 1} columns of {dtype}", f"shape {shape} of {known.dtype}")
         if count is not None and shape[0] != count:
             raise damaged(where, f"{count} numbers", str(shape[0]))
         if dtype == "f8" and not np.isfinite(known).all():
-            raise damaged(where, "finite numbers", "infinite or undefined ones")
+            raise damaged(where, "finite numbers", "infinite or undefined numbers")
         return known
 
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:

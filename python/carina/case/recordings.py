@@ -111,7 +111,9 @@ class RecordingTable:
             "SELECT count(*), coalesce(sum(size), 0) FROM recording_chunk WHERE recording = ?", (recording_id,)
         ).fetchone()
         if count > MAX_CHUNKS or not isinstance(size, int) or not 0 <= size <= MAX_RECORDING_BYTES:
-            raise damaged(where, f"at most {MAX_CHUNKS} pieces of {MAX_RECORDING_BYTES} bytes", f"{count} of {size}")
+            raise damaged(
+                where, f"at most {MAX_CHUNKS} pieces and {MAX_RECORDING_BYTES} bytes", f"{count} pieces, {size} bytes"
+            )
         pieces = []
         rows = connection.execute(
             "SELECT n, size, digest, data FROM recording_chunk WHERE recording = ? ORDER BY n", (recording_id,)
@@ -119,12 +121,12 @@ class RecordingTable:
         for place, (n, size, digest, data) in enumerate(rows):
             content = inflated(data, size, where)
             if n != place or digest_of(content) != digest:
-                raise damaged(where, f"piece {place} with its digest", "another piece, or altered content")
+                raise damaged(where, f"piece {place} with its digest", "a different piece or altered content")
             pieces.append(content)
         try:
             return b"".join(pieces).decode()
         except UnicodeDecodeError as trouble:
-            raise damaged(where, "UTF-8 text", "other bytes") from trouble
+            raise damaged(where, "UTF-8 text", "invalid bytes") from trouble
 
     def read(self, recording_id: int) -> Recording:
         """One to be flown again."""

@@ -258,7 +258,7 @@ class _Rescue:
             self._lost.append(f"{what}: the airways")
         return Document(
             transfer=part("the transfer function", lambda: reader.transfer(transfer), transfer_preset("endoscopic")),
-            look=part("instrument and lens", lambda: reader.look(look), Look()),
+            look=part("the scope and lens settings", lambda: reader.look(look), Look()),
             airways=part("the airways", lambda: reader.any_airways(airways), None) if whole else None,
             lumen_threshold=threshold if isinstance(threshold, float) else None,
             targets=part("the targets", lambda: self._targets(targets, what), ()),

@@ -69,7 +69,7 @@ def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
             matrix.tobytes(),
             int(source.is_hu),
             source.path,
-            as_checked_json(source.choices, f.decoders().choices, "the choices"),
+            as_checked_json(source.choices, f.decoders().choices, "the import choices"),
         ),
     )
 

@@ -47,7 +47,7 @@ def read_summary(connection: sqlite3.Connection) -> CaseSummary:
     moment = connection.execute("SELECT position, facts FROM moment").fetchone()
     if moment is None:
         return CaseSummary(None, 0, (), (), None, None, is_packed)
-    said: f.MomentFacts = from_json(moment[1], f.decoders().moment, "the moment")
+    said: f.MomentFacts = from_json(moment[1], f.decoders().moment, "current state")
     row = connection.execute(
         "SELECT tree.num_branches, airways.facts, route.facts, targets.json, keys.json, "
         "EXISTS (SELECT 1 FROM measures WHERE measures.airways = document.airways) "

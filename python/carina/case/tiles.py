@@ -53,7 +53,7 @@ def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes
     Raises
     ------
     ValueError
-        If a tile holds lumen beyond the volume.
+        If a tile contains lumen outside the volume.
     """
     # Memory of the system's own, in small pages: NumPy asks for large ones, and a lumen lies in nearly all of those.
     voxels = np.frombuffer(mmap.mmap(-1, math.prod(shape_zyx)), dtype=np.uint8)
@@ -67,7 +67,7 @@ def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes
         tile_y, tile_x = divmod(rest, num_x)
         z, y, x = z + tile_z * TILE, y + tile_y * TILE, x + tile_x * TILE
         if len(at) and (z[-1] >= nz or y.max() >= ny or x.max() >= nx):
-            raise ValueError("a tile holds lumen beyond the volume")
+            raise ValueError("a tile contains lumen outside the volume")
         # Only pages of memory that hold lumen are ever touched: what a whole tile lies in is ten times as much.
         voxels[(z * ny + y) * nx + x] = 1
     lumen.flags.writeable = False

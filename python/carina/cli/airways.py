@@ -98,7 +98,7 @@ def find(
         )
         return exit_code
     print(
-        f"{len(airways.tree)} branches to generation {deepest}, {length_mm / 1000.0:.2f} m in all, "
+        f"{len(airways.tree)} branches to generation {deepest}, {length_mm / 1000.0:.2f} m in total, "
         f"lumen {lumen_ml:.1f} ml"
     )
     for row in rows:

@@ -21,7 +21,9 @@ MAX_NAMES_SAID = 12
 def check_destination(to: str | None, view: str) -> str:
     """Refuse a missing or broken ``--to`` before the work."""
     if to is None:
-        raise UsageError(f"the {view} view follows a route; name its end with --to (a branch's name or id, or x,y,z)")
+        raise UsageError(
+            f"the {view} view follows a route; name its end with --to (a branch name or id, or a point x,y,z)"
+        )
     if "," in to:
         parse_point(to, "--to")
     return to

@@ -298,7 +298,9 @@ def render(
     ] = None,
     orbit: Annotated[
         str | None,
-        typer.Option(help=("Camera of the tri-plane and tree views: azimuth,elevation,distance (degrees, mm).")),
+        typer.Option(
+            help=("Camera position for the tri-plane and tree views: azimuth,elevation,distance (degrees, mm).")
+        ),
     ] = None,
     window: Annotated[
         str | None,
@@ -335,7 +337,8 @@ def render(
         typer.Option(help=("Style of the simulated X-ray (drr): radiograph (bone white) or fluoroscopy (bone dark).")),
     ] = "radiograph",
     slab: Annotated[
-        str | None, typer.Option(help="Slab: thickness in mm and min, max or mean; for example 10,min shows airways.")
+        str | None,
+        typer.Option(help="Slab thickness in mm and projection (min, max or mean); for example, 10,min shows airways."),
     ] = None,
     series: SeriesOption = None,
     ct: CtOption = None,

@@ -32,9 +32,7 @@ def airways(
     path: PathArgument,
     seed: Annotated[
         str | None,
-        typer.Option(
-            "--seed", help=("A point in the trachea, x,y,z in mm (LPS), for when it is not found automatically.")
-        ),
+        typer.Option("--seed", help=("Point in the trachea, x,y,z in mm (LPS), if it is not found automatically.")),
     ] = None,
     from_mask: FromMaskOption = None,
     label: LabelOption = None,

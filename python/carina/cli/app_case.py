@@ -13,7 +13,7 @@ from carina.cli.options import CtOption, JsonOption
 __all__ = ["case"]
 
 case = typer.Typer(
-    help="Case files (NAME.carina), and the cases that are kept on this machine (docs/case-file.md).",
+    help="Case files (NAME.carina), and the cases stored on this machine (docs/case-file.md).",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -48,7 +48,7 @@ def case_history(path: FileArgument, as_json: JsonOption = False) -> None:
 
 @case.command("list")
 def case_list(as_json: JsonOption = False) -> None:
-    """List the cases that are kept on this machine: id, last use, changes, size, title.
+    """List the cases stored on this machine: id, last use, changes, size, title.
 
     Example: carina case list
     """
@@ -67,7 +67,7 @@ def case_forget(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove what this machine keeps of a case: record, live file and cached scan. Files saved elsewhere stay.
+    """Remove a case from this machine: record, live file and cached scan. Files saved elsewhere are not deleted.
 
     Example: carina case forget 3f9a1c
     """

@@ -22,7 +22,7 @@ IpOption = Annotated[
     str | None, typer.Option("--ip", help="This machine's address on the private network, if it has several addresses.")
 ]
 DedicatedOption = Annotated[
-    bool, typer.Option("--dedicated", help="Render at full priority; for a machine that does nothing else.")
+    bool, typer.Option("--dedicated", help="Render at full priority, on a machine used for nothing else.")
 ]
 
 

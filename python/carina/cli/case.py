@@ -133,7 +133,7 @@ def kept(*, as_json: bool) -> int:
         size = say_size(records.num_bytes(one))
         print(f"{short[one.case_id]:<8} {used}  {_many(one.num_changes, 'change'):>12}  {size:>9}  {one.shown_title}")
     if not found:
-        say("no cases are kept on this machine")
+        say("no cases are stored on this machine")
     return 0
 
 
@@ -149,7 +149,7 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
             raise UsageError(f"this removes the case ({words}) from this machine permanently; add --yes to confirm")
         say(f"This removes the case ({words}) from this machine permanently.")
         if record.copy_path is not None:
-            say(f"The file {record.copy_path} stays.")
+            say(f"The file {record.copy_path} will not be deleted.")
         print("Forget it? [y/N] ", end="", file=sys.stderr, flush=True)
         if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
             say("nothing was removed")
@@ -166,9 +166,9 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
     if as_json:
         print_json({"id": record.case_id, "bytes": size, "cache_bytes": freed, "copy": record.copy_path})
     else:
-        say(f"forgotten: {words}; {say_size(size + freed)} are free again")
+        say(f"forgotten: {words}; {say_size(size + freed)} freed")
         if record.copy_path is not None:
-            say(f"the file {record.copy_path} was left where it is")
+            say(f"the file {record.copy_path} was not deleted")
     return 0
 
 
@@ -208,7 +208,7 @@ def _wrote(output: Path, as_json: bool, **facts: Any) -> int:
 def _check_target(path: Path, output: Path) -> None:
     check_output_file(output, CASE_SUFFIX)
     if output.exists():
-        raise UsageError(f"-o: there is a file already: {output}; choose another name ({path.name} is never changed)")
+        raise UsageError(f"-o: {output} already exists; choose another name ({path.name} is never changed)")
 
 
 def _records() -> CaseRecords:

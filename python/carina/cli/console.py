@@ -119,7 +119,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         # BaseException: a panic of the compiled module is no Exception.
         logging.getLogger("carina").debug("command failed", exc_info=True)
         message = (
-            f"an internal error in Carina ({type(error).__name__}: {error}); CARINA_LOG_LEVEL=DEBUG shows where. "
+            f"internal error in Carina ({type(error).__name__}: {error}); CARINA_LOG_LEVEL=DEBUG shows where. "
             "Please report it"
         )
         say(f"carina: {message}")

@@ -24,10 +24,10 @@ OPTIONAL = {
     "cryptography": ("the phone page", "pip install 'carina[phone]'"),
     "segno": ("the phone page", "pip install 'carina[phone]'"),
     "av": ("videos of flights (carina fly)", "pip install 'carina[video]'"),
-    "vtk": ("renderer to compare with in benchmarks", "pip install 'carina[bench]'"),
+    "vtk": ("reference renderer for benchmarks", "pip install 'carina[bench]'"),
     "numba": ("baseline for benchmarks", "pip install 'carina[bench]'"),
     "ray": ("rendering on several machines (Linux)", "pip install 'carina[cluster]'"),
-    "scipy": ("distance transform to compare with in benchmarks", "pip install 'carina[bench]'"),
+    "scipy": ("reference distance transform for benchmarks", "pip install 'carina[bench]'"),
 }
 NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")
 

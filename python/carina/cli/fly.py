@@ -127,7 +127,7 @@ def report(
         kept = None if keep is None else KeptFrames(keep, _job(volume, frames, shown, mixed))
         num_kept = 0 if kept is None else min(kept.num, len(shots))
         if num_kept:
-            say(f"continuing after {num_kept} of {len(shots)} frames kept in {keep}")
+            say(f"continuing: {num_kept} of {len(shots)} frames are already in {keep}")
         began_s = time.perf_counter()
         renderer = _renderer(source, progress, None if used is None else used.make_renderer)
         for number, rgb in _pictures(renderer, shots, kept, size):

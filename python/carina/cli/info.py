@@ -58,7 +58,7 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
                 f"{other.description or 'no description'} ({state})"
             )
         for note in volume.source.notes:
-            print(f"  {'doubt' if note.badge else 'note'}: {note.words}")
+            print(f"  {'finding' if note.badge else 'note'}: {note.words}")
         for finding in quality.findings:
             print(f"  quality: {finding.words}")
         if volume.source.citation:

@@ -469,10 +469,10 @@ class Console:
             return
         member.faults += 1
         if member.faults >= MAX_FAULTS:
-            self._tell(f"the renderer {name} keeps returning wrong answers ({wrong}) and is no longer used")
+            self._tell(f"the renderer {name} keeps returning invalid replies ({wrong}) and is no longer used")
             self._remove(name)
             return
-        self._tell(f"the renderer {name} returned a wrong answer: {wrong}; its part was rendered by another")
+        self._tell(f"the renderer {name} returned an invalid reply: {wrong}; another machine rendered its part")
         self._retry(name, ClusterError(wrong, code="cluster.fault"))
 
     def _deliver(self, frame: Frame) -> None:

@@ -105,7 +105,7 @@ def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
     if order.rows is not None and order.rows[0] > 0 and answer.picture is None:
         pass
     elif not isinstance(answer.picture, Picture):
-        return "the first rows without the image's own data"
+        return "a first strip without the data of its image"
     if answer.rgb.shape != expected:
         return f"a strip of shape {answer.rgb.shape} instead of {expected}"
     return None

@@ -156,10 +156,10 @@ class RayLane:
             "memory"
         )
         if self._store_bytes and parcel.num_bytes > self._store_bytes:
-            msg = f"the renderer {self.name} is not used: it keeps {_words(self._store_bytes)} for volumes, and {words}"
+            msg = f"the renderer {self.name} is not used: it has {_words(self._store_bytes)} for volumes, and {words}"
             raise ClusterError(msg, code="cluster.memory")
         if free_bytes is not None and num_bytes + SPARE_BYTES > free_bytes:
-            msg = f"the renderer {self.name} is not used: it has {_words(free_bytes)} of memory left, and {words}"
+            msg = f"the renderer {self.name} is not used: it has {_words(free_bytes)} of free memory, and {words}"
             raise ClusterError(msg, code="cluster.memory")
 
     def _send(self, parcel: Parcel, new: dict[int, Any], done: Loaded) -> None:
@@ -459,8 +459,8 @@ def version_words(console: str, renderer: str, name: str) -> str | None:
 
     side = f"the machine {name}" if key(renderer) < key(console) else "this console"
     return (
-        f"the machine {name} is not used: it runs Carina {renderer} and this console {console}, so their "
-        f"pictures could differ; upgrade {side}"
+        f"the machine {name} is not used: it runs Carina {renderer} and this console runs {console}, so their "
+        f"images could differ; upgrade {side}"
     )
 
 

@@ -39,7 +39,7 @@ def cut_rows(
         If there is no lane or no row.
     """
     if not shares or num_rows < 1:
-        raise UsageError(f"cannot cut {num_rows} rows for {len(shares)} renderers", code="usage.cluster")
+        raise UsageError(f"cannot divide {num_rows} image rows among {len(shares)} renderers", code="usage.cluster")
     # The fastest first: where rows are few, the others get none. Ties keep their order.
     room = max(1, num_rows // min_rows)
     served = sorted(shares, key=lambda lane: -shares[lane])[:room]

@@ -83,7 +83,7 @@ def export_format(path: Path | str, *, kind: ExportKind | None = None) -> Export
     rows = [row for row in EXPORT_FORMATS if kind in {None, row.kind}]
     found = [row for row in rows if name.endswith(row.suffix)]
     if not found:
-        what = {None: "airways are", "surface": "a surface is", "lumen": "a mask is", "tree": "a tree is"}[kind]
+        what = {None: "airways", "surface": "a surface", "lumen": "a mask", "tree": "a tree"}[kind]
         known = ", ".join(row.suffix for row in rows)
-        raise UsageError(f"{what} written as {known}; found {Path(path).name!r}")
+        raise UsageError(f"{what}: expected a file name that ends in {known}; found {Path(path).name!r}")
     return max(found, key=lambda row: len(row.suffix))

@@ -175,7 +175,7 @@ class Navigator:
         """
         amounts = (advance_mm, yaw_rad, pitch_rad, roll_rad)
         if not all(math.isfinite(v) for v in amounts):
-            raise UsageError(f"steering needs finite amounts; found {amounts}")
+            raise UsageError(f"steering amounts must be finite; found {amounts}")
         if self._mode == "scope":
             self._drive_by(advance_mm, roll_rad + yaw_rad, pitch_rad, dt_s)
             return
@@ -206,7 +206,7 @@ class Navigator:
             If a number is not finite.
         """
         if not (np.isfinite(turn).all() and all(math.isfinite(v) for v in offset_mm)):
-            raise UsageError(f"a movement needs finite amounts; found {offset_mm}")
+            raise UsageError(f"a movement must be finite; found {offset_mm}")
         if self._mode == "scope":
             pitch, yaw, roll = (float(v) for v in vector_from_rotation(turn))
             self._drive_by(offset_mm[2], roll + yaw, pitch, dt_s)

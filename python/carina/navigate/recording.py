@@ -323,9 +323,11 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
     """
     header = _object(file.readline(MAX_LINE))
     if header is None or header.get("format") != FORMAT:
-        raise _refused(place, "it does not begin like a Carina recording")
+        raise _refused(place, "it does not start with the header of a Carina recording")
     if header.get("version") != VERSION:
-        raise _refused(place, f"it has version {header.get('version')!r}; this Carina reads {VERSION}")
+        raise _refused(
+            place, f"it has format version {header.get('version')!r}; this version of Carina reads {VERSION}"
+        )
     lines: list[dict[str, Any]] = []
     complete = False
     last_s = 0.0

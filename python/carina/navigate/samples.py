@@ -283,12 +283,12 @@ class SampleGate:
         whys: Counter[Refusal] = Counter()
         for (_, why), num in self._unsaid.items():
             whys[why] += num
-        words = [f"{num} for {why}" for why, num in whys.most_common(3)]
+        words = [f"{why} ({num})" for why, num in whys.most_common(3)]
         names = sorted({device for device, _ in self._unsaid})
         devices = ", ".join(names[:MAX_NAMED]) + (f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else "")
         total = self._unsaid.total()
         self._unsaid.clear()
-        return f"{total} samples of {devices} were ignored: {'; '.join(words)}"
+        return f"{total} samples from {devices} were ignored: {', '.join(words)}"
 
     def _note(self, device: str, why: Refusal) -> None:
         # Devices may come and go many times between two messages.

@@ -147,7 +147,7 @@ class PhonePage:
             connected=self._socket is not None,
             rate_hz=0.0 if link is None else link.rate_hz(time.monotonic()),
             num_bad=sum(bad.values()),
-            bad_words=", ".join(f"{n} for {why}" for why, n in bad.items()),
+            bad_words=", ".join(f"{why} ({n})" for why, n in bad.items()),
             num_refused=opened.tokens.num_refused,
         )
 

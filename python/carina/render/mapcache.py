@@ -173,14 +173,14 @@ def _read(file: Any, shape_zyx: tuple[int, ...]) -> CachedMap:
     """
     magic, version, header_bytes = _START.unpack(file.read(_START.size).ljust(_START.size, b"\0"))
     if magic != _MAGIC or version != MAP_VERSION or header_bytes > _MAX_HEADER_BYTES:
-        raise ValueError("a map of another version")
+        raise ValueError("a map from another version")
     header = json.loads(file.read(header_bytes))
     digests = list(header["digests"])
     count = int(np.prod(shape_zyx))
     # Checked before anything large is allocated.
     body_bytes = os.fstat(file.fileno()).st_size - _START.size - header_bytes
     if tuple(header["shape_zyx"]) != shape_zyx or body_bytes != count * len(digests):
-        raise ValueError("a map of another shape")
+        raise ValueError("a map with a different shape")
     arrays = []
     for digest in digests:
         array = np.empty(shape_zyx, dtype=np.uint8)

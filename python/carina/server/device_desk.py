@@ -320,7 +320,7 @@ def _device(state: DeviceState) -> wire.DeviceInfo:
         latency_ms=round(state.latency_ms, 2),
         num_used=state.num_used,
         num_ignored=sum(state.num_ignored.values()),
-        ignored_words=", ".join(f"{num} for {why}" for why, num in state.num_ignored.items()),
+        ignored_words=", ".join(f"{why} ({num})" for why, num in state.num_ignored.items()),
         position_mm=None if pen is None else pen.position_mm,
         orientation_wxyz=None if pen is None else pen.orientation_wxyz,
         axes=axes,

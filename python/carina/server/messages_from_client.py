@@ -63,7 +63,11 @@ class Layout(ClientMessage, frozen=True):
 
     def choice_problem(self) -> str | None:
         """Each view once."""
-        return None if len({v.view for v in self.views}) == len(self.views) else "the layout contains a view twice"
+        return (
+            None
+            if len({v.view for v in self.views}) == len(self.views)
+            else "the layout contains a view more than once"
+        )
 
 
 class Ack(ClientMessage, frozen=True):

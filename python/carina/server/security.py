@@ -113,7 +113,7 @@ class Gate:
     def refusal(self, *, method: str | None, headers: Mapping[str, str]) -> str | None:
         """Why a request is refused whoever sends it, or None. ``method`` None is a WebSocket."""
         if not host_allowed(headers.get("host", ""), bound_host=self.host, port=self.port):
-            return "this is not the address Carina listens on"
+            return "this is not the address that Carina is listening on"
         origin = headers.get("origin")
         if origin is None:
             if (method is None or method not in SAFE_METHODS) and not self._bearer_matches(headers):

@@ -44,7 +44,7 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
             file.write_copy(path, ct_place=ct_place)
 
     scans = CaseScans(
-        cache, records, default_parts().open_demo, advice="put it back, or open the scan itself where it lies now"
+        cache, records, default_parts().open_demo, advice="put it back, or open the scan from its current location"
     )
     if cache is None:
         return KeptFiles(create, reopen, write, ct_digest, picture=small_picture, scans=scans)

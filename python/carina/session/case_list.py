@@ -117,7 +117,7 @@ class CaseList(Subject):
             except OSError as trouble:
                 raise disk_trouble(trouble, "the case cannot be forgotten", None) from trouble
             if not gone:
-                raise UsageError("this case is open; close it before it is forgotten", code="case.open")
+                raise UsageError("this case is open; close it before you forget it", code="case.open")
             place = record.place
             if self._saving.cache is not None and records.newest_of(record.digest) is None:
                 self._saving.cache.forget(record.digest)
@@ -134,7 +134,7 @@ class CaseList(Subject):
         except OSError as trouble:
             raise disk_trouble(trouble, "the case cannot be restored", None) from trouble
         if restored is None:
-            raise UsageError("this case has been deleted for good", code="session.recent")
+            raise UsageError("this case has been permanently deleted", code="session.recent")
         self._tell()
 
     @does(c.EmptyForgotten)
@@ -156,7 +156,7 @@ class CaseList(Subject):
         """Also the next time."""
         cache = self._saving.cache
         if cache is None or not cache.can_be_on:
-            raise UsageError("Carina was started so that it keeps no CTs", code="case.no-cache")
+            raise UsageError("Carina was started without the CT cache", code="case.no-cache")
         cache.switch(command.on)
         if self.core.store is not None:
             self.core.store.keep_cts(command.on)

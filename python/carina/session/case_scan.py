@@ -61,7 +61,7 @@ class CaseScans:
         records: CaseRecords | None = None,
         open_demo: Callable[..., Volume] | None = None,
         *,
-        advice: str = "say where it lies now",
+        advice: str = "give its current location",
     ) -> None:
         self._cache = cache
         self._records = records
@@ -133,8 +133,8 @@ class CaseScans:
         if refusal is not None:
             raise refusal
         raise CaseFileError(
-            f"{case.path}: the scan of this case is not where it was"
-            f"{'' if source.path is None else f' ({source.path})'}: {self._advice}",
+            f"{case.path}: the scan of this case was not found"
+            f"{'' if source.path is None else f' at {source.path}'}; {self._advice}",
             code="case.no-scan",
         )
 

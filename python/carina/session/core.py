@@ -194,7 +194,7 @@ class SessionCore:
         with self.lock:
             label = move(case.history)
             if label is None:
-                self.answer(Said("there is nothing to " + ("undo" if words == "undone" else "redo")))
+                self.answer(Said(f"there is nothing to {'undo' if words == 'undone' else 'redo'}"))
                 return
             self._moved_in_history(case, f"{words}: {label}")
 

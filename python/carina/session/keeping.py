@@ -206,7 +206,7 @@ class Keeper:
             If it cannot be written.
         """
         if NamedLock.is_taken(path):
-            raise UsageError(f"{path.name} is open for change elsewhere: close it there, or choose another name")
+            raise UsageError(f"{path.name} is open for editing elsewhere: close it there, or choose another name")
         with self._wake:
             file, num_saved = self.file, self._num_saved
             is_whole = file is not None and self.info.problem is None

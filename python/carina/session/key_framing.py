@@ -55,7 +55,7 @@ class KeyFraming(Subject):
                 own = None if edit.name is None else edit.name.strip() or None
                 self._change_key(edit.key_id, "rename", name=own)
             case c.KeySpeed():
-                self._change_key(edit.key_id, "speed to", speed_mm_s=edit.speed_mm_s)
+                self._change_key(edit.key_id, "set the speed to", speed_mm_s=edit.speed_mm_s)
             case c.KeyRemove():
                 self._remove(edit.key_id)
         return None
@@ -96,9 +96,9 @@ class KeyFraming(Subject):
         case = self.core.needed_case()
         with self.core.lock:
             if speed_mm_s is not None:
-                self._set_flying(case, "speed through the key frames", "keys speed", speed_mm_s=speed_mm_s)
+                self._set_flying(case, "set the speed of the key-frame flight", "keys speed", speed_mm_s=speed_mm_s)
             if through is not None:
-                self._set_flying(case, "path through the key frames", None, through=through)
+                self._set_flying(case, "set the path of the key-frame flight", None, through=through)
 
     def _set_flying(self, case: OpenCase, label: str, gesture: str | None, **values: Any) -> None:
         keys = case.document.keys

@@ -71,8 +71,8 @@ class Looking(Subject):
             assert document is not None
             transfer = self.core.parts.transfer_from_json(document)
             if (transfer.unit == "HU") != case.info.volume.is_hu:
-                unit = "HU" if case.info.volume.is_hu else "in raw values, because it is not in HU"
-                raise UsageError(f"this transfer function is in {transfer.unit}; the volume needs {unit}")
+                unit = "HU" if case.info.volume.is_hu else "raw values, because it is not in HU"
+                raise UsageError(f"this transfer function is in {transfer.unit}; the volume needs one in {unit}")
         self.core.edit(command.undo_label, "transfer", transfer=transfer)
 
     @does(c.SetCrosshair)

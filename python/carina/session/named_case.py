@@ -49,13 +49,15 @@ class NamedCase:
                 self._saved = original.load(scan.volume)
                 return scan.volume, self._saved
             if _is_open_in_window(self.path):
-                self.note = f"{path.name} is open in a Carina window: what is done here can be saved under another name"
+                self.note = (
+                    f"{path.name} is open in a Carina window: changes made here can only be saved under another name"
+                )
             else:
                 self._lock = NamedLock.take(self.path)
                 if self._lock is None:
                     self.note = (
-                        f"{path.name} is open for change elsewhere, or cannot be written: what is done here can be "
-                        "saved under another name"
+                        f"{path.name} is open for editing elsewhere, or cannot be written: changes made here can "
+                        "only be saved under another name"
                     )
             self._scratch = ScratchFolder()
             original.write_copy(self._scratch.path / f"case{CASE_SUFFIX}", ct_place=original.source.path)
@@ -89,7 +91,7 @@ class NamedCase:
                 if not target.parent.is_dir():
                     raise UsageError(f"the folder {target.parent} does not exist", code="case.no-place")
                 raise UsageError(
-                    f"{target} is open for change elsewhere, or its folder cannot be written: choose another place",
+                    f"{target} is open for editing elsewhere, or its folder is not writable: choose another folder",
                     code="case.read-only",
                 )
         try:
@@ -150,7 +152,7 @@ class NamedCase:
             raise UsageError(self.note, code="case.read-only")
         if target != self.path and target.exists() and not replace:
             raise UsageError(
-                f"there is a file already: {target}; choose another name, or replace it with replace=True",
+                f"{target} already exists; choose another name, or pass replace=True to replace it",
                 code="case.exists",
             )
         return target
@@ -169,7 +171,7 @@ def _found(case: CaseFile, ct: str | Path | None) -> FoundScan:
 
     settings = load_settings()
     cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
-    scans = CaseScans(cache, _records(), default_parts().open_demo, advice="give its place as ct=")
+    scans = CaseScans(cache, _records(), default_parts().open_demo, advice="give its location as ct=")
     return scans.open(case, ct=ct)
 
 

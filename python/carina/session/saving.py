@@ -75,8 +75,8 @@ class Between:
             record = records.find(case_id)
             if record is not None and record.digest != digest:
                 raise CarinaError(
-                    "the CT in this place is not the one that this case was made with. Choose the case's own CT "
-                    "again, or open this one to begin a new case",
+                    "the CT at this location is not the one that this case was made from. Choose the case's own CT, "
+                    "or open this one to start a new case",
                     code="case.other-ct",
                 )
         self._reopened = None if record is None else self._saving.opened(record)
@@ -181,7 +181,7 @@ class Saving(Subject):
         held = self.records.hold(record)
         if held is None:
             self.core.emit(
-                Said("this CT is already open in another window; changes made here are kept as a separate case")
+                Said("this CT is already open in another window; changes made here are saved as a separate case")
             )
             return None
         try:
@@ -394,7 +394,7 @@ class Saving(Subject):
         self.core.needed_case()
         kept = self._kept
         if kept is None:
-            raise UsageError("this case is not kept on this machine, so it cannot be saved", code="case.not-kept")
+            raise UsageError("this case is not stored on this machine, so it cannot be saved", code="case.not-kept")
         known = kept.copy_path
         if command.path is None and known is None:
             raise UsageError(
@@ -405,7 +405,7 @@ class Saving(Subject):
         if not path.is_absolute():
             raise UsageError(f"expected a full path such as C:\\cases\\NAME or /home/NAME; found {command.path}")
         if command.path is not None and path.exists() and not command.replace and path != known:
-            raise UsageError(f"there is a file already: {path}; choose another name, or replace it", code="case.exists")
+            raise UsageError(f"{path} already exists; choose another name, or replace it", code="case.exists")
 
         def work(job: Job) -> None:
             job.check()

@@ -185,7 +185,7 @@ def _notes_of_files(
     mine = [copy for h in slices for copy in copies.get((h.sop_uid, h.series_uid, h.position_lps), ())]
     if mine:
         names = name_files([(copy.path, "") for copy in mine])
-        words = f"{len(mine)} slices are present twice with identical contents and were used once ({names})"
+        words = f"{len(mine)} slices have exact duplicates, which were ignored ({names})"
         notes.append(Note("import.copies", words))
     return notes
 

@@ -76,7 +76,7 @@ class _Places:
         shared = _first(data, "SharedFunctionalGroupsSequence")
         groups = list(data.get("PerFrameFunctionalGroupsSequence", []))
         if len(groups) != num_frames:
-            raise _refused(path, f"{num_frames} frames have {len(groups)} descriptions", "export it again")
+            raise _refused(path, f"it has {num_frames} frames but {len(groups)} frame descriptions", "export it again")
         try:
             orientations = [_item(g, shared, "PlaneOrientationSequence", "ImageOrientationPatient") for g in groups]
             orientation = np.array(orientations, dtype=np.float64).reshape(num_frames, 6)

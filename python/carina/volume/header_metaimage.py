@@ -99,7 +99,7 @@ def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default:
     given = {name: fields[name] for name in names if name in fields}
     values = {tuple(real(number) for number in text.split()) for text in given.values()}
     if len(values) > 1:
-        problem = f"its {' and '.join(given)} should agree but differ"
+        problem = f"its {' and '.join(given)} should agree, but they differ"
         way_out = "programs differ in which one they use; export it again"
         raise refuse(path, problem, way_out, "import.geometry.ambiguous")
     return next(iter(given.values()), default)

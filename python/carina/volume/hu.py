@@ -177,7 +177,7 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
     span = high / 2 - low / 2
     factor = _STRETCHED_TOP / 2 / span if span > 0 else 1.0
     stretched = np.rint((values.astype(np.float64) - low) * factor).astype(np.int16)
-    words = f"the file's {low:.6g} to {high:.6g} were mapped to 0 to {stretched.max()}"
+    words = f"the file's values from {low:.6g} to {high:.6g} were mapped to 0 to {stretched.max()}"
     return Int16Values(stretched, words, notes, None)
 
 

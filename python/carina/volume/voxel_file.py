@@ -142,7 +142,7 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
         header, begin = _read_header(file, name)
         # Before anything of that size is allocated.
         if os.fstat(file.fileno()).st_size != begin + name.num_bytes:
-            raise DamagedFileError("it is cut short, or longer than it was")
+            raise DamagedFileError("it is shorter or longer than when it was written")
     out = np.empty(name.shape_zyx, dtype="<i2")
     place = out.reshape(-1).view(np.uint8).data
     count = len(header.crc32)
@@ -199,7 +199,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     except msgspec.MsgspecError as error:
         raise DamagedFileError("another version wrote its header") from error
     if header.name != name.file_name:
-        raise DamagedFileError("its content belongs to another CT than its name states")
+        raise DamagedFileError("its content belongs to a different CT from the one that its name states")
     return header, _begin_of_voxels(num_bytes)
 
 

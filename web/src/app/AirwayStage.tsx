@@ -108,7 +108,7 @@ function scopeStop(scope: HeldScope): string | null {
     case "narrow":
       return scope.needs_mm === null
         ? "too narrow"
-        : `needs ${mm(scope.needs_mm)} or smaller${scope.tip_mm === null ? "" : `; this tip is ${mm(scope.tip_mm)}`}`;
+        : `too narrow: fits tips up to ${mm(scope.needs_mm)}${scope.tip_mm === null ? "" : `; this one is ${mm(scope.tip_mm)}`}`;
     case "wall":
       return "stopped by the wall";
     case "entry":
@@ -151,7 +151,7 @@ function EmptyLabel() {
           onPress={() => station.act("reset_look")}
         />
       ) : (
-        <span>Go back, or choose a branch.</span>
+        <span>Withdraw, or choose a branch.</span>
       )}
     </div>
   );
@@ -263,7 +263,7 @@ function AirwayTools() {
 
 const TRANSFER_WORDS: Readonly<Record<string, string>> = {
   endoscopic: "Endoscopic",
-  paper: "Published colours",
+  paper: "Colours as in the paper",
   "ct-grey": "CT greyscale",
   "see-through": "See-through",
   "from histogram": "Histogram",

@@ -84,7 +84,7 @@ function Movement({ told }: { told: DevicesMessage }) {
       </fieldset>
       <PenOffset />
       <p className="numbers">
-        filter {fixed(told.filter_latency_ms, 1)} ms
+        filter delay {fixed(told.filter_latency_ms, 1)} ms
         <SwitchKey
           words="Smooth hand tremor (adds the delay shown)"
           label={controls.filter_on ? "on" : "off"}
@@ -136,7 +136,7 @@ function PenOffset() {
   if (words === null) return null;
   return (
     <p className="warning-text numbers">
-      The pen is {words} from the tip. The gap closes as your hand moves.
+      The pen is {words} from the tip. The tip catches up as your hand moves.
       <Act
         kind="quiet"
         label="Move to pen"
@@ -187,7 +187,7 @@ function Device({ device }: { device: DeviceInfo }) {
       <h3>{device.device}</h3>
       <p className="numbers">{valueWords(device)}</p>
       <p className="quiet numbers">
-        filter {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
+        filter delay {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
         {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
       </p>
       {device.holds ? (
@@ -209,7 +209,8 @@ function valueWords(device: DeviceInfo): string {
   if (device.position_mm !== null) {
     return `${device.position_mm.map((v) => fixed(v, 1)).join("  ")} mm${buttons}`;
   }
-  if (device.orientation_wxyz !== null) return `turned ${device.orientation_wxyz.map((v) => fixed(v, 2)).join("  ")}`;
+  if (device.orientation_wxyz !== null)
+    return `orientation ${device.orientation_wxyz.map((v) => fixed(v, 2)).join("  ")}`;
   return `${device.axes.map((v) => fixed(v, 2)).join("  ")}${buttons}`;
 }
 
@@ -235,7 +236,7 @@ function Calibration({ device }: { device: DeviceInfo }) {
     <details className="calibration">
       <summary>
         {device.registered
-          ? `Calibrated${device.residual_mm === null ? "" : `, ${fixed(device.residual_mm, 1)} mm off`}`
+          ? `Calibrated${device.residual_mm === null ? "" : `, error ${fixed(device.residual_mm, 1)} mm`}`
           : "Calibrate"}
       </summary>
       <p className="quiet">

@@ -31,7 +31,7 @@ export function HistoryList() {
           {rows.map((row, n) => (
             // biome-ignore lint/suspicious/noArrayIndexKey: a step is known by its place
             <li key={n} ref={n === step ? here : undefined} data-undone={n > step || undefined}>
-              <Tip words={n > step ? "Redo everything up to here" : "Go back to here"}>
+              <Tip words={n > step ? "Redo everything up to this point" : "Go back to this point"}>
                 <Button
                   className="history-row"
                   aria-current={n === step ? "step" : undefined}

@@ -237,7 +237,9 @@ function Player({ told }: { told: KeysMessage }) {
         <Act
           icon={playing.on ? "pause" : "play"}
           label={playing.on ? "Pause" : "Play"}
-          words={playing.on ? "Pause here" : "Fly through the key frames. Any movement you make stops the playback."}
+          words={
+            playing.on ? "Pause the playback" : "Fly through the key frames. Any movement you make stops the playback."
+          }
           testId="play-keys"
           onPress={() => station.playKeys()}
         />
@@ -262,7 +264,7 @@ function Player({ told }: { told: KeysMessage }) {
       </div>
       <Slider
         className={on ? "path-slider" : "path-slider off-flight"}
-        aria-label="Time in the flight, seconds"
+        aria-label="Time in the flight (seconds)"
         minValue={0}
         maxValue={told.duration_s}
         step={0.01}
@@ -294,7 +296,7 @@ function Flight({ told }: { told: KeysMessage }) {
     <div className="group">
       <Figure
         label="Speed"
-        words="Speed of every leg without a speed of its own"
+        words="Speed of every leg that has no speed set"
         unit="mm/s"
         value={told.speed_mm_s}
         choices={KEY_SPEEDS_MM_S}

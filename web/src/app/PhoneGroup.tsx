@@ -1,6 +1,6 @@
 /** The page for a phone: switched on and off, its link as a code to scan, and the certificate to compare. */
 
-import { fixed } from "../state/format";
+import { fixed, plural } from "../state/format";
 import { fingerprintLines, qrPath } from "../state/qr";
 import type { DevicesMessage, PhoneInfo } from "../wire/messages";
 import { useStation } from "./context";
@@ -56,8 +56,8 @@ function Open({ phone }: { phone: PhoneInfo }) {
       </p>
       <p className="quiet">
         Listening on {phone.address}, encrypted. Anyone with this link can move the tip, but cannot see the case.
-        {phone.num_refused === 0 ? "" : ` Refused: ${phone.num_refused} with an invalid link.`}
-        {phone.num_bad === 0 ? "" : ` Ignored: ${phone.bad_words}.`}
+        {phone.num_refused === 0 ? "" : ` ${plural(phone.num_refused, "connection")} with an invalid link refused.`}
+        {phone.num_bad === 0 ? "" : ` Messages ignored: ${phone.bad_words}.`}
       </p>
     </>
   );

@@ -20,7 +20,7 @@ export function RecentCases() {
         <Act
           kind="quiet"
           label={more > 0 ? `All ${recent.length} cases and storage` : "Cases and storage"}
-          words="Name and delete cases, and see what they take on the disk"
+          words="Rename or delete cases, and see how much disk space they use"
           testId="open-storage"
           onPress={() => {
             station.send({ type: "ask_storage" });

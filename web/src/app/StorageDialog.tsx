@@ -199,9 +199,9 @@ function CachedCts({ storage }: { storage: Storage }) {
       </div>
       <p className="quiet">
         {on
-          ? `${storage.num_cts === 0 ? "No CTs are" : storage.num_cts === 1 ? "1 CT is" : `${storage.num_cts} CTs are`} cached. A cached CT opens faster; the cache contains no work and can be emptied at any time.`
+          ? `${storage.num_cts === 0 ? "No CTs are" : storage.num_cts === 1 ? "1 CT is" : `${storage.num_cts} CTs are`} cached. A cached CT opens faster. Your work is not stored in the cache, so it can be emptied at any time.`
           : storage.keeps_cts === "off"
-            ? "The cache is off: every CT is read from its files."
+            ? "The cache is off: each CT is read from its original files."
             : "The cache is off, because Carina was started without it."}
       </p>
       {storage.keeps_cts === "never" ? null : (
@@ -209,7 +209,9 @@ function CachedCts({ storage }: { storage: Storage }) {
           <Act
             label={on ? "Turn the cache off" : "Turn the cache on"}
             words={
-              on ? "Empty the cache and read every CT from its files" : "Cache the CTs that are opened from now on"
+              on
+                ? "Empty the cache; CTs are then read from their original files"
+                : "Cache the CTs that are opened from now on"
             }
             testId="switch-cache"
             onPress={() => station.send({ type: "keep_cts", on: !on })}

@@ -289,7 +289,7 @@ export class Workstation implements Station {
   save(): void {
     const saving = this.state.session?.saving;
     if (saving?.keeps !== true)
-      this.notice("This case was not opened from a folder or file on this machine: it is not kept.");
+      this.notice("This case was not opened from a folder or file on this machine, so it is not saved.");
     else if (saving.copy_name === null) this.ui({ saveOpen: true });
     else this.send({ type: "save_case" });
   }
@@ -595,7 +595,7 @@ export class Workstation implements Station {
     const fork = forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
     const way = fork === null ? null : neighbourWay(fork.ways, step);
     if (fork === null) this.notice("There is no fork ahead on this route.");
-    else if (way === null) this.notice(`No branch farther ${step < 0 ? "left" : "right"}.`);
+    else if (way === null) this.notice(`There is no branch further ${step < 0 ? "left" : "right"}.`);
     else this.chooseBranch(mainLeaf(way.node).branch.id);
   }
 

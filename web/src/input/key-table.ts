@@ -72,7 +72,7 @@ export type Command =
 export const PLACES = {
   page: { title: "Anywhere", within: null, over: [] },
   brush: { title: "With a brush selected", within: null, over: [] },
-  picture: { title: "Any view that has focus", within: null, over: [] },
+  picture: { title: "Any view with focus", within: null, over: [] },
   plane: { title: "Slices and cut-plane", within: "picture", over: [] },
   path: { title: "Straightened and curved views", within: "picture", over: [] },
   carm: { title: "X-ray from the C-arm", within: "picture", over: [] },
@@ -219,7 +219,7 @@ const PAGE: readonly Binding[] = [
     key: "Enter",
     ctrl: true,
     label: "Ctrl+Enter",
-    words: "Lock the mouse to the airway view: it steers the tip (Esc frees it)",
+    words: "Lock the mouse to the airway view to steer the tip (Esc releases it)",
     group: "Fly",
     command: press("lock_mouse"),
   },
@@ -442,7 +442,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "g",
     label: "G",
-    words: "Show the C-arm view as radiograph or fluoroscopy",
+    words: "Switch the C-arm view between radiograph and fluoroscopy",
     group: "Views",
     command: press("toggle_tone"),
   },
@@ -525,7 +525,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "Escape",
     label: "Esc",
-    words: "Cancel the current tool; then exit full view; then remove the wall marks",
+    words: "Cancel the current tool, else exit full view, else remove the wall marks",
     group: "Help",
     command: press("leave"),
   },
@@ -586,7 +586,7 @@ export const MOUSE: readonly { readonly where: string; readonly what: readonly (
       ["Wheel", "previous or next slice; cut-plane: zoom"],
       ["Ctrl + wheel", "zoom"],
       ["Middle drag, Shift + drag", "pan"],
-      ["Right drag", "window: width across, level up and down"],
+      ["Right drag", "window: drag across for width, up or down for level"],
     ],
   },
   {
@@ -609,7 +609,7 @@ export const MOUSE: readonly { readonly where: string; readonly what: readonly (
     what: [
       ["Drag", "turn; on a plane: move the plane"],
       ["Wheel", "zoom in, zoom out"],
-      ["Click a branch", "make it the route"],
+      ["Click a branch", "choose it as the route"],
     ],
   },
   {

@@ -105,7 +105,7 @@ describe("a branch in words", () => {
   it("has its long name, figures and doubts in the tooltip", () => {
     expect(tooltipOf(node(tree, 1))).toBe(
       `RB1, apical segment, RUL\ngeneration 1, 30${NBSP}mm long, lumen 6.1${NBSP}mm\n` +
-        "the name has only 42 % confidence\nuncommon anatomy: RB1 and RB2 share a stem",
+        "the confidence of the name is only 42 %\nuncommon anatomy: RB1 and RB2 share a stem",
     );
     expect(tooltipOf(node(tree, 3))).toContain("Bridge across an obstruction. The CT shows no airway here.");
   });

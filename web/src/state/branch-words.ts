@@ -19,7 +19,7 @@ export function marksOf(node: BranchNode): readonly Mark[] {
   const { branch } = node;
   const marks: Mark[] = [];
   if (branch.name_confidence !== null && branch.name_confidence < DOUBTFUL.name) {
-    marks.push({ sign: "?", words: `the name has only ${percent(branch.name_confidence)} confidence` });
+    marks.push({ sign: "?", words: `the confidence of the name is only ${percent(branch.name_confidence)}` });
   }
   if (branch.confidence !== null && branch.confidence < DOUBTFUL.airway) {
     marks.push({ sign: "~", words: `only ${percent(branch.confidence)} confidence that this is an airway` });

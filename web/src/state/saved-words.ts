@@ -45,7 +45,7 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
   const folder = (saving.copy_folder ?? "").split(/[/\\]/).at(-1) ?? "";
   return {
     label: `${saved} \u00b7 copy of ${clock(saving.copied_s, nowMs)} in ${folder}`,
-    words: `${saving.copy_folder ?? ""}: ${saving.copy_name}. It is refreshed every minute and when the case is closed.`,
+    words: `${saving.copy_folder ?? ""}: ${saving.copy_name}. It is updated every minute and when the case is closed.`,
     warns: false,
   };
 }

@@ -221,7 +221,7 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
             away_mm = length_mm
     far = f"more than {MAX_BRIDGE_MM:g} mm" if away_mm is None else f"{away_mm:.0f} mm"
     msg = (
-        f"the bridge would be {far} long, and at most {MAX_BRIDGE_MM:g} mm is possible: click nearer to the "
+        f"the bridge would be {far} long; at most {MAX_BRIDGE_MM:g} mm is possible: click nearer to the "
         "obstruction, or bridge in two steps"
     )
     raise NoResultError(msg, code="track.bridge-too-long")

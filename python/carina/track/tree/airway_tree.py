@@ -167,7 +167,7 @@ class AirwayTree:
         num_named = sum(branch.name is not None for branch in self.branches)
         num_drawn = sum(branch.kind == "manual" for branch in self.branches)
         lines = [
-            f"{len(self)} branches ({num_named} with a name), {len(self.tips())} tips, "
+            f"{len(self)} branches ({num_named} named), {len(self.tips())} tips, "
             f"generations 0 to {inner_first[-1].generation}"
             + (f"; the first {len(rows)} are listed" if len(self) > len(rows) else ""),
             "seen from the front, the patient's right on the left; line width is the lumen's, colour the generation",
