@@ -86,6 +86,12 @@ window.__pixels = (view) => {
 """
 
 
+AS_YET_MISSING = """(arg) => {
+  try { return (%s)(arg); }
+  catch (error) { if (error instanceof TypeError) return false; throw error; }
+}"""
+
+
 OUT = Path(__file__).resolve().parents[1] / "out" / "e2e"
 FUNCTION = re.compile(r"\(?[\[\w, \]]*\)? =>")
 
@@ -177,10 +183,13 @@ class Workstation:
         self.wait_still()
 
     def wait_for(self, condition: str, arg: Any = None) -> None:
-        """Wait until an expression of the page holds, or a function of ``arg``."""
+        """Wait until an expression of the page holds, or a function of ``arg``.
+
+        While a value that it asks a property of is null or missing, it does not hold yet.
+        """
         # The page's policy lets no bare text be evaluated.
         function = condition if FUNCTION.match(condition) else f"() => {condition}"
-        self.page.wait_for_function(function, arg=arg, timeout=PICTURE_MS)
+        self.page.wait_for_function(AS_YET_MISSING % function, arg=arg, timeout=PICTURE_MS)
 
     def state(self, expression: str) -> Any:
         """A value out of the client's state, such as ``pose.path_mm``."""
