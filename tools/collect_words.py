@@ -39,6 +39,8 @@ MARKUP = re.compile(
 )
 """Strings that look like words and are markup, headers of files or types."""
 TOKENS = {
+    "python/carina/case/rescue.py": r"(n|id), .*",
+    "python/carina/case/schema.py": r"id INTEGER .*",
     "python/carina/commands/value.py": r"Number out of range|matching regex",
     "python/carina/export/mesh_file.py": r"o airways|# badge .*",
     "python/carina/export/tree_formats.py": r"# badge .*",
@@ -105,7 +107,7 @@ def name_of(node: ast.expr) -> str:
 
 Frame = tuple[list[str], list[str | int]]
 """Parameters of a function, and its sentence: text, and which parameter stands where."""
-FRAMER = re.compile(r"_?(damaged|refused?)")
+FRAMER = re.compile(r"_?(damaged|lying|refused?)")
 """Functions that put a sentence together from what they are given: their calls are the sentences."""
 
 
@@ -116,6 +118,9 @@ WRAPPED: dict[str, tuple[list[str], str]] = {
     "drafted": (["path"], "cannot write {what} to {path}: {why}"),
     "make_folder": (["path"], "cannot create the folder for {what} at {path}: {why}"),
     "FeatureOff": (["what", "why"], "{what}: off, {why}"),
+    "_Reason": (["code", "why", "advice"], "cannot write {what} to {path}: {why}; {advice}"),
+    "_point": (["what", "value"], "{what}: expected a point x,y,z in LPS mm, found {value}"),
+    "_number": (["what", "value"], "{what}: expected a number {limits}, found {value}"),
     "_change_key": (["key_id", "verb"], "{verb} key frame {number}"),
 }
 """Functions that make a sentence in several steps: parameters by place, and what is read in the end."""

@@ -173,7 +173,10 @@ def test_measures_that_are_damaged_are_made_again_and_that_is_said(tmp_path):
     again, background = started(tmp_path, measuring)
     assert len(measuring.asked) == 1
     told = [e.message for e in EVENTS[-1] if isinstance(e, Said)]
-    assert any("the saved measurements of the airways cannot be read, so they are made" in words for words in told)
+    assert any(
+        "the saved measurements of the airways cannot be read, so the airways will be measured" in words
+        for words in told
+    )
     # Made from nothing; edits had gone on from those before.
     found = again.snapshot().measures
     assert [b.branch_id for b in found.branches] == [b.branch_id for b in expected.branches]

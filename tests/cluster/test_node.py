@@ -103,8 +103,8 @@ FACTS = {"host": "m", "threads": 4, "simd": "avx2", "version": "0.1.0", "pid": 1
 @pytest.mark.parametrize(
     ("store_bytes", "new_bytes", "free_bytes", "words"),
     [
-        (3 * 2**30, 0, None, "has 3.0 GiB for volumes"),
-        (8 * 2**30, 4 * 2**30, 4 * 2**30, "has 4.0 GiB of free memory"),
+        (3 * 2**30, 0, None, "has only 3.0 GiB for volumes"),
+        (8 * 2**30, 4 * 2**30, 4 * 2**30, "has only 4.0 GiB of free memory"),
     ],
 )
 def test_a_case_that_does_not_fit_is_told_with_what_is_there_and_what_it_needs(

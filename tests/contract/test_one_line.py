@@ -360,7 +360,7 @@ def test_a_large_tree_lists_its_first_branches_only(shown: Shown) -> None:
     root = ElementTree.fromstring(page.replace("<br>", "<br/>"))
     assert len(list(root.iter("tr"))) == 1 + 12
     assert f"{len(shown.airways.tree)} branches" in page
-    assert "; the first 12 are listed" in page
+    assert "; the first 12 branches are listed" in page
     assert len(page) < 200_000
 
 

@@ -130,7 +130,7 @@ _STORED = (chest().astype(np.int32) + 1024).astype(np.uint16)
 _HALVES = (chest() * 2).astype(np.int16)
 _EIGHTS = (chest() * 8).astype(np.int16)
 _N, _R, _M, _G = "NIfTI", "NRRD", "MetaImage", "Numbers that are none"
-_NOT3D = "save a single volume in a file of its own"
+_NOT3D = "save each volume as a separate file"
 
 INPUTS: tuple[Input, ...] = (
     Input("a single file", _N, _form("nifti"), "opens", voxels=_same),

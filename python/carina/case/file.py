@@ -290,7 +290,7 @@ class CaseFile:
             if turn is None:
                 raise refused(
                     self.path,
-                    f"it belongs to another scan: expected {grid_words(source.shape_zyx)} voxels in the "
+                    f"it belongs to another scan: expected {grid_words(source.shape_zyx)} voxels at the "
                     f"position of that scan; found {grid_words(volume.shape_zyx)}; "
                     "choose the scan that the case was made from",
                     code="case.other-scan",

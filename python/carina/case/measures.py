@@ -96,7 +96,7 @@ def branch_from(
     width = sum(FIGURES.values())
     numbers = np.frombuffer(inflated(figures, 8 * width * count, where), dtype="<f8").reshape(width, count)
     if np.isinf(numbers).any():
-        raise damaged(where, "finite numbers, or none", "infinite ones")
+        raise damaged(where, "finite numbers or no value", "infinite numbers")
     values: dict[str, Any] = {}
     at = 0
     for name, wide in FIGURES.items():

@@ -105,7 +105,7 @@ class RecordingTable:
         found = connection.execute("SELECT count(*) FROM recording WHERE id = ?", (recording_id,)).fetchone()[0]
         if not found:
             raise UsageError(
-                f"this case has no recording {recording_id}; choose one of those that it lists", code="case.recording"
+                f"this case has no recording {recording_id}; choose one that it lists", code="case.recording"
             )
         count, size = connection.execute(
             "SELECT count(*), coalesce(sum(size), 0) FROM recording_chunk WHERE recording = ?", (recording_id,)
@@ -161,7 +161,7 @@ class RecordingTable:
             changed = connection.execute(sql, values).rowcount
         if not changed:
             raise UsageError(
-                f"this case has no recording {recording_id}; choose one of those that it lists", code="case.recording"
+                f"this case has no recording {recording_id}; choose one that it lists", code="case.recording"
             )
 
 

@@ -79,11 +79,15 @@ class _Rescue:
             self._source = read_source(connection)
         except TROUBLE as trouble:
             raise refused(
-                path, f"nothing can be recovered: the record of its scan is lost ({trouble})", code="case.damaged"
+                path,
+                f"nothing can be recovered, because the record of its scan is lost ({trouble})",
+                code="case.damaged",
             ) from trouble
         if int(np.prod(np.array(self._source.shape_zyx, dtype=np.float64))) > MAX_VOXELS:
             raise refused(
-                path, "nothing can be recovered: the recorded size of its scan is impossible", code="case.damaged"
+                path,
+                "nothing can be recovered, because the recorded size of its scan is impossible",
+                code="case.damaged",
             )
         # Only the grid is looked at; pages of memory that nobody looks at are never made.
         standing_in = Volume(np.zeros(self._source.shape_zyx, np.int16), self._source.lps_from_ijk, self._source.is_hu)
@@ -153,7 +157,7 @@ class _Rescue:
         if not documents:
             raise refused(
                 self._path,
-                "nothing can be recovered: all the changes recorded in this file are lost",
+                "nothing can be recovered, because all the changes recorded in it are lost",
                 code="case.damaged",
             )
         return Moment(

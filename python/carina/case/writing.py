@@ -389,7 +389,7 @@ class CaseWriter:
             row = self._whole_measures(airways, whole)
         except CarinaError as trouble:
             # They can be made again; what a person did cannot, and is saved without them.
-            logger.warning("the measurements of the airways are not saved (%s)", trouble.code)
+            logger.warning("the measurements of the airways could not be saved (%s)", trouble.code)
             row = 0
         self._note("measures", measures, row)
 
@@ -400,7 +400,7 @@ class CaseWriter:
         values = {
             "airways": airways,
             "branches": packed_ints(rows),
-            "facts": as_checked_json(facts, self._decoders.measures, "the measures of the airways"),
+            "facts": as_checked_json(facts, self._decoders.measures, "the measurements of the airways"),
         }
         digest = digest_of("measures", *values.values())
         known = self._ids["measures"].get(digest)
@@ -419,7 +419,7 @@ class CaseWriter:
             known = self._put("sections", sections_of(branch))
             self._weak.note("sections", branch.edge_mm, known)
         facts = branch_facts(branch, fork)
-        said = as_checked_json(facts, self._decoders.measured, f"the measures of branch {branch.branch_id}")
+        said = as_checked_json(facts, self._decoders.measured, f"the measurements of branch {branch.branch_id}")
         return self._put("measured_branch", {"sections": known, "flags": flags_of(branch), "facts": said})
 
     # ------------------------------------------------------------ content

@@ -167,7 +167,7 @@ def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[
             "with another build of Carina"
         )
     if not recorded.complete:
-        say("note: the recording is incomplete; it is replayed up to where it ends")
+        say("note: the recording is incomplete; the replay stops where it ends")
     return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
 
 
@@ -252,7 +252,7 @@ def _renderer(source: Opened, progress: Any, make: RendererFactory | None) -> Re
             source.badges.add(getattr(airways, "badges", ()))
             renderer.set_lumen(airways.lumen_zyx)
         except NoResultError as trouble:
-            say(f"note: {trouble}; thin walls are shown as the CT has them")
+            say(f"note: {trouble}; thin walls are shown as they appear in the CT")
     return renderer
 
 

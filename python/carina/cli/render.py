@@ -230,7 +230,7 @@ def report(
         except carina.NoResultError as error:
             if wants_lumen:
                 raise
-            say(f"note: {error}; thin walls are shown as the CT has them")
+            say(f"note: {error}; thin walls are shown as they appear in the CT")
     left = source.tip if wants_pose and look is None and up is None else None
     if left is not None:
         at = left.position_lps

@@ -156,10 +156,10 @@ class RayLane:
             "memory"
         )
         if self._store_bytes and parcel.num_bytes > self._store_bytes:
-            msg = f"the renderer {self.name} is not used: it has {_words(self._store_bytes)} for volumes, and {words}"
+            msg = f"the renderer {self.name} is not used: it has only {_words(self._store_bytes)} for volumes; {words}"
             raise ClusterError(msg, code="cluster.memory")
         if free_bytes is not None and num_bytes + SPARE_BYTES > free_bytes:
-            msg = f"the renderer {self.name} is not used: it has {_words(free_bytes)} of free memory, and {words}"
+            msg = f"the renderer {self.name} is not used: it has only {_words(free_bytes)} of free memory; {words}"
             raise ClusterError(msg, code="cluster.memory")
 
     def _send(self, parcel: Parcel, new: dict[int, Any], done: Loaded) -> None:

@@ -150,8 +150,8 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
     path = place.group(1) if place else ""
     where += path
     if bound := BOUND.match(text):
-        side = "at least" if bound.group(1).startswith(">") else "at most"
-        return "range", f"{where} must be {side} {float(bound.group(2)):g}; found {_short(_at(value, path))}"
+        limit = "at least" if bound.group(1).startswith(">") else "at most"
+        return "range", f"{where} must be {limit} {float(bound.group(2)):g}; found {_short(_at(value, path))}"
     if text.startswith("Number out of range"):
         return "range", f"{where} is too large"
     if length := LENGTH.match(text):

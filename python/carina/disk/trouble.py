@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 from pathlib import Path
+from typing import NamedTuple
 
 from carina.errors import CarinaError, DiskError
 
@@ -75,10 +76,17 @@ def disk_trouble(
     return made
 
 
-def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) -> tuple[str, str, str]:
+class _Reason(NamedTuple):
+    code: str
+    why: str
+    advice: str
+
+
+def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) -> _Reason:
     """Code, reason, and what to do."""
     place = None if where is None else Path(where)
     elsewhere = "choose another folder"
+    or_elsewhere = "" if place is None else " or choose another folder"
     match error.errno:
         case errno.ENOSPC:
             known = [] if needed_bytes is None else [f"about {say_size(needed_bytes)} needed"]
@@ -86,33 +94,33 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
             known += [] if free is None else [f"{say_size(free)} free"]
             numbers = f" ({', '.join(known)})" if known else ""
             # "No space left on device" is what people search for.
-            return "disk.full", f"the disk is full{numbers}", f"free some space{_or_elsewhere(place)}"
+            return _Reason("disk.full", f"the disk is full{numbers}", f"free some space{or_elsewhere}")
         case errno.EDQUOT:
-            return "disk.full", "your quota on this disk is used up", f"delete files{_or_elsewhere(place)}"
+            return _Reason("disk.full", "your quota on this disk is used up", f"delete files{or_elsewhere}")
         case errno.EFBIG:
-            return "disk.full", "the file would exceed the size limit of this disk or account", elsewhere
+            return _Reason("disk.full", "the file would exceed the size limit of this disk or account", elsewhere)
         case errno.EROFS:
-            return "disk.denied", "this disk is read-only", elsewhere
+            return _Reason("disk.denied", "this disk is read-only", elsewhere)
         case errno.EACCES | errno.EPERM:
-            return "disk.denied", "you do not have permission to write there", elsewhere
+            return _Reason("disk.denied", "you do not have permission to write there", elsewhere)
         case errno.ENOENT:
-            return "disk.missing", "there is no such folder", "create it, or choose another"
+            return _Reason("disk.missing", "there is no such folder", "create it, or choose another")
         case errno.ENOTDIR:
-            return "disk.missing", "part of this path is a file, not a folder", elsewhere
+            return _Reason("disk.missing", "part of this path is a file, not a folder", elsewhere)
         case errno.EISDIR | errno.EEXIST | errno.ENOTEMPTY:
-            return "disk.in-the-way", "something with this name already exists", "move it, or choose another name"
+            return _Reason(
+                "disk.in-the-way", "something with this name already exists", "move it, or choose another name"
+            )
         case errno.ENAMETOOLONG:
-            return "disk.failed", "the name is too long for this disk", "choose a shorter one"
+            return _Reason("disk.failed", "the name is too long for this disk", "choose a shorter one")
         case errno.EMFILE | errno.ENFILE:
-            return "machine.files", "too many files and connections are open", "close other windows and try again"
+            return _Reason(
+                "machine.files", "too many files and connections are open", "close other windows and try again"
+            )
         case errno.EIO:
-            return "disk.failed", "the disk reported an error", "check the disk, or choose another"
+            return _Reason("disk.failed", "the disk reported an error", "check the disk, or choose another")
         case _:
-            return "disk.failed", error.strerror or str(error) or type(error).__name__, ""
-
-
-def _or_elsewhere(place: Path | None) -> str:
-    return "" if place is None else " or choose another folder"
+            return _Reason("disk.failed", error.strerror or str(error) or type(error).__name__, "")
 
 
 def _free_bytes(place: Path | None) -> int | None:

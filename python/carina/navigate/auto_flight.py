@@ -44,8 +44,8 @@ class AutoFlight:
     def __init__(self, path: FlightPath, *, speed_mm_s: float = 20.0, pause_s: float = 1.0) -> None:
         if not (0.1 <= speed_mm_s <= 500.0 and 0.0 <= pause_s <= 60.0):
             raise UsageError(
-                f"a flight must have a speed of 0.1 to 500 mm/s and pauses of 0 to 60 s; found {speed_mm_s:g} "
-                f"and {pause_s:g}"
+                f"a flight must have a speed of 0.1 to 500 mm/s and pauses of 0 to 60 s; found {speed_mm_s:g} mm/s "
+                f"and {pause_s:g} s"
             )
         self._path = path
         stops = [mm for mm in path.lookouts_mm if 0.0 < mm < path.length_mm]

@@ -120,7 +120,7 @@ def open_keys(path: str | Path) -> KeyFile:
             raise VolumeImportError(f"{place.name}: too large for a key-frame file", code="navigate.keys")
         document = json.loads(place.read_text(encoding="utf-8"))
         if document["format"] != FORMAT or document["version"] not in {1, VERSION}:
-            raise ValueError(f"expected {FORMAT} 1 or {VERSION}")
+            raise ValueError(f"expected the format {FORMAT}, version 1 or {VERSION}")
         return _timed(document) if document["version"] == 1 else _with_speeds(document)
     except VolumeImportError:
         raise
@@ -145,7 +145,9 @@ def _with_speeds(document: dict[str, Any]) -> KeyFile:
         or not (case is None or isinstance(case, dict))
         or not isinstance(view, dict)
     ):
-        raise ValueError("expected airways or space in the field through, and objects in the fields case and view")
+        raise ValueError(
+            "expected 'airways' or 'space' in the field 'through', and objects in the fields 'case' and 'view'"
+        )
     frames = []
     for key in document["keys"]:
         way = key.get("way")

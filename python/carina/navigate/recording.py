@@ -229,7 +229,7 @@ class Recording:
         made_by = self.header.get("carina")
         if made_by != carina:
             raise VolumeImportError(
-                f"this recording was made by Carina {made_by}; this is {carina}, whose poses may differ very "
+                f"this recording was made by Carina {made_by}; this is Carina {carina}, and its poses may differ very "
                 "slightly: replay it with the version that made it",
                 code="navigate.recording",
             )

@@ -118,7 +118,7 @@ class TransferFunction:
         if len(falling):
             before, after = points[falling[0] : falling[0] + 2, 0]
             msg = (
-                "the points of a transfer function must be in order of value; "
+                "the points of a transfer function must be in increasing order of value; "
                 f"found {after:g} at point {falling[0] + 1} after {before:g}"
             )
             raise RenderError(msg, code="render.transfer")
@@ -314,7 +314,7 @@ def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
     counts = np.bincount(volume.hu_zyx.ravel().astype(np.int32) - lo, minlength=hi - lo + 1).astype(np.float64)
     values = np.arange(lo, hi + 1, dtype=np.float64)
     if hi == lo:
-        msg = f"every voxel of this volume is {lo}: there is nothing to distinguish"
+        msg = f"every voxel of this volume is {lo}, so there is nothing to distinguish"
         raise RenderError(msg, code="render.transfer")
     below = np.cumsum(counts)[:-1]
     above = counts.sum() - below

@@ -185,7 +185,7 @@ class Uploads:
         return path
 
 
-_BY_PATH = "or open the scan by its path instead of dropping it"
+_BY_PATH = "you can also open the scan by its path"
 _MAX_HEADER_BYTES = 65_536
 _DATA_FILE = re.compile(rb"^(ElementDataFile\s*=|data ?file\s*:)[ \t]*([^\r\n]*?)[ \t]*$", re.IGNORECASE | re.MULTILINE)
 

@@ -188,7 +188,7 @@ def new_case(
     """
 
     def say_lost(trouble: CarinaError) -> None:
-        say(f"the saved measurements of the airways cannot be read, so they are made again: {trouble}")
+        say(f"the saved measurements of the airways cannot be read, so the airways will be measured again: {trouble}")
 
     off: tuple[FeatureOff, ...] = ()
     threshold: float | None = None

@@ -88,7 +88,7 @@ class Opening(Subject):
     def _open_record(self, record: CaseRecord) -> str:
         if record.place is None:
             raise UsageError(
-                "the CT of this case was dropped onto Carina, so its place is not known: drop or choose it again to "
+                "the CT of this case was dropped onto Carina, so its location is not known: drop or choose it again to "
                 "continue",
                 code="case.no-ct",
             )

@@ -324,7 +324,7 @@ class Saving(Subject):
         if not kept.end(within_s):
             self._ending.append(kept)
             if within_s is not None:
-                logger.warning("Carina ends before the disk has taken the latest changes of a case")
+                logger.warning("Carina is closing before the latest changes of a case were written to the disk")
         if self._kept is kept:
             self._kept = None
 

@@ -139,7 +139,7 @@ class Session:
         """
         handler = self._handlers.get(type(command))
         if handler is None or not isinstance(command, Command):
-            raise UsageError(f"expected a command of carina.commands; found {type(command).__name__}")
+            raise UsageError(f"expected a command from carina.commands; found {type(command).__name__}")
         command = checked(command)
         with self._core.doing(command, window):
             return cast("str | None", handler(command))
@@ -154,7 +154,7 @@ class Session:
         """
         handler = self._handlers.get(type(question))
         if handler is None or not isinstance(question, Question):
-            raise UsageError(f"expected a question of carina.commands; found {type(question).__name__}")
+            raise UsageError(f"expected a question from carina.commands; found {type(question).__name__}")
         return cast(A, handler(checked(question)))
 
     # ------------------------------------------------------------ undo

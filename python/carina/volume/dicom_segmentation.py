@@ -48,7 +48,7 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
         )
     names = {int(s.SegmentNumber): _plain(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence", [])}
     if len(names) > 255 or any(not 0 < number <= 255 for number in names):
-        raise _refused(path, f"it has {len(names)} segments; expected at most 255", "export the airway alone")
+        raise _refused(path, f"it has {len(names)} segments; expected at most 255", "export only the airway segment")
     rows, columns, num_frames = (int(data.get(key, 0) or 0) for key in ("Rows", "Columns", "NumberOfFrames"))
     if min(rows, columns, num_frames) < 1 or rows * columns * num_frames > MAX_VOXELS * max(1, len(names)):
         raise _refused(path, f"it claims {num_frames} frames of {columns} x {rows} pixels", "export it again")
@@ -64,7 +64,7 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
     for frame, plane, segment in zip(frames, places.planes, places.segments, strict=True):
         taken = labels[plane]
         if (frame & (taken != 0) & (taken != segment)).any():
-            raise _refused(path, "its segments overlap", "export the airway alone")
+            raise _refused(path, "its segments overlap", "export only the airway segment")
         taken[frame] = segment
     return labels, places.lps_from_ijk, names
 

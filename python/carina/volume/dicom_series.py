@@ -236,7 +236,7 @@ def _join_nameless(groups: list[Group]) -> list[Group]:
         note = Note(
             "import.identity-missing",
             f"{len(lost.slices)} slices do not state which series they belong to "
-            f"({name_files([(h.path, '') for h in lost.slices])}); they continue this one and were added to it",
+            f"({name_files([(h.path, '') for h in lost.slices])}); they continue this series and were added to it",
         )
         at = named.index(fitting[0])
         named[at] = replace(

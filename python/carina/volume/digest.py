@@ -193,10 +193,10 @@ def refuse_other_ct(volume: Volume, digest: str, geometry: Grid) -> None:
     ours, theirs = canonical_geometry(volume), canonical_geometry(geometry)
     advice = "open the CT that the case was made from"
     if ours.shape_zyx != theirs.shape_zyx:
-        msg = f"this is another CT: expected {_sizes(theirs)} voxels, found {_sizes(ours)}; {advice}"
+        msg = f"this is a different CT: expected {_sizes(theirs)} voxels, found {_sizes(ours)}; {advice}"
         raise VolumeImportError(msg, code="import.other-ct")
     if ct_digest(volume) != digest:
-        msg = f"this is another CT: its voxel values differ from those of the case; {advice}"
+        msg = f"this is a different CT: its voxel values differ from those of the case; {advice}"
         raise VolumeImportError(msg, code="import.other-ct")
     apart_mm = _apart_mm(ours, theirs)
     if apart_mm > GEOMETRY_TOLERANCE_MM:

@@ -86,7 +86,7 @@ def _check(path: Path, header: GridHeader) -> None:
     if len(header.shape_ijk) != 3 or header.num_components != 1:
         values = f" with {header.num_components} values in each voxel" if header.num_components != 1 else ""
         problem = f"expected one volume of three axes, found {header.sizes}{values}"
-        raise refuse(path, problem, "save a single volume in a file of its own", "import.not-3d")
+        raise refuse(path, problem, "save each volume as a separate file", "import.not-3d")
     if min(header.shape_ijk) < 1:
         problem = f"its header claims {header.shape_ijk} voxels; every axis needs at least one"
         raise refuse(path, problem, "the file is damaged; export it again", "import.header")
@@ -103,7 +103,7 @@ def _check(path: Path, header: GridHeader) -> None:
     skew_deg = float(np.degrees(np.arcsin(min(1.0, np.abs(cosines - np.eye(3)).max()))))
     if skew_deg > 0.2:  # as for the tilt of a DICOM series
         problem = (
-            f"its axes are sheared: they are at {90 - skew_deg:.1f} instead of 90 degrees to each other (an "
-            "uncorrected gantry tilt?)"
+            f"its axes are sheared: they are at {90 - skew_deg:.1f} instead of 90 degrees to each other "
+            "(possibly an uncorrected gantry tilt)"
         )
         raise refuse(path, problem, "resample it to a straight grid first", "import.geometry.sheared")

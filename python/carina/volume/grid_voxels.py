@@ -76,7 +76,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     extra = size - begin - needed
     if begin < 0 or extra < 0:
         # Found before anything of that size is allocated.
-        raise _lying(path, header, f"the file contains {size if begin < 0 else max(0, size - begin)}")
+        raise _lying(path, header, f"the file contains {size if begin < 0 else max(0, size - begin)} bytes")
     out = np.empty(needed, dtype=np.uint8)
     place = out.data
     with header.data_path.open("rb", buffering=0) as file:
@@ -86,7 +86,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
             watch.step(_READING, at / needed)
             count = file.readinto(place[at : at + _CHUNK_BYTES])
             if not count:
-                raise _lying(path, header, f"the file contains {at}")
+                raise _lying(path, header, f"the file contains {at} bytes")
             at += count
     return out, extra
 
@@ -94,7 +94,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
 def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
     size, needed = header.data_path.stat().st_size, header.num_bytes
     if header.data_offset + needed > _MAX_RATIO * size:
-        raise _lying(path, header, f"the compressed file has only {size}")
+        raise _lying(path, header, f"the compressed file has only {size} bytes")
     # The system gives memory page by page as it is filled, so a claim alone takes none.
     out = np.empty(needed, dtype=np.uint8)
     most = header.data_offset + needed + max(needed, 1 << 26)  # much more behind it is a bomb
@@ -117,7 +117,7 @@ def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[
         except ValueError as error:
             raise _lying(path, header, str(error)) from None
     if total < header.data_offset + needed:
-        raise _lying(path, header, f"it unpacks to {max(0, total - header.data_offset)}")
+        raise _lying(path, header, f"it unpacks to {max(0, total - header.data_offset)} bytes")
     return out, total - header.data_offset - needed + stream.trailing_bytes
 
 

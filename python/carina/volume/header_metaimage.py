@@ -114,7 +114,7 @@ def _order(path: Path, fields: dict[str, str]) -> str:
     said = {_truth(fields, name, default=False) for name in names if name in fields}
     if len(said) > 1:
         problem = "its BinaryDataByteOrderMSB and its ElementByteOrderMSB contradict each other"
-        raise refuse(path, problem, "the order of its bytes is unknown; export it again", "import.header")
+        raise refuse(path, problem, "its byte order is unknown; export it again", "import.header")
     return ">" if said == {True} else "<"
 
 

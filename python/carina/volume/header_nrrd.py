@@ -73,7 +73,7 @@ def read_nrrd_header(path: Path) -> GridHeader:
         problem = (
             f"expected one volume of three axes, found two axes and a list ({', '.join(axis_kinds) or 'no kinds'})"
         )
-        raise refuse(path, problem, "save a single volume in a file of its own", "import.not-3d")
+        raise refuse(path, problem, "save each volume as a separate file", "import.not-3d")
     return GridHeader(
         format="nrrd",
         shape_ijk=shape,
@@ -117,7 +117,7 @@ def _order(path: Path, fields: dict[str, str], kind: str) -> str:
         if _KINDS[kind].endswith("1"):
             return "<"
         problem = f"expected endian: little or big; found {fields.get('endian', 'nothing')[:40]}"
-        raise refuse(path, problem, "the order of its bytes is unknown; export it again", "import.header")
+        raise refuse(path, problem, "its byte order is unknown; export it again", "import.header")
     return order
 
 

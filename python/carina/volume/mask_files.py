@@ -159,7 +159,7 @@ def _labels(
     if low < -_LARGEST_LABEL or high > _LARGEST_LABEL:
         msg = (
             f"reading the segmentation {path.name}: it contains numbers from {low:g} to {high:g}, which are not "
-            "labels; choose the file of the segmentation"
+            "labels; choose the segmentation file"
         )
         raise VolumeImportError(msg, code="import.mask")
     if values.dtype.kind == "f":
@@ -183,7 +183,7 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
     if len(present) > 1000:
         msg = (
             f"reading the segmentation {path.name}: it contains {len(present)} different values, so it is an image, "
-            "not a segmentation; choose the file of the segmentation"
+            "not a segmentation; choose the segmentation file"
         )
         raise VolumeImportError(msg, code="import.mask")
     if label is None and len(present) == 1:

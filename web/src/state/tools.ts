@@ -40,7 +40,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Move fork",
     short: "Move fork",
     words: "Click near a fork, then where it belongs",
-    hint: "Click near the fork to move, or its branch in the list. The amber dot is the fork.",
+    hint: "Click near the fork to be moved, or click its branch in the list. The amber dot is the fork.",
   },
   smooth: {
     label: "Smooth",

@@ -110,7 +110,7 @@ def follow_beyond(
         if is_sharp
         else "the segmentation leaked from the airways into the lung"
     )
-    kept = "only the clearest of them were kept" if followed else "none of them was kept"
+    kept = "only the clearest of them are included" if followed else "none of them are included"
     words = f"the search for small airways was limited: {what}; {kept}, and small airways are missing. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
 

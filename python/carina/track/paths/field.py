@@ -267,7 +267,7 @@ def _voxel(volume: Volume, point_lps: Sequence[float] | NDArray[np.float64], wha
 def _no_path(target_lps: Sequence[float] | NDArray[np.float64]) -> NoResultError:
     msg = (
         f"no path leads to {words(as_point(target_lps))}: the point is in a wall or beyond one. Choose a point "
-        "inside the lumen, or open the wall"
+        "inside the lumen, or paint lumen through the wall"
     )
     return NoResultError(msg, code="track.no-path")
 

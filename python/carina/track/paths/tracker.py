@@ -102,7 +102,7 @@ class PathTracker:
     def __repr__(self) -> str:
         core = self._made_core
         if core is None:
-            return "PathTracker(not made yet)"
+            return "PathTracker(not built yet)"
         return f"PathTracker(num_nodes={core.num_nodes}, num_settled={core.num_settled})"
 
     @property

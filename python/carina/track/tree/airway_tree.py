@@ -169,8 +169,8 @@ class AirwayTree:
         lines = [
             f"{len(self)} branches ({num_named} named), {len(self.tips())} tips, "
             f"generations 0 to {inner_first[-1].generation}"
-            + (f"; the first {len(rows)} are listed" if len(self) > len(rows) else ""),
-            "seen from the front, the patient's right on the left; line width is the lumen's, colour the generation",
+            + (f"; the first {len(rows)} branches are listed" if len(self) > len(rows) else ""),
+            "seen from the front (patient's right on the left); line width: lumen; colour: generation",
             *([f"{num_drawn} branches drawn by hand, in amber"] if num_drawn else []),
             *more,
             *(f"! {note.words}" for note in self.notes),
