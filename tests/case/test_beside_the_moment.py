@@ -95,6 +95,11 @@ def test_a_case_is_begun_for_this_person_alone_and_never_over_another(file):
         CaseFile.create(file.path, file.source)
 
 
+def test_a_copy_that_is_to_live_is_for_this_person_alone(file, tmp_path):
+    file.write_copy(tmp_path / "live.carina", private=True)
+    assert stat.S_IMODE((tmp_path / "live.carina").stat().st_mode) == 0o600
+
+
 def test_the_place_of_the_scan_is_relative(file, doing):
     for absolute in ("/data/ct", "C:\\data\\ct", "\\\\share\\ct"):
         with pytest.raises(UsageError, match="relative"):

@@ -1,7 +1,8 @@
-"""A process from which workstations are forked to be killed, started by ``test_kills.py``.
+"""A process from which workstations are forked to be killed, started by ``forked_workstations.py``.
 
 For each line with the path of a CT it forks a child that serves it as ``carina open`` does, and says its number, URL
-and token. Imports, which take a second, are paid once.
+and token. Imports, which take a second, are paid once. An argument is the time after which a disk counts as silent, and
+is tried again, in seconds.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ def main() -> None:
     import carina.track
     import carina.volume.opening  # noqa: F401  # before the forks
 
+    if len(sys.argv) > 1:
+        from carina.session import keeping
+
+        keeping.SLOW_S = keeping.RETRY_S = float(sys.argv[1])
     for line in sys.stdin:
         child = os.fork()
         if child == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import sqlite3
@@ -14,7 +15,6 @@ from typing import Any, Final
 
 from carina.case import facts as f
 from carina.case.database import (
-    beside,
     check_whole,
     connected,
     copied_with_journal,
@@ -30,7 +30,7 @@ from carina.case.packed_ct import packed_volume, write_ct
 from carina.case.packing import as_checked_json, from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
-from carina.case.schema import CONTENT, JOURNALS, check_schema, make_tables, migrated
+from carina.case.schema import CONTENT, check_schema, make_tables, migrated
 from carina.case.source import SourceFacts, grid_words, read_source, turn_between, write_source
 from carina.case.summary import CaseSummary, read_summary
 from carina.case.sweeping import sweep
@@ -121,36 +121,27 @@ class CaseFile:
         """
         place = Path(path)
         try:
-            os.close(os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))
+            if place.exists():
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+            # Whole from its first moment on: what a crash leaves is no file, or a case.
+            with told(place), contextlib.closing(_begun(source)) as begun:
+                content = begun.serialize()
+            write_whole(place, content, what="the case", private=True, lasting=True)
         except OSError as error:
             raise disk_trouble(error, "cannot write the case to", place) from error
-        try:
-            with told(place):
-                connection = connected(place, "rw")
-                try:
-                    set_up(connection)
-                    with transaction(connection):
-                        make_tables(connection)
-                        write_source(connection, source)
-                except BaseException:
-                    connection.close()
-                    raise
-        except BaseException:
-            # Else what is no case yet would be in the way of the next try.
-            for part in (place, *(beside(place, tail) for tail in JOURNALS)):
-                with contextlib.suppress(OSError):
-                    part.unlink(missing_ok=True)
-            raise
+        with told(place):
+            connection = connected(place, "rw")
+            try:
+                set_up(connection)
+            except BaseException:
+                connection.close()
+                raise
         return cls(place, connection)
 
     @classmethod
     def in_memory(cls, source: SourceFacts) -> CaseFile:
         """Begin a case file that no disk has to take, until it is written by :meth:`write_copy`."""
-        connection = connected(None)
-        with transaction(connection):
-            make_tables(connection)
-            write_source(connection, source)
-        return cls(Path("case.carina"), connection)
+        return cls(Path("case.carina"), _begun(source))
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False) -> CaseFile:
@@ -479,7 +470,7 @@ class CaseFile:
             with told(self.path), contextlib.closing(connected(None)) as copy:
                 self._back_up(copy, ct_place)
                 content = copy.serialize()
-            write_whole(target, content, what="the case", lasting=True)
+            write_whole(target, content, what="the case", private=private, lasting=True)
             return
         with ScratchFolder() as folder:
             made = folder / "copy.carina"
@@ -584,12 +575,21 @@ def migrate_live(path: Path) -> Path:
         before = path.with_name(f"{path.stem}-schema-{schema}{path.suffix}")
         size = path.stat().st_size
         with (
-            drafted(before, what="the case", needed_bytes=size, private=True) as file,
+            drafted(before, what="the case", needed_bytes=size, private=True, lasting=True) as file,
             path.open("rb") as whole,
         ):
             shutil.copyfileobj(whole, file, 1 << 20)
         case.write_copy(path, ct_place=case.source.path, private=True)
     return before
+
+
+def _begun(source: SourceFacts) -> sqlite3.Connection:
+    """A case in memory in which nothing was done."""
+    connection = connected(None)
+    with transaction(connection):
+        make_tables(connection)
+        write_source(connection, source)
+    return connection
 
 
 def all_content(connection: sqlite3.Connection) -> Rows:

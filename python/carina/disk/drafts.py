@@ -188,8 +188,15 @@ def drafted(
         raise
 
 
-def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = False) -> Path:
+def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = False, lasting: bool = False) -> Path:
     """Make a folder for results, with those above it; nothing if it is there.
+
+    Parameters
+    ----------
+    path, what, private
+        As of :func:`write_whole`.
+    lasting
+        Its name and those above that are new are on the disk when this returns.
 
     Raises
     ------
@@ -198,7 +205,10 @@ def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = Fals
     """
     folder = Path(path)
     try:
+        missing = [one for one in (folder, *folder.parents) if lasting and not one.exists()]
         folder.mkdir(parents=True, exist_ok=True, mode=0o700 if private else 0o777)
+        for one in missing:
+            sync_folder(one.parent)
     except OSError as error:
         raise disk_trouble(error, f"cannot create the folder for {what} at", folder) from error
     return folder

@@ -298,11 +298,11 @@ class Keeper:
         """What is to be told of it."""
         volume = self.case.info.volume
         if self.held is None:
-            begun_s = self._records.now_s() - (self._core.clock() - self.case.begun_s)
-            self.held = self._records.begin(self.digest, self.place, volume.source.title, begun_s=begun_s)
+            self.held = self._records.begin(self.digest, self.place, volume.source.title, begun_s=self.info.begun_s)
         if self.file is None:
+            self.held.clear()
             self.file = self._files.create(self.held.path, volume, self.digest)
-        told: dict[str, Any] = {"begun_s": self.held.record.begun_s}
+        told: dict[str, Any] = {}
         if is_changed:
             with self._core.lock:
                 # All that was done until now is on the disk when it is said.

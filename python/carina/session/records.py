@@ -82,6 +82,11 @@ class HeldCase:
         self.record = msgspec.structs.replace(self.record, **values)
         _write(self.folder, self.record)
 
+    def clear(self) -> None:
+        """Remove a file that was begun and never saved to, by a disk that then let nothing be removed either."""
+        for path in self.folder.glob(f"{FILE}*"):
+            path.unlink()
+
     def put_picture(self, jpeg: bytes, now_s: float) -> None:
         """Keep a small picture, by which its person knows it again."""
         write_whole(self.folder / PICTURE, jpeg, what="the case's picture", private=True)
@@ -116,8 +121,8 @@ class CaseRecords:
         return f"CaseRecords({len(self.all())} cases)"
 
     def all(self) -> tuple[CaseRecord, ...]:
-        """Those that read, the last used first."""
-        found = [_read(path) for path in self._folder.glob(f"*/{RECORD}")]
+        """Those that read, the last used first; one of which the power failed before its file was begun is none."""
+        found = [_read(path) for path in self._folder.glob(f"*/{RECORD}") if (path.parent / FILE).exists()]
         return tuple(sorted((one for one in found if one), key=lambda one: one.used_s, reverse=True))
 
     def newest_of(self, digest: str) -> CaseRecord | None:
@@ -142,8 +147,9 @@ class CaseRecords:
         now_s = self.now_s()
         record = CaseRecord(secrets.token_hex(8), digest, place, title, now_s if begun_s is None else begun_s, now_s)
         folder = self._folder / record.case_id
-        make_folder(self._folder, what="the cases", private=True)
-        make_folder(folder, what="the case", private=True)
+        # What is said to be saved must not lie in a folder that a power cut takes away.
+        make_folder(self._folder, what="the cases", private=True, lasting=True)
+        make_folder(folder, what="the case", private=True, lasting=True)
         _write(folder, record)
         held = self._hold(folder, record)
         assert held is not None

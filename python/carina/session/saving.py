@@ -263,7 +263,8 @@ class Saving(Subject):
         # No title and no date: a name that a person chooses tells more than either, and gives away less.
         documents = self.records.documents
         suggested = None if documents is None else str(documents / f"case{CASE_SUFFIX}")
-        info = SavingInfo(keeps=True, suggested=suggested)
+        begun_s = self.records.now_s() - (self.core.clock() - case.begun_s)
+        info = SavingInfo(keeps=True, begun_s=begun_s, suggested=suggested)
         if reopened is not None:
             record = reopened.held.record
             case.begun_s = self.core.clock() - max(0.0, self.records.now_s() - record.begun_s)

@@ -1,0 +1,132 @@
+"""Workstations in processes that a test kills, and the window that it drives them through."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from websockets.sync.client import connect
+
+from carina.server import messages as wire
+from carina.volume import write_grid
+from made import made_phantom
+from own_folders import environment_in
+
+WAIT_S = 120.0
+HERE = Path(__file__).parent
+
+
+class Workstations:
+    """Starts them one after the other over one CT and one home.
+
+    Parameters
+    ----------
+    folder
+        Of the CT and of the person's own folders.
+    environment
+        More variables of theirs.
+    soon_s
+        After what time a disk counts as silent, and is tried again; as in the product unless told.
+    """
+
+    def __init__(self, folder: Path, environment: dict[str, str] | None = None, soon_s: float | None = None) -> None:
+        self.ct = folder / "ct.nii.gz"
+        volume = made_phantom(spacing_mm=3.0, generations=3).volume
+        write_grid(self.ct, volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
+        self.process = subprocess.Popen(
+            [sys.executable, str(HERE / "killed_workstation.py"), *([] if soon_s is None else [str(soon_s)])],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**environment_in(folder), **(environment or {})},
+        )
+        self.running: int | None = None
+
+    def start(self):
+        """Its number, and the words that its window would get."""
+        self.process.stdin.write(f"{self.ct}\n")
+        self.process.stdin.flush()
+        self.running = pid = int(self._said("pid"))
+        url, _, token = self._said("url").partition(" ")
+        base = url.partition("/?")[0]
+        return pid, Window(f"ws{base[4:]}/ws", token)
+
+    def kill(self, pid: int) -> None:
+        os.kill(pid, signal.SIGKILL)
+        self.running = None
+        assert self.process.stdout.readline().strip() == "gone"
+
+    def _said(self, what: str) -> str:
+        line = self.process.stdout.readline().strip()
+        assert line.startswith(f"{what} "), line
+        return line.partition(" ")[2]
+
+    def end(self) -> None:
+        if self.running is not None:
+            os.kill(self.running, signal.SIGKILL)
+        self.process.stdin.close()
+        self.process.wait(WAIT_S)
+        self.process.stdout.close()
+
+
+class Window:
+    """What a window is told."""
+
+    def __init__(self, url: str, token: str) -> None:
+        self._open = contextlib.ExitStack()
+        bearer = {"Authorization": f"Bearer {token}"}
+        self.socket = self._open.enter_context(
+            connect(url, additional_headers=bearer, open_timeout=WAIT_S, close_timeout=1, max_size=1 << 26)
+        )
+        self.state: dict = {}
+        self.history: dict = {"steps": [], "step": 0}
+        self.pose: dict = {}
+        self.told: list[str] = []
+        """Notices and errors, in words."""
+        self.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
+
+    def send(self, message: str | dict) -> None:
+        self.socket.send(message if isinstance(message, str) else json.dumps(message))
+
+    def end(self) -> None:
+        self._open.close()
+
+    def hear(self, timeout_s: float) -> bool:
+        try:
+            text = self.socket.recv(timeout=timeout_s)
+        except TimeoutError:
+            return False
+        if isinstance(text, str):
+            message = json.loads(text)
+            if message["type"] in {"state", "history", "pose"}:
+                setattr(self, message["type"], message)
+            elif message["type"] in {"notice", "error"}:
+                self.told.append(message["message"])
+        return True
+
+    def until(self, condition) -> None:
+        while not condition():
+            assert self.hear(WAIT_S)
+
+    def wait_open(self) -> None:
+        """The case is shown with all that was kept."""
+        self.until(lambda: self.state.get("airways") == "found" and self.state["saving"]["keeps"])
+
+
+def steps_of(window: Window) -> list[tuple[str, float]]:
+    """What was done, and when (seconds since 1970), but for what was taken back."""
+    begun_s = window.state["saving"]["begun_s"]
+    steps = window.history["steps"][: window.history["step"]]
+    return [(one["label"], round(begun_s + one["at_s"], 2)) for one in steps]
+
+
+def lost(before: list[tuple[str, float]], found: list[tuple[str, float]], ended_s: float) -> float:
+    """How long before the end the oldest step was done that is missing; of a thousand steps the oldest go in time."""
+    first_s = found[0][1] if len(found) >= 900 else float("-inf")
+    missing = {step for step in before if step[1] > first_s} - set(found)
+    return max([ended_s - at_s for _, at_s in missing], default=0.0)
