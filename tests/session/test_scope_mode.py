@@ -10,6 +10,8 @@ from carina.commands import (
     ChooseRoute,
     GoTo,
     LevelHorizon,
+    MomentToKeep,
+    OpenVolume,
     RecordFlight,
     SetMode,
     SetOperator,
@@ -338,3 +340,32 @@ def test_a_recording_keeps_what_its_wall_was_made_from(bench, tmp_path):
     assert asked[0]["digest"] == made(asked[0]).digest()
     assert asked[0]["edits"] is None
     assert all(same for _, same in replayed)
+
+
+def test_a_scope_that_was_held_is_kept_until_the_wall_is_known_that_holds_it(bench):
+    enter(bench)
+    bench.session.do(Steer(3.0, 0.0, 0.2, 0.1))
+    kept = bench.session.ask(MomentToKeep())
+    again = small_bench(wall_field=wall_field)
+    again.session.do(OpenVolume(bench.session.snapshot().case.volume, kept))
+    again.background.run_next()
+    assert again.session.snapshot().mode != "scope"
+    assert again.background.waiting, "the wall is not known"
+    assert again.session.ask(MomentToKeep()).scope == kept.scope
+    again.background.run_all()
+    assert again.session.snapshot().mode == "scope"
+    assert again.session.ask(MomentToKeep()).scope == kept.scope
+    again.session.close()
+
+
+def test_a_scope_is_not_held_again_where_the_tip_was_moved_before_the_wall_was_known(bench):
+    enter(bench)
+    kept = bench.session.ask(MomentToKeep())
+    again = small_bench(wall_field=wall_field)
+    again.session.do(OpenVolume(bench.session.snapshot().case.volume, kept))
+    again.background.run_next()
+    again.session.do(GoTo(5.0))
+    assert again.session.ask(MomentToKeep()).scope is None
+    again.background.run_all()
+    assert again.session.snapshot().mode != "scope"
+    again.session.close()

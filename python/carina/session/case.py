@@ -18,6 +18,7 @@ from carina.commands import TakeMask
 from carina.errors import CarinaError, UsageError
 from carina.navigate import Navigator, Pilot
 from carina.render import GreyWindow, Sight
+from carina.scopes import Pose
 from carina.session.airway_values import LumenWall, derived_measures, derived_wall
 from carina.session.content import ShownContent
 from carina.session.derived import Cached, Derived
@@ -39,6 +40,7 @@ __all__ = [
     "HISTOGRAM_PRESET",
     "AirwaySearch",
     "AskedMask",
+    "AwaitedScope",
     "LastMove",
     "OpenCase",
     "as_point",
@@ -80,6 +82,22 @@ class LastMove:
     """A person has moved the tip, now or before: airways that are found do not move it to their root."""
 
 
+@dataclass(frozen=True, slots=True)
+class AwaitedScope:
+    """A scope that was held when the case was closed, until the wall is known that holds it."""
+
+    scope: LaidScope
+    airways: Any
+    mode: str
+    pose: Pose
+
+    def is_due(self, case: OpenCase) -> bool:
+        """Whether the tip is where it was: one that was moved meanwhile stays where it was moved to."""
+        tip = case.navigator
+        is_still = tip.mode == self.mode and np.array_equal(tip.pose.lps_from_camera, self.pose.lps_from_camera)
+        return is_still and case.document.airways is self.airways
+
+
 @dataclass(slots=True)
 class OpenCase:
     """All of it is guarded by the session's lock."""
@@ -107,6 +125,7 @@ class OpenCase:
     last_move: LastMove = LastMove()
     laid_scope: str | None = None
     """The scope that was last laid in the lumen."""
+    awaited_scope: AwaitedScope | None = None
     flown_route: ChosenRoute | None = None
     """The route whose path the pilot was last given."""
     asked_mask: AskedMask | None = None
@@ -255,18 +274,25 @@ def _restore(case: OpenCase, kept: Moment) -> None:
     case.search = AirwaySearch(status, kept.search_words)
     case.last_move = LastMove(person_moved=kept.person_moved)
     case.numbers = dict(kept.numbers)
+    if kept.scope is not None and document.airways is not None and document.route is not None:
+        tip = case.navigator
+        case.awaited_scope = AwaitedScope(kept.scope, document.airways, tip.mode, tip.pose)
 
 
 def moment_of(case: OpenCase) -> Moment:
     """All of a case that is kept; with the session locked. It shares what is immutable."""
-    history, scope = case.history, case.navigator.scope_state
+    history, held, awaited = case.history, case.navigator.scope_state, case.awaited_scope
+    scope = None if held is None else LaidScope(held.insertion_mm, held.roll_rad, held.flexion_rad)
+    if scope is None and awaited is not None and awaited.is_due(case):
+        # A Carina that is killed before the wall is known has not forgotten it.
+        scope = awaited.scope
     return Moment(
         first=history.first,
         steps=history.steps,
         position=history.position,
         sight=case.sight,
         tip=case.navigator.state(),
-        scope=None if scope is None else LaidScope(scope.insertion_mm, scope.roll_rad, scope.flexion_rad),
+        scope=scope,
         search_status=case.search.status,
         search_words=case.search.words,
         person_moved=case.last_move.person_moved,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from carina import commands as c
-from carina.case.moment import LaidScope
 from carina.errors import NoResultError
 from carina.navigate.moves import LayScope
 from carina.scopes import DEFAULT_SCOPE
@@ -33,29 +32,21 @@ class ScopeHolding(Subject):
             case.wall.again()
             case.wall.want(airways, then=lambda _: self._lay_in(case, airways))
 
-    def resume(self, case: OpenCase, scope: LaidScope) -> None:
+    def resume(self, case: OpenCase) -> None:
         """Hold the scope as it was held when the case was closed, once the wall is known."""
-        airways = case.document.airways
-        if airways is None or case.document.route is None:
-            return
-
-        # A tip that was moved meanwhile stays where it was moved to.
-        mode, pose = case.navigator.mode, case.navigator.pose
 
         def lay(_wall: object) -> None:
-            if (
-                case.document.airways is airways
-                and self.core.case is case
-                and case.navigator.mode == mode
-                and (case.navigator.pose is pose)
-            ):
+            awaited, case.awaited_scope = case.awaited_scope, None
+            if awaited is not None and self.core.case is case and awaited.is_due(case):
+                scope = awaited.scope
                 self.lay(case, scope.insertion_mm)
                 case.navigator.hold_scope(scope.insertion_mm, scope.roll_rad, scope.flexion_rad)
                 self.core.moved()
                 self.core.changed("state", "pose", "views")
 
         with self.core.lock:
-            case.wall.want(airways, then=lay)
+            if case.awaited_scope is not None:
+                case.wall.want(case.awaited_scope.airways, then=lay)
 
     def _lay_in(self, case: OpenCase, airways: Airways) -> None:
         """The wall is known; with the session locked."""

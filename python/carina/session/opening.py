@@ -261,7 +261,6 @@ class Opening(Subject):
             with self.core.lock:
                 self.core.follow(case)
                 self.core.changed(*ALL_TOPICS)
-            if kept.scope is not None:
-                self._holding.resume(case, kept.scope)
+            self._holding.resume(case)
         if case.search.status == "waiting":
             self._finding.start(case, None, case.threshold_from_histogram, label=None)
