@@ -57,7 +57,8 @@ function Where({ saving }: { saving: SavingInfo }) {
       <p>
         Carina saves your work on this machine as you go. Here you can also save it as one file, to move it to another
         machine or to share it. The file contains the airways, targets, key frames and history, but not the CT, the
-        patient's name or any dates.
+        patient's name or any dates. It notes where the CT is relative to the file: before you share it, check that
+        those folders are not named after the patient.
       </p>
       <TextField value={path} onChange={setPath} autoFocus>
         <Label>Folder and name, on this machine</Label>
