@@ -230,6 +230,9 @@ class Texts:
                 text = self.literal(values[0])
                 if text is not None:
                     return text
+            given = self.module.get(node.id, []) if node.id not in self.scope else []
+            if len(given) == 1 and isinstance(given[0], ast.Constant) and " " in str(given[0].value):
+                return str(given[0].value)
         elif isinstance(node, ast.IfExp | ast.JoinedStr) or (
             isinstance(node, ast.Constant) and isinstance(node.value, str)
         ):
@@ -284,7 +287,7 @@ class Reader(ast.NodeVisitor):
         return sorted((line, column, text) for line, column, text, node in self.kept if node not in self.used)
 
     def keep(self, node: ast.stmt | ast.expr, text: str, *, whole: bool = False) -> None:
-        tidy = " ".join(text.split())
+        tidy = " ".join(text.split()).removesuffix(";")
         if tidy:
             self.kept.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
 

@@ -314,7 +314,7 @@ class _Rescue:
                 try:
                     value = from_json(said, f.decoders().extra, "extra")
                 except CaseFileError:
-                    self._lost.append(f"part of {str(kind)[:80]}")
+                    self._lost.append(f"part of the extra data ({str(kind)[:80]})")
                 else:
                     kept.setdefault(str(kind), []).append(value)
         for kind, values in kept.items():

@@ -318,10 +318,18 @@ def render(
     ] = None,
     to: Annotated[
         str | None,
-        typer.Option(help=("End of the route for those views: a branch name or id, or a point x,y,z in mm (LPS).")),
+        typer.Option(
+            help=(
+                "End of the route for the straightened and curved views: a branch name or id, "
+                "or a point x,y,z in mm (LPS)."
+            )
+        ),
     ] = None,
     turn: Annotated[
-        float, typer.Option(help=("Rotation of the cutting plane about the path for those views, degrees."))
+        float,
+        typer.Option(
+            help=("Rotation of the cutting plane about the path for the straightened and curved views, degrees.")
+        ),
     ] = 0.0,
     carm_primary: Annotated[
         float,

@@ -81,7 +81,7 @@ def report(
                 row["search"] = dataclasses.asdict(outside)
                 if outside.num_outside:
                     say(
-                        f"target {number}: {outside.num_outside} points of the path, {outside.outside_mm:.1f} mm, lie "
+                        f"target {number}: {outside.outside_mm:.1f} mm of the path ({outside.num_outside} points) lie "
                         "outside the airway lumen"
                     )
             snapped = f", snapped {target.snapped_mm:.1f} mm to the lumen" if target.snapped_mm else ""

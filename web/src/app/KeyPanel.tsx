@@ -310,7 +310,7 @@ function Flight({ told }: { told: KeysMessage }) {
           {
             value: "airways",
             label: "Through the airways",
-            words: "Along the airways where both key frames lie in them, otherwise straight",
+            words: "Along the airways if both key frames are inside them, otherwise straight",
           },
           { value: "space", label: "Straight", words: "A smooth curve through space; it may pass through tissue" },
         ]}

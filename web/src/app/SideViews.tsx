@@ -124,7 +124,7 @@ function Fit({ view }: { view: FlatView }) {
     return (place?.mm_per_px ?? place?.extent_mm ?? null) !== null;
   });
   if (!zoomed) return null;
-  const words = VIEWS[view].zoom === "extent" ? "Back to the tip, 60 mm wide" : "Fit the whole slice";
+  const words = VIEWS[view].zoom === "extent" ? "Centre on the tip, 60 mm wide" : "Fit the whole slice";
   return (
     <Act
       kind="icon"

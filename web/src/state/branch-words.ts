@@ -117,7 +117,7 @@ function measuredFacts(measures: BranchMeasures): (Fact | null)[] {
           }${measures.stenosis_at_mm === null ? "" : ` at ${mm(measures.stenosis_at_mm, 0)}`}`,
           warns: stenosis - (measures.stenosis_error_percent ?? 0) >= STENOSIS_PERCENT,
         },
-    fact("Angle", measures.angle_deg === null ? null : `${fixed(measures.angle_deg)}\u00b0 to its parent`),
+    fact("Angle", measures.angle_deg === null ? null : `${fixed(measures.angle_deg)}\u00b0 to the parent branch`),
   ];
 }
 

@@ -33,8 +33,8 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
     case "fine":
       return {
         what:
-          `below ${width} (the median of ${plural(place.num_ends ?? 0, "end")}) this CT of ` +
-          `${mm(place.voxel_mm ?? 0, 2)} voxels cannot show airways reliably: more and smaller ones exist`,
+          `below ${width} (the median of ${plural(place.num_ends ?? 0, "end")}), this CT ` +
+          `(${mm(place.voxel_mm ?? 0, 2)} voxels) cannot show airways reliably: more and smaller ones exist`,
         why: null,
       };
   }

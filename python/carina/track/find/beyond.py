@@ -45,7 +45,7 @@ MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
 
-SOFT_KERNEL = "If there is one, open a reconstruction with a soft kernel"
+SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,8 +72,8 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                 return f"its wall is barely visible (confidence {self.confidence:.2f}): it may not be an airway"
             case "fine":
                 return (
-                    f"below {self.width_mm:.1f} mm (the median of {self.num_ends} ends) this CT of "
-                    f"{self.voxel_mm:.2f} mm voxels cannot show airways reliably: more and smaller ones exist"
+                    f"below {self.width_mm:.1f} mm (the median of {self.num_ends} ends), this CT "
+                    f"({self.voxel_mm:.2f} mm voxels) cannot show airways reliably: more and smaller ones exist"
                 )
 
 

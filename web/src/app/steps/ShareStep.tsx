@@ -11,7 +11,7 @@ export function ShareStep() {
     <>
       <p>
         {found
-          ? "Save the airways, as they are now, to files."
+          ? "Save the current airways to files."
           : "The airways can be saved to files once they have been segmented."}
       </p>
       {EXPORTS.map(({ title, files }) => (
