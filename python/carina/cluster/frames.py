@@ -95,7 +95,7 @@ def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
     if answer.frame_id != order.frame_id:
         return f"a strip of frame {answer.frame_id} instead of frame {order.frame_id}"
     if answer.content != order.content:
-        return f"a strip of content {answer.content} instead of {order.content}"
+        return f"a strip with content {answer.content} instead of {order.content}"
     if (answer.first_row, answer.num_rows) != (first, end - first):
         # A frame is cut anew when a renderer leaves: strips of one height may lie elsewhere.
         found = f"{answer.num_rows} rows from row {answer.first_row}"

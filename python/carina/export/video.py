@@ -107,9 +107,9 @@ class VideoWriter:
             )
         if not (16 <= width <= 8192 and 16 <= height <= 8192 and 1.0 <= rate_hz <= 240.0):
             raise UsageError(
-                f"a video must have 16 to 8192 pixels on each side and 1 to 240 frames per second; found {width} "
-                f"x {height}, "
-                f"{rate_hz:g}"
+                "a video must have 16 to 8192 pixels on each side and 1 to 240 frames per second; found "
+                f"{width} x {height} at "
+                f"{rate_hz:g} per second"
             )
         av = _pyav()
         self._av, self._size = av, (width, height)

@@ -62,7 +62,9 @@ class AirwayWay:
     def __post_init__(self) -> None:
         points = np.array(self.points_lps, dtype=np.float64)
         if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
-            raise UsageError("a path through airways needs at least two points of three numbers", code="navigate.keys")
+            raise UsageError(
+                "a path through airways needs at least two points, each of three numbers", code="navigate.keys"
+            )
         if not 0 <= self.apex < len(points):
             raise UsageError(f"a path of {len(points)} points has no point number {self.apex}", code="navigate.keys")
         object.__setattr__(self, "points_lps", points)

@@ -138,7 +138,9 @@ class ScopeDrive:
     ) -> None:
         _check_operator(operator)
         if cords_mm is not None and not math.isfinite(cords_mm):
-            raise UsageError(f"expected the position of the vocal cords in mm; found {cords_mm}", code="scope.drive")
+            raise UsageError(
+                f"expected the position of the vocal cords as a number in mm; found {cords_mm}", code="scope.drive"
+            )
         preset = scope_preset(scope) if isinstance(scope, str) else scope
         up_deg, down_deg = preset.flexion_deg or _FLEXION_DEG
         sizes = (

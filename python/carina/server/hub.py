@@ -194,7 +194,7 @@ class Hub:
                 pass
             case _:
                 raise UsageError(
-                    f"{type(message).__name__} cannot be sent after the first message", code="protocol.order"
+                    f"{type(message).__name__} can only be sent as the first message", code="protocol.order"
                 )
 
     def _keep_for(self, command: Command, upload_id: str, window: Window) -> None:

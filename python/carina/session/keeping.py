@@ -326,7 +326,7 @@ class Keeper:
         try:
             self.held.put_picture(self._files.picture(scene), self._records.now_s())
         except Exception as trouble:
-            log_fault(logger, "the case's picture could not be made", trouble)
+            log_fault(logger, "the thumbnail of the case could not be created", trouble)
 
     def _give_back(self) -> None:
         """All that is left, then the file and the right to it."""

@@ -89,7 +89,7 @@ class HeldCase:
 
     def put_picture(self, jpeg: bytes, now_s: float) -> None:
         """Keep a small picture, by which its person knows it again."""
-        write_whole(self.folder / PICTURE, jpeg, what="the case's picture", private=True)
+        write_whole(self.folder / PICTURE, jpeg, what="the thumbnail of the case", private=True)
         self.note(pictured_s=now_s)
 
     def release(self) -> None:

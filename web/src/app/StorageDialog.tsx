@@ -208,11 +208,7 @@ function CachedCts({ storage }: { storage: Storage }) {
         <div className="row">
           <Act
             label={on ? "Turn the cache off" : "Turn the cache on"}
-            words={
-              on
-                ? "Empty the cache; CTs are then read from their original files"
-                : "Cache the CTs that are opened from now on"
-            }
+            words={on ? "Empty the cache; CTs are then read from their original files" : "Cache CTs opened from now on"}
             testId="switch-cache"
             onPress={() => station.send({ type: "keep_cts", on: !on })}
           />

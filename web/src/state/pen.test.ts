@@ -17,7 +17,7 @@ describe("what a pen's button marks", () => {
   it("is said: its own tip where it is registered, else the scope's, and why", () => {
     expect(penMarkWords(pen())).toContain("the pen tip");
     expect(penMarkWords(pen({ lps: null }))).toBe("The pen is not registered: its button marks the scope tip.");
-    expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("not tracked in position");
+    expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("is not tracked");
   });
 
   it("is the pen's point, and nothing while no pen moves the tip", () => {

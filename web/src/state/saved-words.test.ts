@@ -30,7 +30,7 @@ describe("what is saved", () => {
   it("tells of the copy and where it lies", () => {
     const copied = { ...NOTHING, saved_s: NOW_S, copied_s: NOW_S, copy_name: "n.carina", copy_folder: "/data/Cases" };
     expect(savedWords(copied, NOW_MS)?.label).toBe(
-      `saved ${clock(NOW_S, NOW_MS)} \u00b7 copy of ${clock(NOW_S, NOW_MS)} in Cases`,
+      `saved ${clock(NOW_S, NOW_MS)} \u00b7 copy from ${clock(NOW_S, NOW_MS)} in Cases`,
     );
     expect(savedWords({ ...copied, copy_problem: "the stick was removed" }, NOW_MS)).toMatchObject({
       warns: true,

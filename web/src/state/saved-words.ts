@@ -37,14 +37,14 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
   }
   if (saving.copy_problem !== null) {
     return {
-      label: `${saved}, copy of ${clock(saving.copied_s, nowMs)} is out of date`,
+      label: `${saved}, copy from ${clock(saving.copied_s, nowMs)} is out of date`,
       words: saving.copy_problem,
       warns: true,
     };
   }
   const folder = (saving.copy_folder ?? "").split(/[/\\]/).at(-1) ?? "";
   return {
-    label: `${saved} \u00b7 copy of ${clock(saving.copied_s, nowMs)} in ${folder}`,
+    label: `${saved} \u00b7 copy from ${clock(saving.copied_s, nowMs)} in ${folder}`,
     words: `${saving.copy_folder ?? ""}: ${saving.copy_name}. It is updated every minute and when the case is closed.`,
     warns: false,
   };

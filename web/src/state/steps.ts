@@ -10,7 +10,7 @@ export interface StepWords {
 }
 
 export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
-  open: { title: "Open", words: "The open case; open another one here" },
+  open: { title: "Open", words: "Details of the open case; open another case here" },
   check: { title: "Check", words: "Is this CT good enough? Findings, other series, window / level" },
   airways: { title: "Airways", words: "The segmented airway tree, its start point and threshold" },
   target: { title: "Target", words: "Mark where you want to go" },
