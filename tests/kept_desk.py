@@ -46,6 +46,10 @@ class MemoryFile:
             raise CarinaError("the file is damaged", code="case.damaged")
         return moment
 
+    def keep_recording(self, recording: Any) -> None:
+        if self.refuses is not None:
+            raise self.refuses
+
     def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
         if self.refuses is not None:
             raise self.refuses

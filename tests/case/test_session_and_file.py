@@ -9,8 +9,21 @@ import pytest
 from edit_case import edit_case
 from kept_case import assert_same_document, assert_same_measures
 
-from carina.case import KeptAirways
-from carina.commands import AddTarget, EditTree, OpenPath, SetFov
+from carina.case import CaseFile, KeptAirways
+from carina.case.recordings import RecordingTable
+from carina.commands import (
+    AddTarget,
+    BeginAnew,
+    CloseCase,
+    EditTree,
+    OpenPath,
+    RecordFlight,
+    SetFov,
+    Steer,
+    StopRecording,
+)
+from carina.errors import DiskError, UsageError
+from carina.navigate import open_recording
 from carina.render import transfer_preset
 from carina.session import Said, Session, Trouble
 from carina.session.case_files import case_files
@@ -211,3 +224,115 @@ def test_a_live_case_of_an_older_carina_goes_on_and_lies_beside_as_it_was(tmp_pa
     again, background = started(tmp_path, measuring)
     assert measuring.asked == []
     again.close()
+
+
+# ------------------------------------------------------------ recordings
+
+
+def flown(session, clock, seconds):
+    """Ten moves a second."""
+    for _ in range(10 * seconds):
+        clock.now_s += 0.1
+        session.do(Steer(0.5, 0.01, 0.02, 0.0))
+
+
+def live_file(tmp_path):
+    (live,) = tmp_path.glob("cases/*/case.carina")
+    return live
+
+
+def test_a_flight_is_recorded_into_the_case_and_flown_again_bit_for_bit(tmp_path):
+    session, _ = started(tmp_path)
+    clock = session._core.clock
+    for n in (1, 2):
+        session.do(RecordFlight())
+        assert session.devices.recording_name == f"Flight {n}"
+        flown(session, clock, 3)
+        session.do(StopRecording())
+        assert session.devices.recording_name is None
+    session.do(RecordFlight())
+    flown(session, clock, 1)
+    # A case that is closed ends its recording.
+    session.do(CloseCase())
+    session.close()
+    with CaseFile.open(live_file(tmp_path)) as file:
+        assert [(r.name, r.complete, round(r.length_s, 6)) for r in file.recordings()] == [
+            ("Flight 1", True, 3.0), ("Flight 2", True, 3.0), ("Flight 3", True, 1.0),
+        ]  # fmt: skip
+        recording = file.recording(1)
+        replayed = list(recording.replay(edit_case().volume))
+        (tmp_path / "flight.jsonl").write_text(file.recording_text(1))
+    assert len(replayed) > 25
+    assert all(same for _, same in replayed)
+    assert open_recording(tmp_path / "flight.jsonl").lines == recording.lines
+    # Numbers go on where they were.
+    again, _ = started(tmp_path)
+    again.do(RecordFlight())
+    assert again.devices.recording_name == "Flight 4"
+    again.close()
+
+
+def test_of_a_recording_that_a_crash_ended_all_but_the_last_moments_is_there(tmp_path):
+    session, _ = started(tmp_path)
+    session.do(RecordFlight())
+    flown(session, session._core.clock, 4)
+    assert session._saving.write_now()
+    flown(session, session._core.clock, 1)
+    # Nothing more is written.
+    with CaseFile.open(live_file(tmp_path), read_only=True) as file:
+        (told,) = file.recordings()
+        assert (told.name, told.complete) == ("Flight 1", False)
+        assert told.length_s == pytest.approx(4.0)
+        recording = file.recording(told.recording_id)
+        assert not recording.complete
+        assert all(same for _, same in recording.replay(edit_case().volume))
+    session.close()
+
+
+def test_another_case_ends_the_recording_of_the_one_that_was_open(tmp_path):
+    session, background = started(tmp_path)
+    session.do(RecordFlight())
+    flown(session, session._core.clock, 2)
+    session.do(BeginAnew())
+    background.run_all()
+    assert session.devices.recording_name is None
+    session.do(RecordFlight())
+    assert session.devices.recording_name == "Flight 1"
+    flown(session, session._core.clock, 1)
+    session.do(StopRecording())
+    session.close()
+    lengths = []
+    for live in tmp_path.glob("cases/*/case.carina"):
+        with CaseFile.open(live, read_only=True) as file:
+            lengths += [(one.name, one.complete, round(one.length_s, 6)) for one in file.recordings()]
+    assert sorted(lengths) == [("Flight 1", True, 1.0), ("Flight 1", True, 2.0)]
+
+
+def refused(*_arguments, **_options):
+    raise DiskError("the disk is full", code="disk.full")
+
+
+def test_a_recording_that_the_disk_refuses_waits_in_memory(tmp_path, monkeypatch):
+    session, _ = started(tmp_path)
+    session.do(RecordFlight())
+    flown(session, session._core.clock, 2)
+    with monkeypatch.context() as broken:
+        broken.setattr(RecordingTable, "add", refused)
+        assert not session._saving.write_now()
+        flown(session, session._core.clock, 2)
+        session.do(StopRecording())
+    session._core.clock.now_s += 60.0
+    assert session._saving.write_now()
+    with CaseFile.open(live_file(tmp_path), read_only=True) as file:
+        (told,) = file.recordings()
+        assert (told.complete, round(told.length_s, 6)) == (True, 4.0)
+    session.close()
+
+
+def test_a_case_that_is_not_kept_holds_no_recording(tmp_path):
+    session = Session(SmallRenderer, parts=small_parts(), submit=(background := Background()), clock=Clock())
+    session.do(OpenPath("case"))
+    background.run_all()
+    with pytest.raises(UsageError, match="not kept on this machine"):
+        session.do(RecordFlight())
+    assert session.devices.recording_name is None

@@ -12,11 +12,15 @@ import pytest
 import carina as package
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
+from carina.commands import Steer
 from carina.export import read_tree
+from carina.navigate import Navigator, Pilot, Recorder, case_key, open_recording
 from carina.phantom import write_phantom
+from carina.scopes import Pose
 from carina.session.case import moment_of
 from carina.session.records import CaseRecords
-from carina.volume import CtSource, VolumeCache, ct_digest
+from carina.version import VERSION
+from carina.volume import CtSource, VolumeCache, ct_digest, open_volume
 from made import made_phantom
 
 
@@ -260,3 +264,36 @@ def test_help_of_every_verb_has_an_example(carina):
     for verb in ("info", "history", "list", "forget", "pack", "migrate", "rescue"):
         assert f"Example: carina case {verb}" in " ".join(carina("case", verb, "--help").out.split())
     assert json.dumps(carina("case", "--help").code) == "0"
+
+
+@pytest.fixture
+def recorded(case):
+    """A case with a flight of two seconds."""
+    volume = open_volume(case.parent / "scans" / "ct.nii.gz")
+    pilot = Pilot(Navigator(Pose.looking(tuple(volume.centre_lps), (0.0, 0.0, -1.0)), volume=volume))
+    with CaseFile.open(case) as file, file.record("Flight 1", begun_s=3.0) as sink:
+        recorder = Recorder(pilot, sink, case=case_key(volume), carina=VERSION, now_s=0.0, view={})
+        for n in range(1, 21):
+            recorder.tick(0.1 * n)
+            pilot.apply(Steer(0.5, 0.01, 0.0, 0.0), dt_s=0.1)
+        recorder.close()
+    return case
+
+
+def test_a_recording_of_a_case_is_flown_and_handed_on_as_a_file(carina, recorded, tmp_path):
+    assert carina("case", "info", recorded, "--json").json()["recordings"][0]["name"] == "Flight 1"
+    quick = ("--size", "48x48", "--rate", "2", "--step-vox", "2", "--json")
+    ends = [
+        carina("fly", recorded, "--recording", name, "-o", tmp_path / f"{n}.mp4", *quick).json()
+        for n, name in enumerate(("Flight 1", "1"))
+    ]
+    assert [(end["num_different"], end["complete"]) for end in ends] == [(0, True)] * 2
+    assert carina("case", "recording", recorded, "Flight 1", "-o", tmp_path / "flight.jsonl").code == 0
+    assert open_recording(tmp_path / "flight.jsonl").length_s == pytest.approx(2.0)
+    again = carina("case", "recording", recorded, "Flight 1", "-o", tmp_path / "flight.jsonl")
+    assert again.code == 2
+    assert "there is a file already" in again.err
+    for verb in (("case", "recording", recorded, "Flight 7"), ("fly", recorded, "--recording", "Flight 7")):
+        missing = carina(*verb, "-o", tmp_path / ("x.mp4" if verb[0] == "fly" else "x.jsonl"))
+        assert missing.code == 2
+        assert "no recording 'Flight 7'; it has Flight 1 (1)" in missing.err

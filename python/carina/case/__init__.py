@@ -5,6 +5,7 @@ from carina.case.file import CaseFile, StepFacts, migrate
 from carina.case.history import History, Step
 from carina.case.moment import LaidScope, Moment
 from carina.case.reading import KeptAirways, KeptMeasures
+from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.rescue import rescued
 from carina.case.routes import ChosenRoute
 from carina.case.source import SourceFacts
@@ -22,6 +23,8 @@ __all__ = [
     "Keys",
     "LaidScope",
     "Moment",
+    "RecordingFacts",
+    "RecordingWriter",
     "SourceFacts",
     "Step",
     "StepFacts",

@@ -399,7 +399,19 @@ class CaseFile:
             Seconds since the case was begun.
         """
         with self._lock, told(self.path):
-            return RecordingWriter(self._table(), name, begun_s)
+            return RecordingWriter(name, begun_s, self._table())
+
+    def keep_recording(self, recording: RecordingWriter) -> None:
+        """Put what was recorded since the last call into the file, in pieces of at most a second.
+
+        Raises
+        ------
+        DiskError
+            If it cannot be written: it stays in memory.
+        """
+        with self._lock, told(self.path):
+            self._writable()
+            recording.keep(self._table())
 
     def recordings(self) -> tuple[RecordingFacts, ...]:
         """The recordings in their order."""
@@ -418,6 +430,17 @@ class CaseFile:
         """
         with self._lock, told(self.path):
             return self._table().read(recording_id)
+
+    def recording_text(self, recording_id: int) -> str:
+        """One of them as the file that other programs read (``carina-recording``).
+
+        Raises
+        ------
+        UsageError, CaseFileError
+            As :meth:`recording`.
+        """
+        with self._lock, told(self.path):
+            return self._table().text(recording_id)
 
     def change_recording(self, recording_id: int, *, name: str | None = None, words: str | None = None) -> None:
         """Call a recording otherwise, or say something about it; None leaves that as it is."""

@@ -166,18 +166,44 @@ class RecordingTable:
 
 
 class RecordingWriter(io.TextIOBase):
-    """What a recorder writes to: lines go to memory, and into the case file whenever :meth:`keep` is called."""
+    """What a recorder writes to: lines go to memory, and into the case file whenever :meth:`keep` is called.
 
-    def __init__(self, table: RecordingTable, name: str, begun_s: float) -> None:
+    Parameters
+    ----------
+    name
+        What the recording is called.
+    begun_s
+        Seconds since the case was begun.
+    table
+        The recordings of the file; None where :meth:`CaseFile.keep_recording` is to be called, by whoever may wait for
+        a disk: then closing it does not.
+    """
+
+    def __init__(self, name: str, begun_s: float, table: RecordingTable | None = None) -> None:
         super().__init__()
+        self.name, self.begun_s = name, begun_s
         self._table = table
-        self.recording_id = table.begin(name, begun_s)
+        self._closes_file = table is not None
+        self._recording_id = None if table is None else table.begin(name, begun_s)
         self._lock = threading.Lock()
         self._keeping = threading.Lock()
         self._chunks: list[list[str]] = []
         self._chunk_from_s = 0.0
         self._length_s = 0.0
         self._num_kept = 0
+        self._is_complete = False
+
+    @property
+    def recording_id(self) -> int:
+        """Its number in the file."""
+        if self._recording_id is None:
+            raise UsageError("nothing of this recording is in a case file yet", code="case.recording")
+        return self._recording_id
+
+    @property
+    def is_complete(self) -> bool:
+        """It was closed, and all of it is in the file."""
+        return self._is_complete
 
     def writable(self) -> bool:
         """Yes."""
@@ -196,7 +222,7 @@ class RecordingWriter(io.TextIOBase):
                 self._length_s = max(self._length_s, at_s)
         return len(text)
 
-    def keep(self, *, complete: bool = False) -> None:
+    def keep(self, table: RecordingTable | None = None, *, complete: bool = False) -> None:
         """Put what was written since into the case file.
 
         Raises
@@ -205,7 +231,12 @@ class RecordingWriter(io.TextIOBase):
             If it cannot be written: it stays in memory, and the next time tries again.
         """
         with self._keeping:
+            if self._table is None:
+                self._table = table
+            if self._table is None or self._is_complete:
+                return
             with self._lock:
+                complete = complete or self.closed
                 ready = ["".join(lines) for lines in self._chunks]
                 length_s = self._length_s
                 # What comes meanwhile begins a piece of its own.
@@ -213,13 +244,16 @@ class RecordingWriter(io.TextIOBase):
                 self._chunk_from_s = float("-inf")
             if not ready and not complete:
                 return
-            self._table.add(self.recording_id, self._num_kept, ready, length_s, complete=complete)
+            if self._recording_id is None:
+                self._recording_id = self._table.begin(self.name, self.begun_s)
+            self._table.add(self._recording_id, self._num_kept, ready, length_s, complete=complete)
             self._num_kept += num_ready
+            self._is_complete = complete
             with self._lock:
                 del self._chunks[:num_ready]
 
     def close(self) -> None:
-        """The end: what is left goes into the case file.
+        """The end: what is left goes into the case file, at once or with the next :meth:`keep`.
 
         Raises
         ------
@@ -228,9 +262,11 @@ class RecordingWriter(io.TextIOBase):
         """
         if not self.closed:
             try:
-                self.keep(complete=True)
+                if self._closes_file:
+                    self.keep(complete=True)
             finally:
-                super().close()
+                with self._lock:
+                    super().close()
 
 
 def _time_of(line: str) -> float:

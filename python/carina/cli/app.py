@@ -458,7 +458,9 @@ def fly(
         str | None,
         typer.Option(help="Destination: a branch name or id, a target of the case, or a point x,y,z in mm (LPS)."),
     ] = None,
-    recording: Annotated[Path | None, typer.Option(help="Replay a flight recorded in the window.")] = None,
+    recording: Annotated[
+        Path | None, typer.Option(help="Replay a recorded flight: a file, or its name in the case.")
+    ] = None,
     keys: Annotated[
         Path | None,
         typer.Option(

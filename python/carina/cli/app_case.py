@@ -101,6 +101,23 @@ def case_migrate(path: FileArgument, output: CaseOutput, as_json: JsonOption = F
         raise SystemExit(migrated(path, output=output, as_json=as_json))
 
 
+@case.command("recording")
+def case_recording(
+    path: FileArgument,
+    name: Annotated[str, typer.Argument(help="Name or number of the recording (`carina case info`).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="New file (.jsonl).")],
+    as_json: JsonOption = False,
+) -> None:
+    """Write a recorded flight of a case as a file of its own, for `carina fly --recording`.
+
+    Example: carina case recording NAME.carina "Flight 1" -o flight.jsonl
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import recording
+
+        raise SystemExit(recording(path, name, output=output, as_json=as_json))
+
+
 @case.command("rescue")
 def case_rescue(path: FileArgument, output: CaseOutput, as_json: JsonOption = False) -> None:
     """Write the intact parts of a damaged case to a new file, and list what was lost.

@@ -8,17 +8,29 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from carina.case import CaseFile, migrate, rescued
+from carina.case import CaseFile, RecordingFacts, migrate, rescued
 from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import case_scans
 from carina.config import load_settings
-from carina.disk import say_size
+from carina.disk import say_size, write_whole
 from carina.errors import DiskError, UsageError
 from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore
 from carina.volume import VolumeCache
 
-__all__ = ["case_json", "case_lines", "forget", "history", "info", "kept", "migrated", "packed", "rescue"]
+__all__ = [
+    "case_json",
+    "case_lines",
+    "forget",
+    "history",
+    "info",
+    "kept",
+    "migrated",
+    "packed",
+    "recording",
+    "recording_in",
+    "rescue",
+]
 
 SHORT_ID = 6
 
@@ -195,6 +207,44 @@ def rescue(path: Path, *, output: Path, as_json: bool) -> int:
     for words in lost:
         say(f"lost: {words}")
     return _wrote(output, as_json, lost=list(lost))
+
+
+def recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
+    """Write a recording of a case as a file of its own."""
+    check_output_file(output, ".jsonl")
+    if output.exists():
+        raise UsageError(f"-o: there is a file already: {output}; choose another name")
+    with CaseFile.open(path, read_only=True) as case:
+        text = case.recording_text(recording_in(case, wanted).recording_id)
+    write_whole(output, text.encode(), what="the recording")
+    return _wrote(output, as_json)
+
+
+def recording_in(case: CaseFile, wanted: str) -> RecordingFacts:
+    """A recording of a case by its name, else by its number.
+
+    Raises
+    ------
+    UsageError
+        ``case.recording``: if there is none, or several have that name.
+    """
+    all_recordings = case.recordings()
+    found = [one for one in all_recordings if one.name == wanted]
+    if not found:
+        found = [one for one in all_recordings if str(one.recording_id) == wanted]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise UsageError(
+            f"{len(found)} recordings of this case are called {wanted!r}: give the number of one "
+            f"({', '.join(str(one.recording_id) for one in found)})",
+            code="case.recording",
+        )
+    names = ", ".join(f"{one.name} ({one.recording_id})" for one in all_recordings)
+    raise UsageError(
+        f"this case has no recording {wanted!r}; it has " + (names or "none"),
+        code="case.recording",
+    )
 
 
 def _wrote(output: Path, as_json: bool, **facts: Any) -> int:

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
+from carina.case import CaseFile
 from carina.cli.along import check_destination, say_drawn, way_to
 from carina.cli.arguments import check_output_file
+from carina.cli.case import recording_in
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.kept_frames import KeptFrames
@@ -82,7 +84,7 @@ def report(
     if to is not None:
         check_destination(to, LEAD_VIEW)
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
-    recorded = None if recording is None else open_recording(recording)
+    recorded = None if recording is None else _recording(path, recording)
     # In a case they are called by their names; a file is one all the same.
     of_case = keys is not None and is_case_file(path) and not keys.is_file()
     given = None if keys is None or of_case else open_keys(keys)
@@ -151,6 +153,14 @@ def report(
             }
         )
     return 0
+
+
+def _recording(path: Path, wanted: Path) -> Recording:
+    """A file, or a recording of the case by its name or number."""
+    if wanted.is_file() or not is_case_file(path):
+        return open_recording(wanted)
+    with CaseFile.open(path, read_only=True) as case:
+        return case.recording(recording_in(case, str(wanted)).recording_id)
 
 
 def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[ReplayedPose], dict[str, Any]]:

@@ -97,10 +97,10 @@ class JoinPen(Command, frozen=True):
 
 
 class RecordFlight(LocalCommand, frozen=True):
-    """Record every move of the tip to a file until :class:`StopRecording`, or until the case is closed."""
+    """Record every move of the tip until :class:`StopRecording`, or until the case is closed."""
 
-    path: Any
-    """A :class:`pathlib.Path` that does not exist yet."""
+    path: Any = None
+    """A :class:`pathlib.Path` that does not exist yet; None records into the case."""
 
 
 class StopRecording(Command, frozen=True):

@@ -68,7 +68,7 @@ class DeviceDesk:
     push
         Sends a message to all windows; from any thread.
     recordings
-        Folder of recordings.
+        Folder of the recordings of cases that are not kept.
     phone
         The page for a phone, closed or open; None where there is none.
     """
@@ -151,7 +151,8 @@ class DeviceDesk:
                 session.devices.woken.set()
             case wire.StartRecording():
                 folder = self._recordings or load_settings().state_dir / "recordings"
-                session.do(commands.RecordFlight(folder / time.strftime("flight-%Y%m%d-%H%M%S.jsonl")))
+                file = folder / time.strftime("flight-%Y%m%d-%H%M%S.jsonl")
+                session.do(commands.RecordFlight(None if session.snapshot().saving.keeps else file))
             case _:
                 return False
         self._show()
@@ -228,7 +229,7 @@ class DeviceDesk:
         if info is None:
             return None
         controls = info.controls
-        recording = self._session.devices.recording_path
+        recording = self._session.devices.recording_name
         return wire.Devices(
             control=info.control,
             filter_latency_ms=round(filter_latency_ms(controls), 2),
@@ -238,7 +239,7 @@ class DeviceDesk:
             serial_ports=self._ports[0],
             serial_problem=self._ports[1],
             published_port=None if self._publisher is None else self._publisher.port,
-            recording=None if recording is None else str(recording),
+            recording=recording,
             phone=None if self._phone is None else self._phone.info(),
             phone_problem="this build of Carina does not include the phone page"
             if self._phone is None

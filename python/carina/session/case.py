@@ -13,6 +13,7 @@ import numpy as np
 from carina.case.document import Document, Keys, Point
 from carina.case.history import History
 from carina.case.moment import LaidScope, Moment
+from carina.case.recordings import RecordingWriter
 from carina.case.routes import AirwayIndex, ChosenRoute, path_move
 from carina.commands import TakeMask
 from carina.errors import CarinaError, UsageError
@@ -133,6 +134,8 @@ class OpenCase:
     """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
     numbers: dict[str, int] = field(default_factory=dict)
     """The last number that was given, by what was numbered: targets and key frames count from 1 in each case."""
+    recorded: tuple[RecordingWriter, ...] = ()
+    """Recordings of which not all is in the case file yet."""
 
     def next_number(self, what: str) -> int:
         """A number that nothing of its kind had; with the session locked."""

@@ -48,8 +48,13 @@ class Devices(Subject):
 
     @property
     def recording_path(self) -> Path | None:
-        """The file that is being recorded to."""
+        """The file that is being recorded to; None while there is none, or where it is the case's."""
         return self._recording.path
+
+    @property
+    def recording_name(self) -> str | None:
+        """What the recording that runs is called: its file, or its name in the case; None while there is none."""
+        return self._recording.name
 
     def said(self, device: str, sample: Sample) -> None:
         """A sample of a device; from any thread, as often as the device likes. Ignored while no case is open."""

@@ -35,6 +35,8 @@ DECIDED_WITHIN_S = 0.4
 """What a person did is written this soon; what follows within that time goes along."""
 MOVED_WITHIN_S = 1.5
 """A tip that only moves is written this often."""
+RECORDED_WITHIN_S = 0.8
+"""A flight that is recorded is written this often: a crash loses no more than its last second."""
 RETRY_S = 2.0
 SLOW_S = 2.5
 """A disk that takes longer is told of, since what it has not taken could be lost; nobody waits for it any more."""
@@ -133,7 +135,8 @@ class Keeper:
 
     def changed(self, topics: frozenset[Topic]) -> None:
         """Something of the case has changed."""
-        within_s = MOVED_WITHIN_S if topics <= {"pose", "views"} else DECIDED_WITHIN_S
+        moved_s = RECORDED_WITHIN_S if self.case.recorded else MOVED_WITHIN_S
+        within_s = moved_s if topics <= {"pose", "views"} else DECIDED_WITHIN_S
         with self._wake:
             self._is_elsewhere = False
             if self._changed_s is None:
@@ -309,6 +312,10 @@ class Keeper:
                 now_s = self._records.now_s()
                 moment = moment_of(self.case)
             self.file.save(moment)
+            for recording in self.case.recorded:
+                self.file.keep_recording(recording)
+            with self._core.lock:
+                self.case.recorded = tuple(one for one in self.case.recorded if not one.is_complete)
             told["saved_s"] = now_s
             place = self.place or self.held.record.place
             notes = {"used_s": now_s, "place": place, "num_changes": moment.position} | notes

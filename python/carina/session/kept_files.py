@@ -11,6 +11,7 @@ from carina.display import one_line
 
 if TYPE_CHECKING:
     from carina.case.moment import Moment
+    from carina.case.recordings import RecordingWriter
     from carina.session.case_scan import CaseScans
     from carina.session.parts import Cancel, Progress
     from carina.session.scene import ShownCase
@@ -27,6 +28,9 @@ class KeptFile(Protocol):
 
     def load(self, volume: Volume) -> Moment:
         """What was written last; CaseFileError ``case.empty`` where nothing was."""
+
+    def keep_recording(self, recording: RecordingWriter) -> None:
+        """Write what was recorded since the last call."""
 
     def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
         """One whole file elsewhere, with the relative way from it to its CT."""

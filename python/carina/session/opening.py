@@ -204,6 +204,9 @@ class Opening(Subject):
             volume = read(job)
             # From here on there is no way back: a refused or stopped opening leaves the case on screen as it was.
             job.check()
+            with self.core.lock:
+                # Its end belongs to the case that is given back.
+                self._recording.stop()
             with self._saving.between() as keeping:
                 kept = given
                 found_place = place

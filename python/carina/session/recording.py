@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import TextIO, cast
 
 from carina import commands as c
+from carina.case.recordings import RecordingWriter
 from carina.disk import disk_trouble, make_folder
 from carina.errors import UsageError
 from carina.navigate import Recorder, case_key
@@ -28,13 +30,19 @@ class FlightRecording(Subject):
         self._holding = holding
         self._recorder: Recorder | None = None
         self._path: Path | None = None
+        self._name = ""
         self._recorded_case: OpenCase | None = None
         core.before_move = self.tick
 
     @property
     def path(self) -> Path | None:
-        """The file that is being recorded to."""
+        """The file that is being recorded to; None where that is the case's."""
         return self._path if self._recorder is not None else None
+
+    @property
+    def name(self) -> str | None:
+        """The file that is being recorded to, or what the recording is called in the case; None while there is none."""
+        return self._name if self._recorder is not None else None
 
     @does(c.RecordFlight)
     def start(self, command: c.RecordFlight) -> None:
@@ -43,21 +51,33 @@ class FlightRecording(Subject):
         Raises
         ------
         UsageError
-            ``session.recording``: if one is being made.
+            ``session.recording``: if one is being made, or a case that is not kept is to hold it.
         CarinaError
             ``machine``: if the file cannot be written.
         """
 
-        path = Path(command.path)
         case = self.core.needed_case()
         if self._recorder is not None:
             raise UsageError("a recording is already running; stop it first", code="session.recording")
+        if command.path is None and not self.core.saving().keeps:
+            raise UsageError(
+                "this case is not kept on this machine: give the recording a file of its own", code="session.recording"
+            )
         key = case_key(case.info.volume)
-        try:
-            make_folder(path.parent, what="the recording")
-            file = path.open("x", encoding="utf-8")
-        except OSError as trouble:
-            raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
+        file: TextIO
+        if command.path is None:
+            path = None
+            with self.core.lock:
+                name = f"Flight {case.next_number('flight')}"
+                into = RecordingWriter(name, max(0.0, self.core.clock() - case.begun_s))
+                file = cast(TextIO, into)
+        else:
+            path, name, into = Path(command.path), str(command.path), None
+            try:
+                make_folder(path.parent, what="the recording")
+                file = path.open("x", encoding="utf-8")
+            except OSError as trouble:
+                raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
         with self.core.lock:
             try:
                 self._recorder = Recorder(
@@ -70,10 +90,13 @@ class FlightRecording(Subject):
                     on_end=self._ended,
                 )
             except OSError as trouble:
-                with contextlib.suppress(OSError):
-                    path.unlink()
+                if path is not None:
+                    with contextlib.suppress(OSError):
+                        path.unlink()
                 raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
-            self._path, self._recorded_case = path, case
+            self._path, self._name, self._recorded_case = path, name, case
+            if into is not None:
+                case.recorded = (*case.recorded, into)
             if case.navigator.scope_state is not None:
                 # A replay begins with the scope laid anew, so that it can begin at all.
                 self._holding.lay(case, case.navigator.scope_state.insertion_mm)
@@ -93,7 +116,10 @@ class FlightRecording(Subject):
             recorder.tick(self.core.clock())
             recorder.close()
             if recorder.trouble is None:
-                self.core.emit(Said(f"{recorder.length_s:.0f} s recorded to {self._path}"))
+                if self._path is None:
+                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded in the case: {self._name}"))
+                else:
+                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded to {self._path}"))
                 self.core.changed("state")
             return self._path
 
