@@ -134,6 +134,27 @@ def bench_open(
         raise SystemExit(report(folder=output, quick=quick, as_json=as_json))
 
 
+@bench.command("reopen")
+def bench_reopen(
+    output: BenchFolder = Path("carina-bench"),
+    case: Annotated[str | None, typer.Option("--case", help="A CT's path; else a synthetic chest.")] = None,
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """A kept case of 512x512x600, from the click to its state and its first pictures: warm, and from the disk.
+
+    In a running Carina, without a browser. Needs no extra. A missed limit is a result and no failure: the exit code
+    is 0.
+
+    Example: carina bench reopen --quick
+    """
+    with exit_codes(as_json):
+        from carina_bench.reopening import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, ct=case, quick=quick, as_json=as_json))
+
+
 @bench.command("stream")
 def bench_stream(
     output: BenchFolder = Path("carina-bench"),
