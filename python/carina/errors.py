@@ -26,6 +26,8 @@ __all__ = [
     "UsageError",
     "VolumeImportError",
     "check_type",
+    "error_of",
+    "kind_of",
 ]
 
 
@@ -144,6 +146,24 @@ class ProtocolError(CarinaError, ValueError):
 
     code = "protocol"
     exit_code = 1
+
+
+def kind_of(error: CarinaError) -> str:
+    """The class of this module that an error is of, or that its own class is below, by its name."""
+    return next(cls.__name__ for cls in type(error).__mro__ if cls.__module__ == __name__)
+
+
+def error_of(kind: str, message: str, *, code: str) -> CarinaError:
+    """An error of another process as it was raised there, from :func:`kind_of`, its words and its code.
+
+    One that has more than words, and one that this Carina does not know, is the nearest that has words alone.
+    """
+    cls = globals().get(kind)
+    if not isinstance(cls, type) or not issubclass(cls, CarinaError):
+        cls = CarinaError
+    plain = next(one for one in cls.__mro__ if one is CarinaError or "__init__" not in vars(one))
+    made: CarinaError = plain(message, code=code)
+    return made
 
 
 def check_type(where: str, name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:

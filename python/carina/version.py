@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
-__all__ = ["VERSION"]
+__all__ = ["VERSION", "WIRE_VERSION"]
 
 VERSION = "0.1.0"
+WIRE_VERSION = 2
+"""Of the messages between Carina and its window, a phone, and programs that join (``protocol/README.md``)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import carina as package
 from carina import commands as c
 from carina.case import CaseFile, SourceFacts
 from carina.commands import Steer
+from carina.config import load_settings
 from carina.export import read_tree
 from carina.navigate import Navigator, Pilot, Recorder, case_key, open_recording
 from carina.phantom import write_phantom
@@ -22,6 +24,7 @@ from carina.session.records import CaseRecords
 from carina.version import VERSION
 from carina.volume import CtSource, VolumeCache, ct_digest, open_volume
 from made import made_phantom
+from own_folders import own_folders
 
 
 @pytest.fixture(scope="session")
@@ -297,3 +300,31 @@ def test_a_recording_of_a_case_is_flown_and_handed_on_as_a_file(carina, recorded
         missing = carina(*verb, "-o", tmp_path / ("x.mp4" if verb[0] == "fly" else "x.jsonl"))
         assert missing.code == 2
         assert "no recording 'Flight 7'; it has Flight 1 (1)" in missing.err
+
+
+def test_what_a_window_has_open_is_read_as_it_was_saved_last(carina, case, live_case):
+    assert [step["label"] for step in carina("case", "history", case, "--json").json()["steps"]][-1] == "renamed since"
+    told = carina("case", "info", case)
+    assert "is open in Carina; what was saved there last is used" in told.err
+    assert carina("airways", case, "--json").json()["num_branches"] > 1
+    live_case.release()
+    assert "renamed since" not in carina("case", "history", case).out
+
+
+@pytest.fixture
+def live_case(case, monkeypatch, tmp_path):
+    """The case as a window has it: a step more than its copy."""
+    for name, folder in own_folders(tmp_path / "home").items():
+        monkeypatch.setenv(name, folder)
+    records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
+    with CaseFile.open(case, read_only=True) as copy:
+        held = records.begin(copy.digest, str(case.parent / "scans" / "ct.nii.gz"), "CT")
+        copy.write_copy(held.path)
+        volume = package.open_volume(case.parent / "scans" / "ct.nii.gz")
+        moment = copy.load(volume)
+    held.note(copy_path=str(case))
+    with CaseFile.open(held.path) as live:
+        steps = moment.steps[: moment.position]
+        live.save(replace(moment, steps=(*steps, replace(steps[-1], label="renamed since")), position=len(steps) + 1))
+        yield held
+    held.release()

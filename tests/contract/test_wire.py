@@ -21,6 +21,8 @@ PARSERS = {
     "pictures": wire.parse_picture,
     "phone": wire.parse_phone_message,
     "to-phone": wire.parse_to_phone_message,
+    "join": wire.parse_join_message,
+    "to-join": wire.parse_to_join_message,
 }
 
 
@@ -74,6 +76,8 @@ def test_every_message_has_a_valid_sample():
         ("server", wire.SERVER_MESSAGES),
         ("phone", wire.PHONE_MESSAGES),
         ("to-phone", wire.TO_PHONE_MESSAGES),
+        ("join", {"join", "settle", "set_fov"}),
+        ("to-join", wire.TO_JOIN_MESSAGES),
     ):
         sampled = {json.loads(p.read_text(encoding="utf-8"))["type"] for p in (PROTOCOL / "valid" / kind).iterdir()}
         assert sampled == set(classes)

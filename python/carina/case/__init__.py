@@ -2,6 +2,7 @@
 
 from carina.case.document import Document, Key, Keys, Target
 from carina.case.file import CaseFile, StepFacts, migrate
+from carina.case.following import CaseFollower
 from carina.case.history import History, Step
 from carina.case.moment import LaidScope, Moment
 from carina.case.reading import KeptAirways, KeptMeasures
@@ -14,6 +15,7 @@ from carina.case.trouble import CaseFileError
 __all__ = [
     "CaseFile",
     "CaseFileError",
+    "CaseFollower",
     "ChosenRoute",
     "Document",
     "History",

@@ -11,7 +11,7 @@ from typing import Any
 from carina.case import CaseFile, RecordingFacts, migrate, rescued
 from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, progress_printer, say
-from carina.cli.opened import case_scans
+from carina.cli.opened import case_scans, newest_state
 from carina.config import load_settings
 from carina.disk import say_size, write_whole
 from carina.errors import DiskError, UsageError
@@ -37,7 +37,7 @@ SHORT_ID = 6
 
 def case_json(path: Path) -> dict[str, Any]:
     """What a case file holds, for ``--json``; its CT is not needed."""
-    with CaseFile.open(path, read_only=True) as case:
+    with CaseFile.open(newest_state(path), read_only=True) as case:
         source, steps, holds = case.source, case.history(), case.summary()
         recordings = case.recordings()
         note = case.note
@@ -104,7 +104,7 @@ def info(path: Path, *, as_json: bool) -> int:
 
 def history(path: Path, *, as_json: bool) -> int:
     """Print the steps in words, the oldest first, with the time since the case was begun."""
-    with CaseFile.open(path, read_only=True) as case:
+    with CaseFile.open(newest_state(path), read_only=True) as case:
         steps = case.history()
     if as_json:
         print_json({"steps": [{"n": n, **asdict(step)} for n, step in enumerate(steps, 1)]})
@@ -187,7 +187,7 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
 def packed(path: Path, *, output: Path, ct: Path | None, as_json: bool) -> int:
     """Write a case together with its CT into one file."""
     _check_target(path, output)
-    with CaseFile.open(path, read_only=True) as case:
+    with CaseFile.open(newest_state(path), read_only=True) as case:
         volume = case_scans().open(case, ct=ct, progress=progress_printer()).volume
         case.write_copy(output, volume=volume)
     return _wrote(output, as_json)

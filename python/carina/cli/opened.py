@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carina.case import CaseFile, Document, Keys, Moment
     from carina.track import Airways
 
-__all__ = ["Opened", "case_scans", "check_case_options", "opened", "opened_volume"]
+__all__ = ["Opened", "case_scans", "check_case_options", "newest_state", "opened", "opened_volume"]
 
 
 @dataclass(slots=True)
@@ -110,6 +110,17 @@ def case_scans() -> CaseScans:
     )
 
 
+def newest_state(path: Path) -> Path:
+    """A case file, or the live one of this machine that is newer: where a window has the case open, which is said."""
+    settings = load_settings()
+    records = CaseRecords(settings.cases_dir, lambda: 0.0)
+    record = records.open_elsewhere(path.expanduser().absolute())
+    if record is None:
+        return path
+    say(f"note: {path.name} is open in Carina; what was saved there last is used")
+    return records.path_of(record)
+
+
 def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
     """Refuse what does not go together, before the work; each of ``refused`` is an option that a case answers itself.
 
@@ -148,7 +159,7 @@ def opened(
     if is_case_file(path):
         from carina.case import CaseFile
 
-        with CaseFile.open(path, read_only=True) as case:
+        with CaseFile.open(newest_state(path), read_only=True) as case:
             found = _of_case(case, ct, series, progress)
     else:
         found = Opened(carina.open_volume(path, series=series, progress=progress), Badges(), place=path)

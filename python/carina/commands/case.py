@@ -81,6 +81,8 @@ class OpenVolume(LocalCommand, frozen=True):
     """A :class:`carina.volume.Volume`."""
     kept: Any = None
     """A :class:`carina.case.Moment` to go on from; None begins anew."""
+    follows: bool = False
+    """Another process owns the case: nothing is looked for here."""
 
 
 class CloseCase(Command, frozen=True):
@@ -111,6 +113,23 @@ class SaveCase(Command, frozen=True):
     """Where to; null is where it was saved before."""
     replace: bool = False
     """Whether a file that is there already may be replaced."""
+
+
+class KeepNow(LocalCommand, frozen=True):
+    """Write what is not on the disk yet, before anything else is done; it would be written by itself soon."""
+
+
+class FollowMoment(LocalCommand, frozen=True):
+    """Show the open case as it is now in the process that owns it; the sight stays."""
+
+    moment: Any
+    """A :class:`carina.case.Moment` of the same case."""
+
+
+class TakeOver(LocalCommand, frozen=True):
+    """Own the case that was followed until now, and keep it from now on: its owner has gone."""
+
+    case_id: Key
 
 
 class GoToStep(Command, frozen=True):

@@ -21,6 +21,7 @@ from carina.server.closing import close_socket
 from carina.server.downloads import Downloads
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub
+from carina.server.programs import JOIN_PATH, serve_program
 from carina.server.security import Gate
 from carina.server.senders import start_sender
 from carina.server.uploads import Uploads
@@ -148,6 +149,13 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return
         await _serve_window(websocket, hub)
 
+    async def joined(websocket: WebSocket) -> None:
+        await websocket.accept()
+        if not gate.authorised(websocket.headers):
+            await close_socket(websocket, "protocol.not-authorised", "this token is not of this Carina")
+            return
+        await serve_program(websocket, hub.session)
+
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         hub.start()
@@ -164,6 +172,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/key-frames.json", key_frames),
         Route("/api/cases/{case_id}/picture.jpg", case_picture),
         WebSocketRoute("/ws", socket),
+        WebSocketRoute(JOIN_PATH, joined),
         Route("/{path:path}", asset),
     ]
     app = Starlette(routes=routes, lifespan=lifespan)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+from carina import version
 from carina.commands import *  # noqa: F403
 from carina.commands.value import Command
 from carina.errors import ProtocolError
@@ -37,8 +38,10 @@ from carina.server.wire_codec import (
     read_fields,
     split_picture,
 )
+from carina.session.join_messages import *  # noqa: F403
+from carina.session.join_messages import JoinMessage, ToJoinMessage
 
-WIRE_VERSION = 2
+WIRE_VERSION = version.WIRE_VERSION
 
 CLOSE_CODES: dict[str, int] = {
     "protocol.malformed": 4400,
@@ -46,6 +49,7 @@ CLOSE_CODES: dict[str, int] = {
     "protocol.version": 4402,
     "protocol.order": 4403,
     "protocol.taken-over": 4409,
+    "protocol.case-closed": 4410,
     "protocol.slow-client": 4413,
     "protocol.too-many-windows": 4429,
 }
@@ -56,6 +60,8 @@ CLIENT_MESSAGES = by_type(Command, ClientMessage)
 SERVER_MESSAGES = by_type(ServerMessage)
 PHONE_MESSAGES = by_type(PhoneMessage)
 TO_PHONE_MESSAGES = by_type(ToPhoneMessage)
+JOIN_MESSAGES = by_type(Command, JoinMessage)
+TO_JOIN_MESSAGES = by_type(ToJoinMessage)
 MAX_PHONE_BYTES = 2048
 """Largest message of a phone; its samples have 200."""
 
@@ -85,6 +91,22 @@ def parse_phone_message(text: str | bytes) -> Any:
 def parse_to_phone_message(text: str | bytes) -> Any:
     """One message of the server to a phone's page; for tests."""
     return decode(TO_PHONE_MESSAGES, text, max_bytes=MAX_PHONE_BYTES)
+
+
+def parse_join_message(text: str | bytes) -> Any:
+    """One message of a program that joins a case: a command, or one of its own.
+
+    Raises
+    ------
+    ProtocolError
+        With a ``protocol.*`` code and one sentence.
+    """
+    return decode(JOIN_MESSAGES, text)
+
+
+def parse_to_join_message(text: str | bytes) -> Any:
+    """One message of the server to it."""
+    return decode(TO_JOIN_MESSAGES, text, max_bytes=64 * 1024 * 1024)
 
 
 def parse_server_message(text: str | bytes, *, max_bytes: int = 64 * 1024 * 1024) -> Any:

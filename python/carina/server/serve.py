@@ -24,6 +24,7 @@ from carina.server.ending import EndingServer
 from carina.server.hub import Hub
 from carina.server.impatient import impatient
 from carina.server.listening import bind
+from carina.server.programs import door_of
 from carina.server.security import Gate, is_loopback
 from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
 from carina.server.uploads import Uploads
@@ -184,6 +185,7 @@ def serve(
     threading.Thread(target=sweep, name="carina-sweep", daemon=True).start()
     with bind(host, port) as sock:
         gate = Gate(host=host, port=sock.getsockname()[1])
+        records.door = door_of(gate)
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
         session = Session(

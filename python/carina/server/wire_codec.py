@@ -16,6 +16,7 @@ import msgspec
 
 from carina.commands.value import Command, FrozenValue, LocalCommand, snake_case, subclasses, trouble
 from carina.errors import CarinaError, ProtocolError
+from carina.session.join_messages import JoinMessage, ToJoinMessage
 
 __all__ = [
     "MAX_HEADER_BYTES",
@@ -72,7 +73,7 @@ def by_type(*bases: type[FrozenValue]) -> dict[str, type[FrozenValue]]:
     return {str(type_name(cls)): cls for cls in found if not issubclass(cls, LocalCommand)}
 
 
-MESSAGE_BASES = {Command, ClientMessage, ServerMessage, PhoneMessage, ToPhoneMessage}
+MESSAGE_BASES = {Command, ClientMessage, ServerMessage, PhoneMessage, ToPhoneMessage, JoinMessage, ToJoinMessage}
 
 
 def _refuse(code: str, message: str) -> NoReturn:

@@ -31,6 +31,8 @@ GROUPS = (
     ("PhoneMessage", messages.PHONE_MESSAGES),
     ("ToPhoneMessage", messages.TO_PHONE_MESSAGES),
 )
+PROGRAM_GROUPS = (("JoinMessage", messages.JOIN_MESSAGES), ("ToJoinMessage", messages.TO_JOIN_MESSAGES))
+"""No page of ours speaks them: they are in the schema alone."""
 
 
 def _struct(cls: type[Any]) -> inspect.StructType:
@@ -70,16 +72,21 @@ def _classes_in(whole: Iterable[type[Any]]) -> dict[type[Any], None]:
     return found
 
 
-def _all_classes() -> list[type[Any]]:
+Groups = tuple[tuple[str, dict[str, type[Any]]], ...]
+
+
+def _all_classes(groups: Groups = GROUPS) -> list[type[Any]]:
     """Every class that a message is or holds, each once, inner ones first."""
-    return list(_classes_in([*(cls for _, classes in GROUPS for cls in classes.values()), messages.PictureHeader]))
+    return list(_classes_in([*(cls for _, classes in groups for cls in classes.values()), messages.PictureHeader]))
 
 
 @functools.cache
 def _written() -> set[type[Any]]:
     """What only the server says: it writes every field, those with a default, too."""
-    said = _classes_in([*messages.SERVER_MESSAGES.values(), *messages.TO_PHONE_MESSAGES.values()])
-    return set(said) - set(_classes_in([*messages.CLIENT_MESSAGES.values(), *messages.PHONE_MESSAGES.values()]))
+    told = (messages.SERVER_MESSAGES, messages.TO_PHONE_MESSAGES, messages.TO_JOIN_MESSAGES)
+    asked = (messages.CLIENT_MESSAGES, messages.PHONE_MESSAGES, messages.JOIN_MESSAGES)
+    said, heard = (_classes_in([cls for group in groups for cls in group.values()]) for groups in (told, asked))
+    return set(said) - set(heard)
 
 
 def _is_required(cls: type[Any], field: inspect.Field) -> bool:
@@ -240,7 +247,7 @@ def _bounds(kind: inspect.VarTupleType | inspect.StrType, what: str) -> dict[str
 def json_schema() -> dict[str, Any]:
     """JSON Schema of both directions and of the picture header."""
     definitions: dict[str, Any] = {}
-    for cls in _all_classes():
+    for cls in _all_classes(GROUPS + PROGRAM_GROUPS):
         struct = _struct(cls)
         properties = {field.name: _schema_of(field.type) for field in struct.fields}
         required = [field.name for field in struct.fields if _is_required(cls, field)]
@@ -255,7 +262,7 @@ def json_schema() -> dict[str, Any]:
             "required": required,
             "additionalProperties": not struct.forbid_unknown_fields,
         }
-    for name, classes in GROUPS:
+    for name, classes in GROUPS + PROGRAM_GROUPS:
         definitions[name] = {"oneOf": [{"$ref": f"#/$defs/{_ts_name(cls)}"} for cls in classes.values()]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -5,6 +5,8 @@ from carina.session.case_files import case_files
 from carina.session.case_list import ListedCase, StorageInfo
 from carina.session.case_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
 from carina.session.core import Event
+from carina.session.doors import Door
+from carina.session.errands import Errand
 from carina.session.flying import view_words
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.key_framing import key_file
@@ -35,6 +37,8 @@ __all__ = [
     "CaseScans",
     "Changed",
     "ChosenRoute",
+    "Door",
+    "Errand",
     "Event",
     "FoundScan",
     "JobEnded",

@@ -48,6 +48,7 @@ __all__ = [
     "moment_of",
     "new_case",
     "pose_info",
+    "restore",
 ]
 
 LUNG_WINDOW = GreyWindow(1500.0, -600.0)
@@ -261,11 +262,11 @@ def new_case(
         sights=Sights(Sight(window=window) if kept is None else kept.sight),
     )
     if kept is not None:
-        _restore(case, kept)
+        restore(case, kept)
     return case
 
 
-def _restore(case: OpenCase, kept: Moment) -> None:
+def restore(case: OpenCase, kept: Moment) -> None:
     """Tip, search and numbers as they were; a scope is laid once the wall is known."""
     document = case.document
     case.flown_route = document.route

@@ -90,6 +90,11 @@ class CaseList(Subject):
             forgotten=() if records is None else tuple(_of_record(one, records) for one in records.forgotten()),
         )
 
+    @property
+    def open_case(self) -> tuple[str, int] | None:
+        """Id and number of the open case; None where none is kept."""
+        return self._saving.open_case
+
     def picture(self, case_id: str) -> bytes | None:
         """The small picture of a case, a JPEG; None where it has none."""
         records = self._saving.records

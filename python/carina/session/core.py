@@ -21,6 +21,7 @@ from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
 from carina.render import Sight
 from carina.session.case import LastMove, OpenCase, pose_info
+from carina.session.errands import current_errand
 from carina.session.jobs import JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
@@ -151,9 +152,11 @@ class SessionCore:
         self.emit(Changed(frozenset(topics)))
 
     def needed_case(self) -> OpenCase:
-        case = self.case
+        case, errand = self.case, current_errand()
         if case is None:
             raise UsageError("no case is open", code="session.no-case")
+        if errand is not None and errand.case_number not in {None, case.number}:
+            raise UsageError("this case is no longer open here", code="case.closed")
         return case
 
     # ------------------------------------------------------------ undo

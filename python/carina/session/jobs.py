@@ -15,6 +15,7 @@ from typing import Literal
 from carina.disk import disk_trouble, is_disk_trouble
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
+from carina.session.errands import current_errand
 
 __all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "log_fault"]
 
@@ -170,10 +171,15 @@ class JobRunner:
             self._jobs[job.job_id] = job
         # With what is true of whoever starts it, such as the command that is being done.
         context = contextvars.copy_context()
+        errand = current_errand()
+        if errand is not None:
+            errand.job_began()
         try:
             self._submit(lambda: context.run(self._run, job, work))
         except RuntimeError:
             # The threads were given back since the look above.
+            if errand is not None:
+                errand.job_ended(None)
             if not self._closed:
                 raise
             with self._idle:
@@ -234,6 +240,10 @@ class JobRunner:
         except BaseException as trouble:
             # BaseException: a panic of the compiled module is no Exception, and a job must end whatever happens.
             outcome, error = "failed", _fault(job.title, trouble)
+        errand = current_errand()
+        if errand is not None:
+            # Before the runner is idle: whoever waits for that knows how it ended.
+            errand.job_ended(error)
         with self._idle:
             self._jobs.pop(job.job_id, None)
             self._idle.notify_all()

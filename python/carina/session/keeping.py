@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carina.session.kept_files import KeptFile, KeptFiles
     from carina.session.records import CaseRecords, HeldCase
 
-__all__ = ["Keeper"]
+__all__ = ["NOT_RESPONDING", "Keeper"]
 
 logger = logging.getLogger(__name__)
 
@@ -120,6 +120,8 @@ class Keeper:
                 self._num_copied = -1
         self._is_ending = self._has_ended = False
         self._pictured = False
+        self._is_told_of = False
+        """Programs know where they join it."""
         self._copier: threading.Thread | None = None
 
     def start(self) -> None:
@@ -305,6 +307,9 @@ class Keeper:
         if self.file is None:
             self.held.clear()
             self.file = self._files.create(self.held.path, volume, self.digest)
+        if not self._is_told_of:
+            self.held.open_door()
+            self._is_told_of = True
         told: dict[str, Any] = {}
         if is_changed:
             with self._core.lock:

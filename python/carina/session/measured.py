@@ -18,10 +18,15 @@ class MeasuredAirways:
     """
 
     def __init__(self, kept: Iterable[tuple[Any, Any]] = ()) -> None:
-        self._found: dict[int, tuple[Any, Any]] = {id(airways): (airways, measures) for airways, measures in kept}
+        self._found: dict[int, tuple[Any, Any]] = {}
+        self.take(kept)
 
     def __repr__(self) -> str:
         return f"MeasuredAirways({len(self._found)})"
+
+    def take(self, kept: Iterable[tuple[Any, Any]]) -> None:
+        """These, and no others."""
+        self._found = {id(airways): (airways, measures) for airways, measures in kept}
 
     def of(self, airways: Any) -> Any:
         """What airways measure: :class:`carina.track.TreeMeasures`, or :class:`carina.case.KeptMeasures`; None where

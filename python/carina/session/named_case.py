@@ -48,7 +48,7 @@ class NamedCase:
                 self.note = original.note
                 self._saved = original.load(scan.volume)
                 return scan.volume, self._saved
-            if _is_open_in_window(self.path):
+            if _records().open_elsewhere(self.path) is not None:
                 self.note = (
                     f"{path.name} is open in a Carina window: changes made here can only be saved under another name"
                 )
@@ -177,15 +177,3 @@ def _found(case: CaseFile, ct: str | Path | None) -> FoundScan:
 
 def _records() -> CaseRecords:
     return CaseRecords(load_settings().cases_dir, time.time)
-
-
-def _is_open_in_window(path: Path) -> bool:
-    """Whether a window of this person has the case open whose copy lies there."""
-    records = _records()
-    for record in records.all():
-        if record.copy_path == str(path):
-            held = records.hold(record)
-            if held is None:
-                return True
-            held.release()
-    return False

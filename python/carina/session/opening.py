@@ -120,7 +120,9 @@ class Opening(Subject):
     def open_volume(self, command: c.OpenVolume) -> str:
         """Take a volume as it is."""
         volume: Volume = command.volume
-        return self._open("opening the volume", lambda _job: volume, None, given=command.kept)
+        return self._open(
+            "opening the volume", lambda _job: volume, None, given=command.kept, finds=not command.follows
+        )
 
     @does(c.OpenRecent)
     def open_recent(self, command: c.OpenRecent) -> str:
@@ -183,6 +185,7 @@ class Opening(Subject):
         case_id: str | None = None,
         anew: bool = False,
         given: Moment | None = None,
+        finds: bool = True,
         case_file: Callable[[], tuple[CaseFile, str | None]] | None = None,
         ended: Callable[[], None] = lambda: None,
     ) -> str:
@@ -242,7 +245,7 @@ class Opening(Subject):
                     self.core.changed(*ALL_TOPICS, "start")
             # A tenth of a second, and pictures come several times faster; the airways take many.
             case.content.prepare()
-            self._go_on(case, kept)
+            self._go_on(case, kept, finds)
 
         return self.core.jobs.start("open", title, work)
 
@@ -258,12 +261,12 @@ class Opening(Subject):
         self.core.case = case
         self.core.moved()
 
-    def _go_on(self, case: OpenCase, kept: Moment | None) -> None:
+    def _go_on(self, case: OpenCase, kept: Moment | None, finds: bool) -> None:
         """What a person would wait for: the airways, or what was kept of them, and a scope that was held in them."""
         if kept is not None:
             with self.core.lock:
                 self.core.follow(case)
                 self.core.changed(*ALL_TOPICS)
             self._holding.resume(case)
-        if case.search.status == "waiting":
+        if finds and case.search.status == "waiting":
             self._finding.start(case, None, case.threshold_from_histogram, label=None)

@@ -7,19 +7,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from carina.commands import Command, MomentToKeep, OpenPath, OpenVolume, Question
-from carina.errors import CarinaError, NoResultError, UsageError
+from carina.commands import Command, Question, Redo, Undo
+from carina.errors import NoResultError, UsageError
 from carina.session.case_scan import is_case_file
-from carina.session.jobs import JobEnded
-from carina.session.named_case import NamedCase
-from carina.session.session import Session
+from carina.session.joined_case import JoinedCase
+from carina.session.own_case import OwnCase, ProgramCase
 from carina.session.snapshot import Snapshot
 from carina.volume import Volume
 
 if TYPE_CHECKING:
     from carina.render import Picture
     from carina.scopes import Pose
-    from carina.session.core import Event
+    from carina.session.session import Session
     from carina.track import Airways
 
 __all__ = ["Case"]
@@ -46,57 +45,55 @@ class Case:
     ('route to LB9', (48, 64, 3))
     """
 
-    def __init__(self, session: Session, named: NamedCase | None = None) -> None:
-        self._session = session
-        self._named = named or NamedCase()
-        self._failed: list[CarinaError] = []
-        self._unsubscribe = session.subscribe(self._note)
+    def __init__(self, case: ProgramCase) -> None:
+        self._case = case
+
+    @property
+    def _session(self) -> Session:
+        return self._case.session
 
     @classmethod
     def open(cls, source: str | Path | Volume, *, ct: str | Path | None = None) -> Case:
         """Open a CT and find its airways, or open a case file and go on from there.
 
-        A case file opens with its history, and nothing is found again. While it is open nobody else writes it; whoever
-        opens it meanwhile can look at it and save it under another name (:attr:`note` says so, as a warning, too). What
-        is done goes into the file at :meth:`save` and at :meth:`close`. A CT stays in memory until :meth:`save`.
+        What a Carina window of this person has open is joined: commands are done there, both see what the other does,
+        and the window keeps saving it. Crosshair, zoom, window and light are this program's own. Once that window is
+        closed, or ends, this program takes over and saves as the window did, which a warning says.
+
+        Anything else is this program's alone. A case file opens with its history, and nothing is found again. While it
+        is open nobody else writes it; whoever opens it meanwhile can look at it and save it under another name
+        (:attr:`note` says so, as a warning, too). What is done goes into the file at :meth:`save` and at :meth:`close`.
+        A CT stays in memory until :meth:`save`.
 
         Parameters
         ----------
         source
             A file, a folder, a volume that is open already, or a case: ``NAME.carina``.
         ct
-            Where the CT of the case lies, if it is not where it was.
+            Where the CT of the case file lies, if it is not where it was.
 
         Raises
         ------
         VolumeImportError
             If the CT or the case is refused; ``case.no-scan`` where the CT of the case is not found.
         """
-        from carina.render import Renderer
-
         if not isinstance(source, str | Path | Volume):
             found = type(source).__name__
             raise UsageError(f"Case.open: source: expected str, Path or Volume; found {found}; name a folder or a file")
-        named = NamedCase()
-        is_case = not isinstance(source, Volume) and is_case_file(source)
-        if ct is not None and not is_case:
+        if ct is not None and (isinstance(source, Volume) or not is_case_file(source)):
             raise UsageError("Case.open: ct: only applies to a case file (NAME.carina)")
-        case = cls(Session(lambda volume, transfer: Renderer(volume, transfer=transfer)), named)
+        joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)
+        if joined is not None:
+            return cls(joined)
+        own = OwnCase()
         try:
-            if isinstance(source, Volume):
-                case.do(OpenVolume(source))
-            elif is_case:
-                volume, kept = named.open(Path(source).expanduser(), ct)
-                case.do(OpenVolume(volume, kept))
-                if named.note is not None:
-                    warnings.warn(named.note, stacklevel=2)
-            else:
-                case.do(OpenPath(str(source)))
-                named.came_from(source)
+            own.open(source, ct)
         except BaseException:
-            case.close()
+            own.close()
             raise
-        return case
+        if own.note is not None:
+            warnings.warn(own.note, stacklevel=2)
+        return cls(own)
 
     def __enter__(self) -> Case:
         return self
@@ -124,11 +121,7 @@ class Case:
         CarinaError
             As what goes on with it ends: ``NoResultError`` where there is no path, and so on.
         """
-        self._failed.clear()
-        self._session.do(command)
-        self._session.jobs.wait_idle(None)
-        if self._failed:
-            raise self._failed[0]
+        self._case.do(command)
 
     def ask(self, question: Question[A]) -> A:
         """Answer a question of :mod:`carina.commands.questions`; nothing changes."""
@@ -136,13 +129,11 @@ class Case:
 
     def undo(self) -> None:
         """Take back the last change; nothing where there is none."""
-        self._session.undo()
-        self._session.jobs.wait_idle(None)
+        self._case.do(Undo())
 
     def redo(self) -> None:
         """Do the last change taken back again; nothing where there is none."""
-        self._session.redo()
-        self._session.jobs.wait_idle(None)
+        self._case.do(Redo())
 
     def history(self) -> tuple[str, ...]:
         """What can be taken back, in words, the oldest first."""
@@ -170,7 +161,7 @@ class Case:
         DiskError
             If it cannot be written; what was there before stays.
         """
-        return self._named.save(self.volume, self.ask(MomentToKeep()), path, replace=replace)
+        return self._case.save(path, replace=replace)
 
     def close(self) -> None:
         """Save it where it belongs, if it has a file; stop what runs and give the memory back.
@@ -180,25 +171,19 @@ class Case:
         DiskError
             If it cannot be written; all is closed then, too.
         """
-        try:
-            if self._session.snapshot().case is not None and self._named.is_behind(self.ask(MomentToKeep())):
-                self.save()
-        finally:
-            self._unsubscribe()
-            self._session.close()
-            self._named.close()
+        self._case.close()
 
     # ------------------------------------------------------------ looking
 
     @property
     def path(self) -> Path | None:
         """The file that it is saved to; None where it has none yet."""
-        return self._named.path
+        return self._case.path
 
     @property
     def note(self) -> str | None:
         """Why it cannot be saved in its place; None where it can."""
-        return self._named.note
+        return self._case.note
 
     @property
     def state(self) -> Snapshot:
@@ -258,7 +243,3 @@ class Case:
             raise NoResultError(f"the view {view} needs {' and '.join(row.needs)}, which this case does not have yet")
         picture: Picture = scene.renderer.render(scene.spec(row.name, width, height, 0.5))
         return picture
-
-    def _note(self, event: Event) -> None:
-        if isinstance(event, JobEnded) and event.error is not None:
-            self._failed.append(event.error)

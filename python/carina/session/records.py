@@ -20,6 +20,7 @@ import msgspec
 from carina.disk import make_folder, write_whole
 from carina.disk.locks import Held, try_lock
 from carina.display import one_line
+from carina.session.doors import Door, close_door, open_door, read_door
 from carina.value import FrozenValue
 
 __all__ = ["CaseRecord", "CaseRecords", "HeldCase"]
@@ -67,10 +68,11 @@ class CaseRecord(FrozenValue, frozen=True):
 class HeldCase:
     """A case of this machine that this process owns, until it is released."""
 
-    def __init__(self, folder: Path, record: CaseRecord, lock: int) -> None:
+    def __init__(self, folder: Path, record: CaseRecord, lock: int, door: Door) -> None:
         self.folder = folder
         self.record = record
         self._lock: int | None = lock
+        self._door = door
 
     @property
     def path(self) -> Path:
@@ -92,10 +94,15 @@ class HeldCase:
         write_whole(self.folder / PICTURE, jpeg, what="the thumbnail of the case", private=True)
         self.note(pictured_s=now_s)
 
+    def open_door(self) -> None:
+        """Say where programs join this process, or that they cannot."""
+        open_door(self.folder, self._door)
+
     def release(self) -> None:
         """Another process may own it now."""
         lock, self._lock = self._lock, None
         if lock is not None:
+            close_door(self.folder)
             os.close(lock)
 
 
@@ -116,6 +123,8 @@ class CaseRecords:
         self._folder = folder
         self.documents = documents
         self.now_s = now_s
+        self.door = Door()
+        """Where programs join this process."""
 
     def __repr__(self) -> str:
         return f"CaseRecords({len(self.all())} cases)"
@@ -174,7 +183,19 @@ class CaseRecords:
         if held is not True:
             os.close(descriptor)
             return None
-        return HeldCase(folder, record, descriptor)
+        # One that a crash has left.
+        close_door(folder)
+        return HeldCase(folder, record, descriptor, self.door)
+
+    def open_elsewhere(self, path: Path) -> CaseRecord | None:
+        """The case whose copy lies there, where a process has it open: its live file is newer than the copy."""
+        for record in self.all():
+            if record.copy_path == str(path):
+                held = self.hold(record)
+                if held is None:
+                    return record
+                held.release()
+        return None
 
     def find(self, case_id: str) -> CaseRecord | None:
         """A case of the list."""
@@ -183,6 +204,10 @@ class CaseRecords:
     def path_of(self, record: CaseRecord) -> Path:
         """The live case file; another process may be writing it."""
         return self._place(record) / FILE
+
+    def door_of(self, record: CaseRecord) -> Door | None:
+        """Where the process that has a case open can be joined; what a crash has left leads nowhere."""
+        return read_door(self._place(record))
 
     def num_bytes(self, record: CaseRecord) -> int:
         """What a case takes on the disk."""

@@ -20,7 +20,7 @@ from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import CASE_SUFFIX
 from carina.session.core import SessionCore
 from carina.session.jobs import Job
-from carina.session.keeping import Keeper
+from carina.session.keeping import NOT_RESPONDING, Keeper
 from carina.session.kept_files import CtCache, KeptCt, KeptFile, KeptFiles
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
 from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
@@ -379,6 +379,26 @@ class Saving(Subject):
     def cache(self) -> CtCache | None:
         """The CTs that are kept to open faster."""
         return None if self._files is None else self._files.cache
+
+    # ------------------------------------------------------------ for whoever joins
+
+    @property
+    def open_case(self) -> tuple[str, int] | None:
+        """Id and number of the open case; None where none is kept."""
+        kept = self._kept
+        return None if kept is None or kept.held is None else (kept.held.record.case_id, kept.case.number)
+
+    @does(c.KeepNow)
+    def keep_now(self, _command: c.KeepNow) -> None:
+        """With what others are doing at this moment."""
+        case, kept = self.core.needed_case(), self._kept
+        if kept is None or kept.case is not case:
+            raise UsageError("this case is no longer open here", code="case.closed")
+        is_kept = kept.settle()
+        if self._kept is not kept or kept.has_ended:
+            raise UsageError("this case is no longer open here", code="case.closed")
+        if not is_kept:
+            raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
 
     # ------------------------------------------------------------ a place of its own
 

@@ -19,6 +19,7 @@ from carina.session.devices import Devices
 from carina.session.editing import TreeEditing
 from carina.session.finding import AirwayFinding
 from carina.session.flying import STRAIGHT_TO_THE_PILOT, Flying
+from carina.session.following import Following
 from carina.session.holding import ScopeHolding
 from carina.session.jobs import JobRunner
 from carina.session.key_framing import KeyFraming
@@ -100,6 +101,7 @@ class Session:
         subjects = (
             opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording,
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
+            Following(core, finding, holding, self._saving),
         )  # fmt: skip
         self._handlers: dict[type[Any], Callable[[Any], Any]] = {
             cls: looking.set_field for cls in all_commands() if cls.sets is not None

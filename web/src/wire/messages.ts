@@ -9,6 +9,7 @@ export const CLOSE_CODES = {
   "protocol.version": 4402,
   "protocol.order": 4403,
   "protocol.taken-over": 4409,
+  "protocol.case-closed": 4410,
   "protocol.slow-client": 4413,
   "protocol.too-many-windows": 4429,
 } as const;

@@ -1,0 +1,60 @@
+"""Where programs of this person join the Carina that has a case open: a private file beside the case's lock.
+
+The file only says where to knock. Who owns the case is told by the lock alone, so one that was left by a crash harms
+nobody. It is no part of the case file, and no file that a person names, packs or exports holds any of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+from pathlib import Path
+
+import msgspec
+
+from carina.disk import write_whole
+from carina.display import as_words
+from carina.value import FrozenValue
+
+__all__ = ["DOOR", "Door", "close_door", "open_door", "read_door"]
+
+logger = logging.getLogger(__name__)
+
+DOOR = "door.json"
+FORMAT, VERSION = "carina-door", 1
+
+
+class Door(FrozenValue, frozen=True):
+    """The address of a running Carina on this machine, and the token for programs; without both it has no door."""
+
+    url: str | None = None
+    """Such as ``ws://127.0.0.1:8000/join``."""
+    token: str | None = None
+
+    def __repr__(self) -> str:
+        return f"Door({as_words(self.url)})"
+
+
+def open_door(folder: Path, door: Door) -> None:
+    """Say in a case's folder where its owner is; where the disk refuses nobody joins, and all else goes on."""
+    plain = {"format": FORMAT, "version": VERSION, **msgspec.structs.asdict(door)}
+    try:
+        write_whole(folder / DOOR, (json.dumps(plain) + "\n").encode(), what="the way to this case", private=True)
+    except OSError as trouble:
+        logger.warning("no program can join this case: %s", type(trouble).__name__)
+
+
+def close_door(folder: Path) -> None:
+    """By the owner of the case, before another may own it; also one that a crash has left."""
+    with contextlib.suppress(OSError):
+        (folder / DOOR).unlink()
+
+
+def read_door(folder: Path) -> Door | None:
+    """None where there is none; behind one that is there nobody may live any more."""
+    with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
+        plain = json.loads((folder / DOOR).read_text(encoding="utf-8"))
+        if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:
+            return msgspec.convert(plain, Door)
+    return None

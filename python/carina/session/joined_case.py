@@ -1,0 +1,359 @@
+"""A case that a running Carina has open, as a program has it: what it asks is done there, and it sees what is done.
+
+The owner keeps the case; this process reads what is kept, read only, in a session of its own that follows it. When the
+owner has gone, whoever follows and takes the case's lock first owns it, and goes on where it was left.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+from carina import commands as c
+from carina.case import CaseFile, CaseFollower, Moment
+from carina.commands.value import LocalCommand, checked
+from carina.config import load_settings
+from carina.errors import CarinaError, UsageError
+from carina.render import Sight
+from carina.session.case_files import case_files
+from carina.session.case_scan import CASE_SUFFIX, CaseScans, is_case_file
+from carina.session.doors import Door
+from carina.session.join_messages import Settled
+from carina.session.named_case import NamedCase
+from carina.session.own_case import do_and_wait, program_session
+from carina.session.owner_link import LinkLostError, OwnerLink
+from carina.session.parts import default_parts
+from carina.session.records import CaseRecord, CaseRecords
+from carina.session.session import Session
+from carina.session.snapshot import SavingInfo
+from carina.volume import VolumeCache
+
+__all__ = ["JoinedCase"]
+
+OWNED_WITHIN_S = 20.0
+"""An owner that ends writes what is not written yet, and copies; it may hold the lock so long after its last word."""
+LOOK_EVERY_S = 0.05
+CLOCKS_S = 0.1
+"""By which the time of a step, reckoned from the beginning of its case, and the clock may differ."""
+OTHER_CASES = (c.OpenPath, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, c.BeginAnew, c.CloseCase)
+"""They would end this case for the person at the window."""
+
+
+@dataclass(slots=True)
+class _Followed:
+    """What the session shows of the owner's."""
+
+    follower: CaseFollower
+    moment: Moment
+
+
+class JoinedCase:
+    """One case of this machine, whose owner is another process at first: :meth:`join` makes one.
+
+    Parameters
+    ----------
+    records
+        The cases of this person.
+    case_id
+        Which of them it is.
+    session
+        Shows the moment.
+    link
+        To the owner.
+    followed
+        What the session shows.
+    """
+
+    def __init__(
+        self, records: CaseRecords, case_id: str, session: Session, link: OwnerLink, followed: _Followed
+    ) -> None:
+        self._records = records
+        self._case_id = case_id
+        self._session = session
+        self._link: OwnerLink | None = link
+        self._followed = followed
+        self._saving = SavingInfo()
+        self._named: NamedCase | None = None
+        """Where it is saved to when nobody else keeps it and this process may not."""
+        self._unsaid: str | None = None
+        """What a person has to be told, once."""
+        self._lock = threading.RLock()
+        self._closed = False
+
+    # ------------------------------------------------------------ joining
+
+    @classmethod
+    def join(cls, source: str | Path, ct: str | Path | None) -> JoinedCase | None:
+        """The case of a file, or of a CT, that a running Carina of this person has open; None where none has.
+
+        Raises
+        ------
+        CaseFileError
+            ``case.no-scan``: if its CT is nowhere.
+        """
+        settings = load_settings()
+        records = CaseRecords(settings.cases_dir, time.time)
+        for record in _meant(records, source):
+            door = records.door_of(record)
+            link = None if door is None else OwnerLink.connect(door, record.case_id)
+            if link is None:
+                continue
+            try:
+                joined = cls._joined(records, record, link, ct)
+            except LinkLostError:
+                link.close()
+                continue
+            except BaseException:
+                link.close()
+                raise
+            link.watch(joined._lost)
+            return joined
+        return None
+
+    @classmethod
+    def _joined(cls, records: CaseRecords, record: CaseRecord, link: OwnerLink, ct: str | Path | None) -> JoinedCase:
+        settings = load_settings()
+        # What is going on is waited for: the airways, where they are being found.
+        saving = _saved(link.settle(all_jobs=True))
+        cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
+        scans = CaseScans(cache, records, default_parts().open_demo, advice="give its place as ct=")
+        path = records.path_of(record)
+        with CaseFile.open(path, read_only=True) as file:
+            volume = scans.open(file, ct=ct).volume
+        follower = CaseFollower(path, volume)
+        moment = follower.newest()
+        session = program_session(records=records, files=case_files(cache, records))
+        try:
+            do_and_wait(session, c.OpenVolume(volume, moment, follows=True))
+        except BaseException:
+            session.close()
+            raise
+        joined = cls(records, record.case_id, session, link, _Followed(follower, moment))
+        joined._saving = saving
+        return joined
+
+    # ------------------------------------------------------------ what a program asks
+
+    @property
+    def session(self) -> Session:
+        """After all that was done to the case until now, by whomever."""
+        with self._lock:
+            self._catch_up()
+            self._say()
+            return self._session
+
+    @property
+    def path(self) -> Path | None:
+        """The copy that was asked for, by whomever."""
+        session = self.session
+        if self._named is not None:
+            return self._named.path
+        return _copy_of(session.snapshot().saving if self._link is None else self._saving)
+
+    @property
+    def note(self) -> str | None:
+        """Nobody keeps it."""
+        with self._lock:
+            return None if self._named is None else self._named.note
+
+    def do(self, command: c.Command) -> None:
+        """By the owner; what is only about how the case is looked at, here."""
+        if isinstance(command, OTHER_CASES):
+            raise UsageError(
+                f"{type(command).__name__} would close this case in the window; open the other one with "
+                "carina.Case.open",
+                code="case.joined",
+            )
+        if _is_sight(command):
+            do_and_wait(self.session, command)
+            return
+        if not isinstance(command, LocalCommand):
+            command = checked(command)
+        with self._lock:
+            while (link := self._link) is not None:
+                if isinstance(command, LocalCommand):
+                    raise UsageError(
+                        f"{type(command).__name__} cannot be sent to the Carina window that has this case open; do it "
+                        "there, or close the case there first",
+                        code="case.joined",
+                    )
+                if isinstance(command, c.Undo | c.Redo):
+                    self._catch_up()
+                sent_s, position = self._records.now_s(), self._followed.moment.position
+                try:
+                    self._saving = link.do(command).saving
+                    break
+                except LinkLostError:
+                    self._go_on_without(link)
+                    if self._was_done(command, sent_s, position):
+                        break
+            else:
+                do_and_wait(self._session, command)
+        if isinstance(command, c.ShowPlace):
+            do_and_wait(self.session, c.SetCrosshair(command.lps))
+        self._say()
+
+    def save(self, path: str | Path | None, *, replace: bool) -> Path:
+        """The owner writes it, and refreshes it from then on."""
+        if self._named is not None:
+            if path is None and self._named.note is not None:
+                raise UsageError(self._named.note, code="case.read-only")
+            state = self._session.snapshot()
+            assert state.case is not None
+            return self._named.save(state.case.volume, self._session.ask(c.MomentToKeep()), path, replace=replace)
+        if path is not None:
+            target = Path(path).expanduser().absolute()
+            if target.suffix.lower() != CASE_SUFFIX:
+                target = target.with_name(target.name + CASE_SUFFIX)
+            if not target.parent.is_dir():
+                raise UsageError(f"the folder {target.parent} does not exist", code="case.no-place")
+            self.do(c.SaveCase(str(target), replace))
+            return target
+        self.do(c.SaveCase())
+        found = self.path
+        assert found is not None
+        return found
+
+    def close(self) -> None:
+        """Leave it to its owner; as the owner, write what is not written yet."""
+        with self._lock:
+            self._closed = True
+            link, self._link = self._link, None
+        try:
+            if link is not None:
+                link.close()
+            elif self._named is None:
+                self._session.do(c.KeepNow())
+        finally:
+            self._session.close()
+            if self._named is not None:
+                self._named.close()
+
+    # ------------------------------------------------------------ following
+
+    def _catch_up(self) -> None:
+        """With the lock held."""
+        while (link := self._link) is not None:
+            try:
+                self._saving = _saved(link.settle())
+                self._follow()
+            except LinkLostError:
+                self._go_on_without(link)
+            else:
+                return
+
+    def _follow(self) -> None:
+        """Show the newest moment; with the lock held."""
+        moment = self._followed.follower.newest()
+        if moment is not self._followed.moment:
+            do_and_wait(self._session, c.FollowMoment(moment))
+            self._followed.moment = moment
+
+    def _say(self) -> None:
+        """Tell a person what has happened, once, where they can hear it."""
+        words, self._unsaid = self._unsaid, None
+        if words is not None:
+            warnings.warn(words, stacklevel=4)
+
+    # ------------------------------------------------------------ the owner has gone
+
+    def _lost(self, link: OwnerLink) -> None:
+        """From a thread of its own, at once: nobody else should have it first."""
+        with self._lock:
+            if not self._closed:
+                self._go_on_without(link)
+
+    def _go_on_without(self, link: OwnerLink) -> None:
+        """Own the case, join the one who does, or say that neither is possible; with the lock held."""
+        if self._link is not link:
+            return
+        link.close()
+        self._link = None
+        end_s = time.monotonic() + OWNED_WITHIN_S
+        while True:
+            try:
+                self._session.do(c.TakeOver(self._case_id))
+                self._session.jobs.wait_idle(None)
+                self._unsaid = (
+                    "the Carina that had this case open has ended or closed it; this program has taken over and keeps "
+                    "saving the case"
+                )
+                return
+            except (CarinaError, OSError) as trouble:
+                if getattr(trouble, "code", "") != "case.open":
+                    self._be_alone(str(trouble))
+                    return
+            record = self._records.find(self._case_id)
+            door = None if record is None else self._records.door_of(record)
+            if door is not None and self._join_again(door):
+                self._unsaid = (
+                    "the Carina that had this case open has ended or closed it; another Carina has it open now, and "
+                    "this program has joined that one"
+                )
+                return
+            if (door is not None and door.url is None) or time.monotonic() >= end_s:
+                self._be_alone("another program has it open")
+                return
+            time.sleep(LOOK_EVERY_S)
+
+    def _join_again(self, door: Door) -> bool:
+        link = OwnerLink.connect(door, self._case_id)
+        if link is None:
+            return False
+        try:
+            self._saving = _saved(link.settle())
+            self._follow()
+        except LinkLostError:
+            link.close()
+            return False
+        self._link = link
+        link.watch(self._lost)
+        return True
+
+    def _be_alone(self, why: str) -> None:
+        self._named = NamedCase()
+        self._named.path = _copy_of(self._saving)
+        self._named.note = self._unsaid = (
+            f"the Carina that had this case open has ended or closed it, and this program cannot take over: {why}. "
+            "Changes made here can be saved under another name"
+        )
+
+    def _was_done(self, command: c.Command, sent_s: float, position: int) -> bool:
+        """Whether what was not confirmed is in what was left behind, all of which the session shows now."""
+        moment = self._session.ask(c.MomentToKeep())
+        if isinstance(command, c.Undo | c.Redo):
+            return bool(moment.position != position)
+        begun_s = self._saving.begun_s
+        return begun_s is not None and any(
+            step.command == command and begun_s + step.at_s >= sent_s - CLOCKS_S for step in moment.steps
+        )
+
+
+def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
+    """The cases that a file, or a CT, may stand for; the last used first."""
+    place = str(Path(source).expanduser().absolute())
+    if is_case_file(place):
+        return [one for one in records.all() if place in {one.copy_path, str(records.path_of(one))}]
+    return [one for one in records.all() if one.place == place]
+
+
+def _saved(settled: Settled) -> SavingInfo:
+    """What can be read now is what was done until now."""
+    if settled.unsaved is not None:
+        raise CarinaError(f"the latest changes to this case cannot be read: {settled.unsaved}", code="case.not-saved")
+    return settled.saving
+
+
+def _copy_of(saving: SavingInfo) -> Path | None:
+    """The file that a person asked for."""
+    if saving.copy_name is None or saving.copy_folder is None:
+        return None
+    return Path(saving.copy_folder) / saving.copy_name
+
+
+def _is_sight(command: c.Command) -> bool:
+    """Only how the case is looked at: each window, and each program, looks for itself."""
+    return isinstance(command, c.SetCrosshair) or command.sets in Sight.__struct_fields__

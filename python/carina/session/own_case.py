@@ -1,0 +1,115 @@
+"""The case of a program: its own, or the one that a running Carina has open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from carina.commands import Command, MomentToKeep, OpenPath, OpenVolume
+from carina.session.case_scan import is_case_file
+from carina.session.errands import Errand
+from carina.session.named_case import NamedCase
+from carina.session.session import Session
+from carina.volume import Volume
+
+__all__ = ["OwnCase", "ProgramCase", "do_and_wait", "program_session"]
+
+
+class ProgramCase(Protocol):
+    """What :class:`carina.Case` stands on."""
+
+    @property
+    def session(self) -> Session:
+        """In which the case is to be read, as it is now."""
+
+    @property
+    def path(self) -> Path | None:
+        """The file that it is saved to; None where it has none yet."""
+
+    @property
+    def note(self) -> str | None:
+        """Why it cannot be saved in its place; None where it can."""
+
+    def do(self, command: Command) -> None:
+        """Do a command, and wait for what goes on with it."""
+
+    def save(self, path: str | Path | None, *, replace: bool) -> Path:
+        """Write it as one whole file."""
+
+    def close(self) -> None:
+        """Save it where it belongs, and give everything back."""
+
+
+class OwnCase:
+    """A case that nobody else has: its session, and the file that it is saved to."""
+
+    def __init__(self) -> None:
+        self._session = program_session()
+        self._named = NamedCase()
+
+    def open(self, source: str | Path | Volume, ct: str | Path | None) -> None:
+        """As :meth:`carina.Case.open`."""
+        if isinstance(source, Volume):
+            self.do(OpenVolume(source))
+        elif is_case_file(source):
+            self.do(OpenVolume(*self._named.open(Path(source).expanduser(), ct)))
+        else:
+            self.do(OpenPath(str(source)))
+            self._named.came_from(source)
+
+    @property
+    def session(self) -> Session:
+        """As it is."""
+        return self._session
+
+    @property
+    def path(self) -> Path | None:
+        """As opened or saved."""
+        return self._named.path
+
+    @property
+    def note(self) -> str | None:
+        """Somebody else has that file."""
+        return self._named.note
+
+    def do(self, command: Command) -> None:
+        """Here."""
+        do_and_wait(self._session, command)
+
+    def save(self, path: str | Path | None, *, replace: bool) -> Path:
+        """By the way of a copy."""
+        moment, case = self._session.ask(MomentToKeep()), self._session.snapshot().case
+        assert case is not None
+        return self._named.save(case.volume, moment, path, replace=replace)
+
+    def close(self) -> None:
+        """Only what was changed is written."""
+        try:
+            if self._session.snapshot().case is not None and self._named.is_behind(self._session.ask(MomentToKeep())):
+                self.save(None, replace=False)
+        finally:
+            self._session.close()
+            self._named.close()
+
+
+def program_session(**options: object) -> Session:
+    """A session whose pictures this process makes."""
+    from carina.render import Renderer
+
+    return Session(lambda volume, transfer: Renderer(volume, transfer=transfer), **options)  # type: ignore[arg-type]
+
+
+def do_and_wait(session: Session, command: Command) -> None:
+    """Do a command and wait until nothing goes on any more.
+
+    Raises
+    ------
+    CarinaError
+        As it was refused, or as the first of the jobs ended that it started.
+    """
+    errand = Errand()
+    with errand.doing():
+        session.do(command)
+    session.jobs.wait_idle(None)
+    for error in errand.wait():
+        raise error

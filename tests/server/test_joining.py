@@ -1,0 +1,426 @@
+"""A notebook and a window on one case: what one does the other sees; whoever is left goes on."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from live_server import serving
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+import carina
+from carina import commands as c
+from carina.case import CaseFile, CaseFileError
+from carina.config import load_settings
+from carina.errors import CarinaError, DiskError, NoEvidenceError, NoResultError, UsageError
+from carina.render import Renderer
+from carina.server import messages as wire
+from carina.server.programs import JoinedProgram, door_of, problem_of
+from carina.server.security import Gate
+from carina.server.uploads import Limits, Uploads
+from carina.session import NotEvident, Session, Trouble, case_files
+from carina.session.doors import DOOR, Door, open_door, read_door
+from carina.session.owner_link import raised
+from carina.session.records import CaseRecords
+from carina.volume import write_grid
+from made import made_phantom
+from own_folders import environment_in, own_folders
+
+WAIT_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def made_folder(tmp_path_factory):
+    """A CT, and a person's own folders in which a case of it was begun."""
+    folder = tmp_path_factory.mktemp("join")
+    volume = made_phantom(spacing_mm=3.0, generations=3).volume
+    write_grid(folder / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, place in own_folders(folder / "home").items():
+            patch.setenv(name, place)
+        with workstation() as window:
+            window.do(c.OpenPath(str(folder / "ct.nii.gz")))
+    return folder
+
+
+class Window:
+    """The session of a running workstation, as a person drives it."""
+
+    def __init__(self, session, records, gate):
+        self.session = session
+        self.records = records
+        self.gate = gate
+
+    def do(self, command):
+        self.session.do(command)
+        assert self.session.jobs.wait_idle(WAIT_S)
+        if self.state.case is not None:
+            # Only what is on the disk has a door.
+            self.session.do(c.KeepNow())
+
+    @property
+    def state(self):
+        return self.session.snapshot()
+
+    @property
+    def folder(self):
+        case_id, _ = self.session.cases.open_case
+        return self.records.path_of(self.records.find(case_id)).parent
+
+
+@contextlib.contextmanager
+def workstation():
+    """A server over a session that keeps its cases, as ``carina open`` starts it."""
+    records = CaseRecords(load_settings().cases_dir, time.time)
+    session = Session(
+        lambda volume, transfer: Renderer(volume, transfer=transfer), records=records, files=case_files(None, records)
+    )
+    with serving(session, Uploads(Limits(num_files=20, total_bytes=10_000, file_bytes=5000))) as gate:
+        records.door = door_of(gate)
+        yield Window(session, records, gate)
+
+
+@pytest.fixture
+def ct(made_folder, tmp_path, monkeypatch):
+    """The path of the CT; the person's own folders are a copy."""
+    shutil.copytree(made_folder / "home", tmp_path / "home")
+    for name, place in own_folders(tmp_path / "home").items():
+        monkeypatch.setenv(name, place)
+    return made_folder / "ct.nii.gz"
+
+
+@pytest.fixture
+def window(ct):
+    with workstation() as window:
+        window.do(c.OpenPath(str(ct)))
+        window.do(c.SaveCase(str(load_settings().cases_dir.parent / "lunch.carina")))
+        yield window
+
+
+def test_a_notebook_and_a_window_see_each_others_edits(window, ct):
+    with carina.Case.open(ct) as case:
+        assert case.note is None
+        tip = case.airways.tree.tips()[0]
+        assert [one.name for one in case.airways.tree.branches] == [
+            one.name for one in window.state.document.airways.tree.branches
+        ]
+        case.do(c.EditTree(c.RenameBranch(tip.id, "from the notebook")))
+        assert window.state.document.airways.tree.branch(tip.id).name == "from the notebook"
+        assert case.history() == window.session.history()
+        window.do(c.AddTarget(tuple(float(v) for v in tip.points[-1])))
+        assert [target.name for target in case.state.document.targets] == ["Target 1"]
+        window.do(c.EditTree(c.RenameBranch(tip.id, "from the window")))
+        assert case.airways.tree.branch(tip.id).name == "from the window"
+        case.undo()
+        assert window.state.document.airways.tree.branch(tip.id).name == "from the notebook"
+        window.session.undo()
+        assert not case.state.document.targets
+        case.redo()
+        assert [target.name for target in window.state.document.targets] == ["Target 1"]
+        assert [target.name for target in case.state.document.targets] == ["Target 1"]
+    # The window keeps it.
+    assert window.session.cases.open_case is not None
+    window.do(c.SetFov(100.0))
+
+
+def test_a_case_file_that_is_open_in_a_window_is_joined_and_saved_there(window, tmp_path):
+    place = load_settings().cases_dir.parent / "lunch.carina"
+    with carina.Case.open(place) as case:
+        assert case.path == place
+        case.do(c.SetFov(100.0))
+        assert case.save() == place
+        with CaseFile.open(place, read_only=True) as file:
+            assert len(file.history()) == 1
+        with pytest.raises(UsageError, match="already") as refused:
+            case.save(_file(tmp_path / "other.carina"))
+        assert refused.value.code == "case.exists"
+        assert case.save(tmp_path / "two") == tmp_path / "two.carina" == case.path
+        with pytest.raises(UsageError, match="does not exist"):
+            case.save(tmp_path / "nowhere" / "one.carina")
+
+
+def _file(path):
+    path.write_bytes(b"something")
+    return path
+
+
+def test_pictures_poses_and_questions_are_of_the_newest_state(window, ct):
+    with carina.Case.open(ct) as case:
+        window.do(c.GoTo(30.0))
+        assert np.array_equal(case.pose.lps_from_camera, window.session.pose_info().pose.lps_from_camera)
+        shown = case.render("axial", width=40, height=30)
+        scene = window.session.scene()
+        assert np.array_equal(shown.rgb, scene.renderer.render(scene.spec("axial", 40, 30, 0.5)).rgb)
+        assert case.ask(c.VoxelAt(tuple(case.pose.position_lps))) is not None
+        case.do(c.GoTo(60.0))
+        assert window.session.pose_info().path_mm == pytest.approx(60.0)
+
+
+def test_how_the_notebook_looks_at_the_case_is_its_own(window, ct):
+    with carina.Case.open(ct) as case:
+        centre = tuple(float(v) for v in case.volume.centre_lps)
+        case.do(c.SetCrosshair(centre))
+        case.do(c.SetTexture(on=False))
+        window.do(c.SetShading(on=False))
+        assert window.state.sight.crosshair_lps is None
+        assert window.state.sight.texture
+        assert case.state.sight.crosshair_lps == centre
+        assert not case.state.sight.texture
+        assert case.state.sight.shading
+
+
+def test_trouble_is_raised_in_the_notebook_as_it_would_be_without_a_window(window, ct):
+    with carina.Case.open(ct) as case:
+        before = case.history()
+        with pytest.raises(UsageError, match=r"set_fov\.fov_deg must be at least 60") as refused:
+            case.do(c.SetFov(1.0))
+        assert refused.value.code == "command.bounds"
+        with pytest.raises(UsageError, match="has been removed"):
+            case.do(c.RemoveTarget("target-77"))
+        far = tuple(float(v) for v in np.add(case.volume.centre_lps, (60.0, 60.0, 0.0)))
+        with pytest.raises(NoResultError):
+            case.do(c.EditTree(c.AddBranch(far)))
+        with pytest.raises(UsageError, match="in the window"):
+            case.do(c.CloseCase())
+        with pytest.raises(UsageError, match="cannot be sent"):
+            case.do(c.TakeMask("mask.nii.gz"))
+        assert case.history() == before
+        case.do(c.SetFov(100.0))
+
+
+def test_every_program_hears_of_its_own_trouble_alone(window, ct):
+    heard = []
+    window.session.subscribe(heard.append, window=1)
+    with carina.Case.open(ct) as one, carina.Case.open(ct) as other:
+        far = tuple(float(v) for v in np.add(one.volume.centre_lps, (60.0, 60.0, 0.0)))
+        with pytest.raises(NoResultError):
+            one.do(c.EditTree(c.AddBranch(far)))
+        other.do(c.SetFov(100.0))
+        assert one.state.document.look.fov_deg == 100.0
+        assert one.history() == other.history()
+    assert not [event for event in heard if isinstance(event, Trouble | NotEvident)]
+
+
+# ---------------------------------------------------------------- the owner goes
+
+
+def test_a_notebook_goes_on_when_the_window_is_closed(ct):
+    with workstation() as window:
+        window.do(c.OpenPath(str(ct)))
+        case = carina.Case.open(ct)
+        tip = case.airways.tree.tips()[0]
+        case.do(c.EditTree(c.RenameBranch(tip.id, "one")))
+    with pytest.warns(UserWarning, match="this program has taken over"):
+        assert case.airways.tree.branch(tip.id).name == "one"
+    case.do(c.EditTree(c.RenameBranch(tip.id, "two")))
+    case.undo()
+    case.redo()
+    assert case.state.saving.keeps
+    case.close()
+    with workstation() as window:
+        window.do(c.OpenPath(str(ct)))
+        assert window.state.document.airways.tree.branch(tip.id).name == "two"
+        assert len(window.session.history()) == 2
+
+
+def test_a_notebook_goes_on_when_another_case_is_opened_in_the_window(window, ct, tmp_path):
+    with carina.Case.open(ct) as case:
+        window.do(c.CloseCase())
+        with pytest.warns(UserWarning, match="has taken over"):
+            case.do(c.SetFov(100.0))
+        assert case.state.document.look.fov_deg == 100.0
+        # It belongs to the notebook now.
+        window.do(c.OpenPath(str(ct)))
+        assert window.state.document.look.fov_deg != 100.0
+
+
+def test_of_two_notebooks_one_owns_the_case_and_says_so(ct):
+    with workstation() as window:
+        window.do(c.OpenPath(str(ct)))
+        one, other = carina.Case.open(ct), carina.Case.open(ct)
+    for case in (one, other):
+        with pytest.warns(UserWarning, match="Carina that had this case open has ended"):
+            case.do(c.SetFov(100.0))
+    assert sorted(case.note is None for case in (one, other)) == [False, True]
+    loser = next(case for case in (one, other) if case.note is not None)
+    with pytest.raises(UsageError, match="another name"):
+        loser.save()
+    one.close()
+    other.close()
+
+
+# ---------------------------------------------------------------- a workstation that is killed
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a signal kills it")
+def test_a_notebook_goes_on_when_the_workstation_is_killed(ct, tmp_path):
+    stations = Workstations(ct, tmp_path)
+    try:
+        stations.start()
+        case = carina.Case.open(ct)
+        tip = case.airways.tree.tips()[0]
+        case.do(c.EditTree(c.RenameBranch(tip.id, "before")))
+        assert stations.kill() == -signal.SIGKILL
+        # Whatever is asked first: it is done once.
+        with pytest.warns(UserWarning, match="this program has taken over"):
+            case.do(c.AddTarget(tuple(float(v) for v in tip.points[-1])))
+        assert case.airways.tree.branch(tip.id).name == "before"
+        assert [target.name for target in case.state.document.targets] == ["Target 1"]
+        assert len(case.history()) == 2
+        case.undo()
+        assert not case.state.document.targets
+        case.redo()
+        case.close()
+        # The next workstation finds all of it.
+        stations.start()
+        with carina.Case.open(ct) as again:
+            assert len(again.history()) == 2
+            assert again.airways.tree.branch(tip.id).name == "before"
+    finally:
+        stations.end()
+
+
+class Workstations:
+    """Real ones, each in a process of its own, one after the other."""
+
+    def __init__(self, ct, home):
+        self._ct, self._home = ct, home
+        self._process = None
+
+    def start(self):
+        words = (
+            "from carina.server import serve; import sys; "
+            "serve(sys.argv[1], open_browser=False, on_ready=lambda url, token: print('ready', flush=True))"
+        )
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", words, str(self._ct)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment_in(self._home / "home"),
+        )
+        assert self._process.stdout.readline() == "ready\n"
+        records = CaseRecords(load_settings().cases_dir, time.time)
+        end_s = time.monotonic() + WAIT_S
+        # Its window opens while the CT is read.
+        while not any(records.door_of(one) for one in records.all()):
+            assert time.monotonic() < end_s
+            time.sleep(0.01)
+
+    def kill(self):
+        with self._process as process:
+            process.kill()
+            return process.wait(WAIT_S)
+
+    def end(self):
+        if self._process is not None and self._process.poll() is None:
+            self.kill()
+
+
+# ---------------------------------------------------------------- who may join
+
+
+def test_the_door_is_private_and_goes_with_the_case(ct):
+    with workstation() as window:
+        window.do(c.OpenPath(str(ct)))
+        folder = window.folder
+        door = read_door(folder)
+        assert door.url == f"ws://127.0.0.1:{window.gate.port}/join"
+        assert (folder / DOOR).stat().st_mode & 0o077 == 0
+        assert door.token not in repr(door)
+        for path in folder.iterdir():
+            assert path.name == DOOR or door.token.encode() not in path.read_bytes()
+        window.do(c.CloseCase())
+        assert not (folder / DOOR).exists()
+
+
+@pytest.mark.parametrize(
+    ("host", "url"),
+    [
+        ("127.0.0.1", "ws://127.0.0.1:80/join"),
+        ("::1", "ws://[::1]:80/join"),
+        ("0.0.0.0", "ws://127.0.0.1:80/join"),
+        ("::", "ws://[::1]:80/join"),
+        ("192.0.2.7", None),
+    ],
+)
+def test_programs_join_by_loopback_alone(host, url):
+    assert door_of(Gate(host=host, port=80)).url == url
+
+
+def test_a_door_that_a_crash_left_leads_nowhere(ct):
+    records = CaseRecords(load_settings().cases_dir, time.time)
+    (record,) = records.all()
+    open_door(records.path_of(record).parent, Door("ws://127.0.0.1:1/join", "x" * 40))
+    with carina.Case.open(ct) as case:
+        assert case.note is None
+        assert case.history() == ()
+    held = records.hold(record)
+    assert records.door_of(record) is None
+    held.release()
+
+
+def joined(window, *messages, token=None):
+    """What a program is told."""
+    door = read_door(window.folder)
+    with connect(door.url, additional_headers={"Authorization": f"Bearer {token or door.token}"}) as socket:
+        for message in messages:
+            socket.send(message if isinstance(message, str) else wire.encode_message(message))
+        answers = []
+        try:
+            while not answers or not isinstance(answers[-1], wire.Settled):
+                answers.append(wire.parse_to_join_message(socket.recv(timeout=WAIT_S)))
+        except ConnectionClosed as closed:
+            return [*answers, closed.rcvd.code]
+        return answers
+
+
+def test_who_does_not_belong_here_is_turned_away_in_words(window):
+    case_id, _ = window.session.cases.open_case
+    join = wire.Join(wire.WIRE_VERSION, case_id)
+    with pytest.raises(InvalidStatus, match="403"):
+        joined(window, join, token="y" * 40)
+    assert joined(window, wire.Join(wire.WIRE_VERSION + 1, case_id)) == [4402]
+    assert joined(window, wire.Settle(1)) == [4403]
+    assert joined(window, wire.Join(wire.WIRE_VERSION, "another")) == [4410]
+    assert joined(window, join, join)[-1] == 4403
+    assert joined(window, join, "{")[-1] == 4400
+    welcome, settled = joined(window, join, wire.SetFov(100.0), wire.Settle(7))
+    assert welcome == wire.Joined(carina.__version__)
+    assert settled.settle_id == 7
+    assert settled.problems == ()
+    assert window.state.document.look.fov_deg == 100.0
+
+
+def test_nothing_is_done_to_a_case_that_is_opened_in_the_place_of_the_one_that_was_joined(window, ct):
+    case_id, number = window.session.cases.open_case
+    program = JoinedProgram(window.session, number)
+    window.do(c.BeginAnew())
+    program.take(wire.SetFov(100.0))
+    settled = program.take(wire.Settle(1))
+    assert {problem.code for problem in settled.problems} == {"case.closed"}
+    assert window.state.document.look.fov_deg != 100.0
+    assert joined(window, wire.Join(wire.WIRE_VERSION, case_id)) == [4410]
+
+
+def test_an_error_keeps_its_class_its_code_and_what_it_knows():
+    way = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, 3.0)])
+    errors = (
+        UsageError("one", code="session.branch"),
+        CaseFileError("two", code="case.damaged"),
+        DiskError("three", code="disk.full"),
+        NoEvidenceError("four", doubtful_mm=3.0, way_lps=way, doubtful=np.array([True])),
+    )
+    again = [raised(problem_of(error)) for error in errors]
+    assert [type(one) for one in again] == [UsageError, carina.VolumeImportError, DiskError, NoEvidenceError]
+    assert [(str(one), one.code) for one in again] == [(str(one), one.code) for one in errors]
+    assert np.array_equal(again[-1].way_lps, way)
+    assert again[-1].doubtful.tolist() == [True]
+    assert type(raised(wire.Problem("NoSuchError", "x", "five"))) is CarinaError
