@@ -155,9 +155,9 @@ def test_another_scan_is_refused_wherever_it_is(carina, case, tmp_path):
     write_phantom(made_phantom(seed=3, spacing_mm=3.0, generations=3), tmp_path / "other")
     given = carina("airways", case, "--ct", tmp_path / "other" / "ct.nii.gz")
     assert given.code == 3
-    assert "another CT" in given.err
+    assert "a different CT" in given.err
     shutil.copy(tmp_path / "other" / "ct.nii.gz", case.parent / "scans" / "ct.nii.gz")
-    assert "another CT" in carina("airways", case).err
+    assert "a different CT" in carina("airways", case).err
 
 
 def test_a_scan_that_is_gone_comes_from_the_cache_or_from_the_case(carina, case, tmp_path):
@@ -255,6 +255,7 @@ def test_the_cached_scan_goes_with_the_last_case_of_it(carina, ct):
     ids = []
     for _ in range(2):
         held = records.begin(ct_digest(volume), str(ct), "CT")
+        held.path.touch()
         ids.append(held.record.case_id)
         held.release()
     assert carina("case", "forget", ids[0], "--yes", "--json").json()["cache_bytes"] == 0
