@@ -72,7 +72,7 @@ def test_a_live_path_and_an_edit_after_opening_are_those_of_the_case_that_was_no
         file.save(doing.moment())
     with CaseFile.open(tmp_path / "one.carina") as file:
         airways = whole(file.load(doing.case.volume).first.airways, doing.case)
-    assert "not made yet" in repr(airways.tracker)
+    assert "not built yet" in repr(airways.tracker)
     point = tuple(float(v) for v in doing.case.tips[0])
     one, other = (a.tracker.live_path(point) for a in (airways, doing.case.airways))
     np.testing.assert_array_equal(one.points_lps, other.points_lps)

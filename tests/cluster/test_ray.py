@@ -224,7 +224,7 @@ def test_another_version_of_carina_is_told_which_side_to_upgrade(head):
 
 def test_a_volume_larger_than_a_members_memory_is_told_and_rendered_by_others(head):
     with flying(head, StandInHost, num=0, limit=1, volume=small_volume(64), memory_bytes=1000) as flight:
-        notice = wait_for(lambda: [n for n in flight.console.status().notices if "memory left" in n])[0]
+        notice = wait_for(lambda: [n for n in flight.console.status().notices if "free memory" in n])[0]
         assert "is not used" in notice
         assert flight.renderer.render(VIEW).rgb.shape == (512, 512, 3)
 

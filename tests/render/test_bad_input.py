@@ -130,7 +130,7 @@ def test_a_stop_limit_out_of_range_is_refused_with_what_was_found(transparency):
         ([[0, 1, 1, 1, INF]], "0 to 1.*point 0.*inf"),
         ([[0, 1, 1, 1, 0.5], [1, 1, 1.01, 1, 0.5]], r"0 to 1.*point 1.*1\.01"),
         ([[0, -0.5, 1, 1, 0.5]], r"0 to 1.*point 0.*-0\.5"),
-        ([[5, 1, 1, 1, 0], [4, 1, 1, 1, 1]], "in order.*4.*after 5"),
+        ([[5, 1, 1, 1, 0], [4, 1, 1, 1, 1]], "increasing order.*4.*after 5"),
     ],
 )
 def test_a_transfer_function_that_is_none_is_refused_with_what_was_found(points, words, tmp_path):

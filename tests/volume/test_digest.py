@@ -208,7 +208,7 @@ def test_equal_bytes_in_another_shape_are_another_ct():
     flat = Volume(np.zeros((2, 3, 4), dtype=np.int16), LPS_FROM_IJK)
     tall = Volume(np.zeros((4, 3, 2), dtype=np.int16), LPS_FROM_IJK)
     assert ct_digest(flat) == ct_digest(tall)
-    with pytest.raises(VolumeImportError, match="another CT"):
+    with pytest.raises(VolumeImportError, match="a different CT"):
         refuse_other_ct(tall, *case_of(flat))
 
 
