@@ -122,6 +122,8 @@ class CaseReader:
         self._lock = threading.RLock()
         self._arrays: weakref.WeakValueDictionary[int, NDArray[Any]] = weakref.WeakValueDictionary()
         self._lumens: weakref.WeakValueDictionary[int, NDArray[np.uint8]] = weakref.WeakValueDictionary()
+        self._num_voxels: dict[int, int] = {}
+        """Of lumens that were read, by their row."""
         self._trackers: weakref.WeakValueDictionary[int, PathTracker] = weakref.WeakValueDictionary()
         self._trees: dict[int, tuple[tuple[Branch, ...], tuple[Note, ...]]] = {}
         self._whole: dict[int, Airways] = {}
@@ -360,8 +362,9 @@ class CaseReader:
             all_nodes = self._array(nodes, "u4")
             counts = self._array(num_nodes, "i8", count=len(branches))
             ends = np.cumsum(counts)
-            voxels = np.count_nonzero(lumen_zyx) if len(all_nodes) else 0
-            if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= voxels:
+            # Not counted in the array: that would touch all of its memory, of which a tenth holds lumen.
+            num_voxels = self._num_voxels[lumen] if len(all_nodes) else 0
+            if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= num_voxels:
                 raise damaged(
                     where, "nodes in the lumen for each branch", f"{len(all_nodes)} nodes for {len(branches)} branches"
                 )
@@ -435,9 +438,9 @@ class CaseReader:
         )
         if count and (places[0] < 0 or places[-1] >= most or (np.diff(places) <= 0).any()):
             raise damaged(where, "tiles in ascending order", "a different order")
-        made = self._turn.turned(
-            from_tiles(shape, ((int(p), self._tile(int(t))) for p, t in zip(places, tiles, strict=True)))
-        )
+        bits = [self._tile(int(tile)) for tile in tiles]
+        self._num_voxels[row] = sum(int.from_bytes(one).bit_count() for one in bits)
+        made = self._turn.turned(from_tiles(shape, zip(places.tolist(), bits, strict=True)))
         self._lumens[row] = made
         self._know("lumen", made, row)
         return made
