@@ -296,7 +296,7 @@ def test_a_recording_of_a_case_is_flown_and_handed_on_as_a_file(carina, recorded
     assert open_recording(tmp_path / "flight.jsonl").length_s == pytest.approx(2.0)
     again = carina("case", "recording", recorded, "Flight 1", "-o", tmp_path / "flight.jsonl")
     assert again.code == 2
-    assert "there is a file already" in again.err
+    assert "already exists" in again.err
     for verb in (("case", "recording", recorded, "Flight 7"), ("fly", recorded, "--recording", "Flight 7")):
         missing = carina(*verb, "-o", tmp_path / ("x.mp4" if verb[0] == "fly" else "x.jsonl"))
         assert missing.code == 2
@@ -306,7 +306,7 @@ def test_a_recording_of_a_case_is_flown_and_handed_on_as_a_file(carina, recorded
 def test_what_a_window_has_open_is_read_as_it_was_saved_last(carina, case, live_case):
     assert [step["label"] for step in carina("case", "history", case, "--json").json()["steps"]][-1] == "renamed since"
     told = carina("case", "info", case)
-    assert "is open in Carina; what was saved there last is used" in told.err
+    assert "is open in Carina; its last saved state is used" in told.err
     assert carina("airways", case, "--json").json()["num_branches"] > 1
     live_case.release()
     assert "renamed since" not in carina("case", "history", case).out

@@ -197,7 +197,7 @@ class RecordingWriter(io.TextIOBase):
     def recording_id(self) -> int:
         """Its number in the file."""
         if self._recording_id is None:
-            raise UsageError("nothing of this recording is in a case file yet", code="case.recording")
+            raise UsageError("none of this recording has been saved in a case file yet", code="case.recording")
         return self._recording_id
 
     @property

@@ -108,7 +108,7 @@ def case_recording(
     output: Annotated[Path, typer.Option("--output", "-o", help="New file (.jsonl).")],
     as_json: JsonOption = False,
 ) -> None:
-    """Write a recorded flight of a case as a file of its own, for `carina fly --recording`.
+    """Write a recorded flight of a case to a separate file, for `carina fly --recording`.
 
     Example: carina case recording NAME.carina "Flight 1" -o flight.jsonl
     """

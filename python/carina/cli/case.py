@@ -213,7 +213,7 @@ def recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
     """Write a recording of a case as a file of its own."""
     check_output_file(output, ".jsonl")
     if output.exists():
-        raise UsageError(f"-o: there is a file already: {output}; choose another name")
+        raise UsageError(f"-o: {output} already exists; choose another name")
     with CaseFile.open(path, read_only=True) as case:
         text = case.recording_text(recording_in(case, wanted).recording_id)
     write_whole(output, text.encode(), what="the recording")
@@ -236,7 +236,7 @@ def recording_in(case: CaseFile, wanted: str) -> RecordingFacts:
         return found[0]
     if found:
         raise UsageError(
-            f"{len(found)} recordings of this case are called {wanted!r}: give the number of one "
+            f"{len(found)} recordings of this case have the name {wanted!r}; give one of their numbers "
             f"({', '.join(str(one.recording_id) for one in found)})",
             code="case.recording",
         )

@@ -117,7 +117,7 @@ def newest_state(path: Path) -> Path:
     record = records.open_elsewhere(path.expanduser().absolute())
     if record is None:
         return path
-    say(f"note: {path.name} is open in Carina; what was saved there last is used")
+    say(f"note: {path.name} is open in Carina; its last saved state is used")
     return records.path_of(record)
 
 

@@ -152,7 +152,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     async def joined(websocket: WebSocket) -> None:
         await websocket.accept()
         if not gate.authorised(websocket.headers):
-            await close_socket(websocket, "protocol.not-authorised", "this token is not of this Carina")
+            await close_socket(websocket, "protocol.not-authorised", "this token does not belong to this Carina")
             return
         await serve_program(websocket, hub.session)
 

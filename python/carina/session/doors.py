@@ -40,7 +40,9 @@ def open_door(folder: Path, door: Door) -> None:
     """Say in a case's folder where its owner is; where the disk refuses nobody joins, and all else goes on."""
     plain = {"format": FORMAT, "version": VERSION, **msgspec.structs.asdict(door)}
     try:
-        write_whole(folder / DOOR, (json.dumps(plain) + "\n").encode(), what="the way to this case", private=True)
+        write_whole(
+            folder / DOOR, (json.dumps(plain) + "\n").encode(), what="the connection details of this case", private=True
+        )
     except OSError as trouble:
         logger.warning("no program can join this case: %s", type(trouble).__name__)
 

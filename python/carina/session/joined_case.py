@@ -119,7 +119,7 @@ class JoinedCase:
         # What is going on is waited for: the airways, where they are being found.
         saving = _saved(link.settle(all_jobs=True))
         cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
-        scans = CaseScans(cache, records, default_parts().open_demo, advice="give its place as ct=")
+        scans = CaseScans(cache, records, default_parts().open_demo, advice="give its location as ct=")
         path = records.path_of(record)
         with CaseFile.open(path, read_only=True) as file:
             volume = scans.open(file, ct=ct).volume

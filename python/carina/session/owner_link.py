@@ -145,7 +145,7 @@ class OwnerLink:
             for text in self._socket:
                 self._answers.put(msgspec.json.decode(text, type=Settled))
         except (OSError, msgspec.MsgspecError) as trouble:
-            logger.warning("the owner of a case sent what it should not: %s", type(trouble).__name__)
+            logger.warning("the owner of a case sent an invalid message: %s", type(trouble).__name__)
         except Exception as trouble:  # of the library: the connection is at its end, however it came to it
             logger.debug("the owner of a case has gone: %s", type(trouble).__name__)
         finally:
