@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import time
 
 import pytest
 from server_process import start_server, stop_server
 
 from carina.case import CaseFile
+from carina.volume import write_grid
+from faulty_disk import FAULTS, FaultyDisk, has_compiler
+from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -168,3 +172,79 @@ def test_a_case_is_continued_from_the_list_begun_anew_forgotten_and_brought_back
     listed("recent").filter(has_text="1 change").get_by_role("button").click()
     workstation.wait_ready()
     assert shown(workstation)["steps"] == steps
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux" or not has_compiler(), reason="needs Linux and a C compiler")
+def test_a_person_whose_disk_is_full_is_told_flies_on_and_saves_elsewhere(workstation, tmp_path, monkeypatch):
+    page, stick = workstation.page, tmp_path / "stick"
+    stick.mkdir()
+    disk = FaultyDisk(tmp_path)
+    with monkeypatch.context() as preloaded:
+        for name, value in disk.environment.items():
+            preloaded.setenv(name, value)
+        server = start_server(["demo", "phantom"], tmp_path)
+    workstation.open(server)
+    workstation.wait_ready()
+    work(workstation)
+    wait_saved(workstation, tmp_path)
+    disk.begin(FAULTS["full"], 1, tmp_path / "data")
+    page.keyboard.press("o")
+    workstation.wait_for("window.__carina.state.session.saving.problem !== null")
+    saved = page.get_by_test_id("saved")
+    assert saved.inner_text().startswith("not saving: last saved")
+    place = workstation.state("pose.pose_id")
+    workstation.hold_until("w", "(before) => window.__carina.state.pose.pose_id > before", place)
+    workstation.wait_still()
+    saved.click()
+    dialog = page.get_by_test_id("save-dialog")
+    assert "the disk is full" in dialog.inner_text()
+    assert dialog.evaluate("(dialog) => dialog.scrollWidth <= dialog.clientWidth"), "all of it can be read"
+    workstation.picture("disk-full-dialog")
+    page.get_by_test_id("save-path").fill(str(stick / "mine"))
+    page.get_by_test_id("save-now").click()
+    workstation.wait_for("window.__carina.state.session.saving.copy_name === 'mine.carina'")
+    assert saved.inner_text().endswith("in stick")
+    workstation.picture("disk-full-saved-elsewhere")
+    with CaseFile.open(stick / "mine.carina", read_only=True) as case:
+        assert [step.label for step in case.history()] == shown(workstation)["steps"]
+    disk.heal()
+    workstation.wait_for("window.__carina.state.session.saving.problem === null")
+    assert re.match(r"saved \d\d:\d\d", saved.inner_text())
+    workstation.picture("disk-well-again")
+    assert stop_server(server) == 0
+    workstation.faults.clear()
+
+
+def test_a_case_whose_ct_has_moved_asks_for_it_refuses_another_and_goes_on(host, workstation, home, tmp_path):
+    page = workstation.page
+    chest, other = (made_phantom(spacing_mm=3.0, generations=n).volume for n in (3, 4))
+    ct, moved = tmp_path / "ct.nii.gz", tmp_path / "moved.nii.gz"
+    write_grid(ct, chest.hu_zyx, chest.lps_from_ijk, what="the phantom")
+    server = host.open(path=str(ct), home=home)
+    try:
+        workstation.open(server)
+        workstation.wait_ready()
+        work(workstation)
+        steps = shown(workstation)["steps"]
+        page.get_by_role("button", name="Open", exact=True).click()
+        page.get_by_role("button", name="Start page").click()
+        page.get_by_test_id("start").wait_for()
+        ct.rename(moved)
+        recent = page.get_by_test_id("recent").get_by_role("listitem").filter(has_text="1 change")
+        recent.get_by_role("button").first.click()
+        workstation.wait_for("window.__carina.state.messages.some(({ code }) => code === 'case.no-ct')")
+        workstation.picture("ct-gone")
+        # Another CT has come into its place.
+        write_grid(ct, other.hu_zyx, other.lps_from_ijk, what="another phantom")
+        recent.get_by_role("button").first.click()
+        workstation.wait_for("window.__carina.state.messages.some(({ code }) => code === 'case.other-ct')")
+        workstation.picture("ct-is-another")
+        page.locator(".path-form input").fill(str(moved))
+        page.keyboard.press("Enter")
+        workstation.wait_ready()
+        assert shown(workstation)["steps"] == steps
+        workstation.picture("ct-found-again")
+    finally:
+        host.close(server)
+        workstation.faults.clear()

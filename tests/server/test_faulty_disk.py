@@ -78,10 +78,17 @@ def assert_holds(found: list[tuple[str, float]], must: list[tuple[str, float]]) 
     assert {step for step in must if step[1] > first_s} <= set(found)
 
 
+def change(window: Window) -> None:
+    """One step more, however many there are."""
+    outlines = ["round", "octagon", "none"]
+    now = outlines.index(window.state["look"]["outline"])
+    window.send({"type": "set_outline", "outline": outlines[(now + 1) % 3]})
+
+
 def goes_on(window: Window) -> None:
     """What is done is done, and flown."""
     num_steps, pose_id = len(window.history["steps"]), window.pose["pose_id"]
-    window.send({"type": "edit_keys", "edit": {"kind": "add"}})
+    change(window)
     window.until(lambda: len(window.history["steps"]) > num_steps or len(window.history["steps"]) >= 1000)
     window.send({"type": "steer", "advance_mm": 0.5, "yaw_rad": 0.01, "pitch_rad": 0.0, "roll_rad": 0.0})
     window.until(lambda: window.pose["pose_id"] > pose_id)
@@ -90,7 +97,7 @@ def goes_on(window: Window) -> None:
 def until_saved(window: Window, since_s: float) -> None:
     """All that was done until a time is on the disk, as the window is told."""
     end_s = time.monotonic() + WAIT_S
-    window.send({"type": "edit_keys", "edit": {"kind": "add"}})
+    change(window)
     while (window.state["saving"]["saved_s"] or 0.0) < since_s + ROUNDED_S or window.state["saving"][
         "problem"
     ] is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from carina import commands as c
 from carina.case import CaseFile
 from carina.case.moment import Moment
-from carina.errors import UsageError
+from carina.errors import UsageError, VolumeImportError
 from carina.session.case import OpenCase, new_case
 from carina.session.case_scan import CaseScans, is_case_file
 from carina.session.core import ALL_TOPICS, SessionCore
@@ -62,7 +62,15 @@ class Opening(Subject):
             return self._open_case_file(Path(path), scans)
 
         def read(job: Job) -> Volume:
-            return self._saving.open_ct(path, job.progress, job.cancel)
+            try:
+                return self._saving.open_ct(path, job.progress, job.cancel)
+            except VolumeImportError as trouble:
+                if case_id is None or Path(path).exists():
+                    raise
+                raise UsageError(
+                    f"the CT of this case is not where it was ({path}): choose it where it is now to continue",
+                    code="case.no-ct",
+                ) from trouble
 
         return self._open("opening the case", read, path, case_id=case_id)
 

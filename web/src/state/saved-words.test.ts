@@ -42,6 +42,13 @@ describe("what is saved", () => {
     const told = savedWords({ ...NOTHING, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
     expect(told).toMatchObject({ warns: true, words: "the disk is full" });
     expect(told?.label).toContain(clock(NOW_S, NOW_MS));
+    const elsewhere = { copied_s: NOW_S + 60, copy_name: "n.carina", copy_folder: "/media/stick" };
+    expect(savedWords({ ...NOTHING, saved_s: NOW_S, problem: "the disk is full", ...elsewhere }, NOW_MS)).toMatchObject(
+      {
+        warns: true,
+        label: `not saving on this machine \u00b7 copy from ${clock(NOW_S + 60, NOW_MS)} in stick`,
+      },
+    );
     expect(savedWords({ ...NOTHING, keeps: false }, NOW_MS)).toMatchObject({ warns: true, label: "not saved" });
   });
 

@@ -22,6 +22,10 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
     };
   }
   if (saving.problem !== null) {
+    if (saving.copied_s !== null && saving.copied_s > (saving.saved_s ?? 0)) {
+      const copied = `copy from ${clock(saving.copied_s, nowMs)} in ${folderOf(saving)}`;
+      return { label: `not saving on this machine \u00b7 ${copied}`, words: saving.problem, warns: true };
+    }
     const last = saving.saved_s === null ? "nothing is saved yet" : `last saved ${clock(saving.saved_s, nowMs)}`;
     return { label: `not saving: ${last}`, words: saving.problem, warns: true };
   }
@@ -42,10 +46,13 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
       warns: true,
     };
   }
-  const folder = (saving.copy_folder ?? "").split(/[/\\]/).at(-1) ?? "";
   return {
-    label: `${saved} \u00b7 copy from ${clock(saving.copied_s, nowMs)} in ${folder}`,
+    label: `${saved} \u00b7 copy from ${clock(saving.copied_s, nowMs)} in ${folderOf(saving)}`,
     words: `${saving.copy_folder ?? ""}: ${saving.copy_name}. It is updated every minute and when the case is closed.`,
     warns: false,
   };
+}
+
+function folderOf(saving: SavingInfo): string {
+  return (saving.copy_folder ?? "").split(/[/\\]/).at(-1) ?? "";
 }
