@@ -221,6 +221,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
         patient_citation=serve_module._patient_citation(),
         build_info=serve_module._build_info(),
         phone=page,
+        watch_address=told.get("phone_address"),
     )
     thread = threading.Thread(target=lambda: server.run(sockets=[sock]))
     thread.start()

@@ -26,10 +26,12 @@ from carina.errors import CarinaError
 from carina.navigate import PoseSample
 from carina.navigate.pilot import CLUTCH_BUTTON
 from carina.phone import PhoneSwitch
-from carina.phone.link import MAX_BAD, ClockMap, PhoneLink, TokenGate
-from carina.phone.page import MAX_CONNECTIONS, qr_rows
+from carina.phone.link import MAX_BAD, ClockMap, PhoneLink
+from carina.phone.page import qr_rows
 from carina.server import messages as wire
 from carina.server.device_desk import DeviceDesk
+from carina.server.lan_server import MAX_CONNECTIONS
+from carina.server.security import TokenGate
 from simulated_serial import wait_for
 from small_case import small_bench
 

@@ -112,7 +112,7 @@ def serving(session, uploads, *, web=None):
     with bind("127.0.0.1", 0) as sock:
         gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
         started = threading.Event()
-        server = make_server(session, gate, on_started=started.set, web=web, uploads=uploads)
+        server = make_server(session, gate, on_started=started.set, web=web, uploads=uploads, watch_address="127.0.0.1")
         thread = threading.Thread(target=lambda: server.run(sockets=[sock]), daemon=True)
         thread.start()
         try:

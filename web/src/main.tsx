@@ -17,7 +17,8 @@ function socketAddress(): string {
   return address.href;
 }
 
-const station = new Workstation(() => new WebSocket(socketAddress()));
+// Behind the #, which no browser sends: the token of the link by which a watcher came.
+const station = new Workstation(() => new WebSocket(socketAddress()), location.hash.slice(1) || null);
 exposeForTests(station);
 station.start();
 const root = document.getElementById("root");

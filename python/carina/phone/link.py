@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections import Counter
 from collections.abc import Callable
 
@@ -11,7 +10,7 @@ from carina.navigate import PoseSample
 from carina.navigate.pilot import CLUTCH_BUTTON
 from carina.server import messages as wire
 
-__all__ = ["DEVICE", "MAX_BAD", "ClockMap", "PhoneLink", "TokenGate"]
+__all__ = ["DEVICE", "MAX_BAD", "ClockMap", "PhoneLink"]
 
 DEVICE = "phone"
 MAX_RATE_HZ = 120.0
@@ -54,25 +53,6 @@ class ClockMap:
             self._offset_s, self._behind_since_s = offset_s, None
         # Of huge numbers and a small difference, rounding makes the future.
         return min(phone_s + self._offset_s, arrived_s)
-
-
-class TokenGate:
-    """Who may send: the link's token, and how many others were tried.
-
-    Nobody guesses 128 bits, so wrong tokens, however many, do not keep out who has the right one: any machine of the
-    network could shut the phone out by sending some now and then.
-    """
-
-    def __init__(self) -> None:
-        self.token = secrets.token_urlsafe(16)
-        self.num_refused = 0
-
-    def admits(self, token: str) -> bool:
-        """Whether it is the link's token."""
-        if token.isascii() and secrets.compare_digest(token, self.token):
-            return True
-        self.num_refused += 1
-        return False
 
 
 class PhoneLink:

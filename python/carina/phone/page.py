@@ -10,12 +10,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import socket
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import uvicorn
@@ -28,17 +26,15 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from carina.commands import CycleControl, DeviceGone, LevelHorizon, ResetLook
 from carina.errors import CarinaError, ProtocolError
-from carina.phone.certificate import Certificate, make_certificate
-from carina.phone.link import DEVICE, PhoneLink, TokenGate
+from carina.phone.link import DEVICE, PhoneLink
 from carina.server import messages as wire
+from carina.server.certificate import Certificate, make_certificate
 from carina.server.closing import close_socket
-from carina.server.ending import EndingServer
 from carina.server.gate_middleware import GateMiddleware, page
-from carina.server.impatient import impatient
+from carina.server.lan_server import LanServer
 from carina.server.listening import bind, lan_address
-from carina.server.security import Gate
+from carina.server.security import Gate, TokenGate
 from carina.server.senders import start_sender
-from carina.server.strangers import ACCEPT_AT_ONCE, Strangers
 from carina.server.web_files import asset_path
 from carina.session import Session
 from carina.session.jobs import log_fault
@@ -48,12 +44,9 @@ __all__ = ["PhonePage", "qr_rows"]
 logger = logging.getLogger(__name__)
 
 HELLO_WITHIN_S = 5.0
-HANDSHAKE_WITHIN_S = 10.0
 WRONG_TOKEN_WAIT_S = 0.5
 STATE_EVERY_S = 0.25
-GRACE_S = 1
 STARTS_WITHIN_S = 20.0
-MAX_CONNECTIONS = 32
 
 
 def qr_rows(text: str) -> tuple[str, ...]:
@@ -158,38 +151,8 @@ class PhonePage:
         # Behind the #: a browser sends it nowhere and keeps it out of every Referer; the page hands it over by itself.
         url = f"https://{shown}:{port}/#{tokens.token}"
         started = threading.Event()
-        strangers = Strangers(MAX_CONNECTIONS - 1)
         app = self._app(Gate(host=address, port=port, scheme="https"), tokens)
-        config = uvicorn.Config(
-            app,
-            http=impatient(strangers),
-            backlog=ACCEPT_AT_ONCE,
-            ssl_context_factory=lambda _config, _default: certificate.context,
-            ws="websockets-sansio",
-            ws_per_message_deflate=False,
-            ws_max_size=wire.MAX_PHONE_BYTES,
-            ws_ping_interval=5.0,
-            ws_ping_timeout=5.0,
-            access_log=False,
-            log_config=None,
-            log_level="error",
-            lifespan="off",
-            server_header=False,
-            limit_concurrency=MAX_CONNECTIONS,
-            timeout_graceful_shutdown=GRACE_S,
-        )
-
-        class Server(EndingServer):
-            async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-                loop = asyncio.get_running_loop()
-                # The library has no setting for it: a stranger who never ends the handshake holds a descriptor.
-                loop.create_server = partial(  # type: ignore[method-assign]
-                    loop.create_server, ssl_handshake_timeout=HANDSHAKE_WITHIN_S
-                )
-                await super().startup(sockets=sockets)
-                started.set()
-
-        server = Server(config, strangers)
+        server = LanServer(app, certificate, max_message_bytes=wire.MAX_PHONE_BYTES, on_started=started.set)
         thread = threading.Thread(target=server.run, args=([sock],), name="carina-phone", daemon=True)
         thread.start()
         if not started.wait(STARTS_WITHIN_S):

@@ -12,25 +12,21 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
-import carina
-from carina.errors import CarinaError, DiskError, ProtocolError
-from carina.server import messages as wire
+from carina.errors import CarinaError, DiskError
 from carina.server.closing import close_socket
+from carina.server.conversation import converse
 from carina.server.downloads import Downloads
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub
 from carina.server.programs import JOIN_PATH, serve_program
 from carina.server.security import Gate
-from carina.server.senders import start_sender
 from carina.server.uploads import Uploads
 from carina.server.web_files import asset_path, web_folder
 from carina.server.window import Window
 
 __all__ = ["create_app", "web_folder"]
-
-HELLO_WITHIN_S = 20.0
 
 
 def _status(trouble: CarinaError, usual: int) -> int:
@@ -147,7 +143,11 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             reason = "Carina was restarted since this page was opened; open the link that it printed"
             await close_socket(websocket, "protocol.not-authorised", reason)
             return
-        await _serve_window(websocket, hub)
+
+        async def attach(_hello: object) -> Window:
+            return hub.attach()
+
+        await converse(websocket, attach)
 
     async def joined(websocket: WebSocket) -> None:
         await websocket.accept()
@@ -162,6 +162,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         try:
             yield
         finally:
+            await hub.close_watch_page("Carina was closed")
             await asyncio.to_thread(hub.stop)
 
     routes: list[Any] = [
@@ -180,75 +181,3 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     app.state.gate = gate
     app.state.hub = hub
     return app
-
-
-async def _serve_window(websocket: WebSocket, hub: Hub) -> None:
-    """One window, from its hello to its end."""
-    window: Window | None = None
-    sender: asyncio.Task[None] | None = None
-    worker: asyncio.Task[None] | None = None
-    try:
-        async with asyncio.timeout(HELLO_WITHIN_S):
-            hello = wire.parse_client_message(await _receive_text(websocket))
-        if not isinstance(hello, wire.ClientHello):
-            raise ProtocolError("the first message must be hello", code="protocol.order")
-        if hello.wire_version != wire.WIRE_VERSION:
-            msg = (
-                f"this page uses protocol version {hello.wire_version} and Carina uses version "
-                f"{wire.WIRE_VERSION}; reload the page"
-            )
-            raise ProtocolError(msg, code="protocol.version")
-        window = hub.attach()
-        await websocket.send_text(wire.encode_message(wire.ServerHello(wire.WIRE_VERSION, carina.__version__)))
-        sender = start_sender(websocket, "the window", _send_all(websocket, hub, window))
-        worker = asyncio.create_task(window.inbox.work())
-        while not worker.done():
-            await window.inbox.put(wire.parse_client_message(await _receive_text(websocket)))
-        worker.result()
-    except ProtocolError as trouble:
-        await close_socket(websocket, trouble.code, str(trouble))
-    except TimeoutError:
-        await close_socket(websocket, "protocol.order", "the client sent no hello message")
-    except WebSocketDisconnect:
-        pass
-    finally:
-        if worker is not None:
-            worker.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await worker
-        if window is not None:
-            window.inbox.finish()
-            hub.detach(window)
-        if sender is not None:
-            sender.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await sender
-
-
-async def _receive_text(websocket: WebSocket) -> str:
-    message = await websocket.receive()
-    if message["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
-    text = message.get("text")
-    if text is None:
-        raise ProtocolError("the client sent a binary message; only text messages are accepted", code="protocol.type")
-    return str(text)
-
-
-async def _send_all(websocket: WebSocket, hub: Hub, window: Window) -> None:
-    outbox = window.outbox
-    while True:
-        await outbox.filled()
-        if outbox.overflowed:
-            await close_socket(websocket, "protocol.slow-client", "this window could not keep up with the data")
-            return
-        topics, texts, pictures = outbox.take()
-        # All of one moment, before anything is sent: what is called handled then has been told.
-        told = [(topic, window.topic_text(topic)) for topic in topics]
-        for topic, text in told:
-            if text is not None and outbox.is_news(topic, text):
-                await websocket.send_text(hub.with_own_names(text))
-        for text in texts:
-            await websocket.send_text(hub.with_own_names(text))
-        for picture in pictures:
-            await websocket.send_bytes(picture)

@@ -7,7 +7,7 @@ import itertools
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,10 @@ from carina.server.pacing import DEFAULT_RATE_HZ
 from carina.server.shared_texts import SharedTexts
 from carina.server.uploads import Uploads
 from carina.server.warming import Warming
-from carina.server.window import Machine, Window
-from carina.session import Changed, Event, JobEnded, Session
+from carina.server.watch_page import WatchPage
+from carina.server.watching_window import WatchingWindow
+from carina.server.window import Window
+from carina.session import Changed, Event, JobEnded, Session, log_fault
 from carina.volume import Citation
 
 __all__ = ["MAX_WINDOWS", "Hub"]
@@ -31,6 +33,7 @@ logger = logging.getLogger(__name__)
 
 MAX_WINDOWS = 8
 """Each renders its own pictures."""
+SWITCHED_OFF = "the person at the workstation ended the watching"
 
 
 class Hub:
@@ -56,21 +59,30 @@ class Hub:
         recordings: Path | None = None,
         phone: Phone | None = None,
         cluster_status: Callable[[], ClusterStatus] | None = None,
+        web: Path | None = None,
+        watch_address: str | None = None,
     ) -> None:
         self.session = session
+        self.clock = clock
+        self.threads = threads
+        self.simd = simd
         self._uploads = uploads
         self._upload_of_job: dict[str, str] = {}
         self._mask_upload: str | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._machine = Machine(clock, threads, simd, self._in_loop)
         self._windows: dict[int, Window] = {}
         self._numbers = itertools.count(1)
         self._leaving: list[threading.Thread] = []
         self._rate_hz = DEFAULT_RATE_HZ
-        self._texts = SharedTexts(session, patient_citation, self._push)
+        self.texts = SharedTexts(session, patient_citation, self._push)
         self._warming = Warming(session)
         self.devices = DeviceDesk(session, self._tell, recordings=recordings, phone=phone)
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell)
+        self._watch_page = WatchPage(
+            self._attach_watcher, lambda: self._mark("watching"), web=web, address=watch_address
+        )
+        self._watched_case = 0
+        self._switching: set[asyncio.Task[None]] = set()
         self._unsubscribe: Callable[[], None] = lambda: None
 
     # ------------------------------------------------------------ life
@@ -107,44 +119,62 @@ class Hub:
         ProtocolError
             ``protocol.too-many-windows``.
         """
-        if len(self._windows) >= MAX_WINDOWS:
+        if len(self._working) >= MAX_WINDOWS:
             msg = f"Carina is already open in {MAX_WINDOWS} windows; close one of them, then connect again"
             raise ProtocolError(msg, code="protocol.too-many-windows")
-        window = Window(next(self._numbers), self.session, self._machine, self._texts, self._do, rate_hz=self._rate_hz)
+        window = Window(next(self._numbers), self, rate_hz=self._rate_hz)
         window.start()
         self._windows[window.number] = window
         self.devices.window_came()
+        return window
+
+    def _attach_watcher(self) -> WatchingWindow:
+        """UsageError where the case has gone that was to be watched."""
+        window = WatchingWindow(next(self._numbers), self)
+        window.start()
+        self._windows[window.number] = window
         return window
 
     def detach(self, window: Window) -> None:
         """A window is gone; from the event loop, which waits for nothing."""
         del self._windows[window.number]
         window.end()
-        self.devices.window_went(window.number)
-        # A page that is loaded again goes on as it was.
-        self._rate_hz = window.pump.rate_hz
+        if not window.watches:
+            self.devices.window_went(window.number)
+            # A page that is loaded again goes on as it was.
+            self._rate_hz = window.pump.rate_hz
         self._leaving = [thread for thread in (*self._leaving, *window.threads) if thread.is_alive()]
 
     # ------------------------------------------------------------ out
 
-    def with_own_names(self, text: str) -> str:
+    @property
+    def _working(self) -> tuple[Window, ...]:
+        """The windows of those who work here."""
+        return tuple(window for window in self._windows.values() if not window.watches)
+
+    def restored(self, text: str) -> str:
         """A message in which dropped files have the names by which the person knows them."""
         return self._uploads.names.restored(text)
 
     def _push(self, message: Any) -> None:
-        """Tell all windows; event loop only."""
-        for window in self._windows.values():
+        """Tell all windows but those that watch, for it may name files, links and addresses; event loop only."""
+        for window in self._working:
             window.outbox.push(message)
 
     def _tell(self, message: Any) -> None:
-        """Tell all windows; from any thread."""
-        self._in_loop(self._push, message)
+        """The same from any thread."""
+        self.in_loop(self._push, message)
 
     def _mark(self, *topics: str) -> None:
-        for window in self._windows.values():
+        for window in self._working:
             window.mark(*topics)
 
-    def _in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
+    def watching_text(self) -> str:
+        """Who may watch, and who does."""
+        return wire.encode_message(wire.Watching(self._watch_page.info(), self._watch_page.problem))
+
+    def in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call a function in the event loop; from any thread."""
         loop = self._loop
         if loop is None or loop.is_closed():
             return
@@ -158,10 +188,12 @@ class Hub:
         """From any thread, with the session locked: hand on and return."""
         if isinstance(event, Changed) and "tree" in event.topics:
             self._warming.airways_changed()
-        self._in_loop(self._discard_uploads, event)
+        self.in_loop(self._heed, event)
 
-    def _discard_uploads(self, event: Event) -> None:
-        """Those that nobody reads any more."""
+    def _heed(self, event: Event) -> None:
+        """Another case is nobody's to watch, and uploads that nobody reads any more go."""
+        if self._watch_page.is_open and self.session.snapshot().case_number != self._watched_case:
+            self._switch(self.close_watch_page("the case that you were watching was closed"))
         if isinstance(event, JobEnded):
             upload_id = self._upload_of_job.pop(event.job_id, None)
             if upload_id is not None:
@@ -172,7 +204,7 @@ class Hub:
 
     # ------------------------------------------------------------ in
 
-    def _do(self, message: Any, window: Window) -> None:
+    def do(self, message: Any, window: Window) -> None:
         """A command is the session's; the rest is about what the windows share."""
         match message:
             case Command():
@@ -190,12 +222,42 @@ class Hub:
                 self._mark("start")
             case wire.AskStorage():
                 window.mark("start")
+            case wire.SetWatchPage():
+                self._switch(self._open_watch_page(window) if message.on else self.close_watch_page(SWITCHED_OFF))
+            case wire.SendAway():
+                self._watch_page.send_away(message.number)
             case _ if self.devices.handle(message, window.number):
                 pass
             case _:
                 raise UsageError(
                     f"{type(message).__name__} can only be sent as the first message", code="protocol.order"
                 )
+
+    def _switch(self, switching: Coroutine[Any, Any, None]) -> None:
+        """Keys and sockets: not while the window waits."""
+        task = asyncio.get_running_loop().create_task(switching)
+        self._switching.add(task)
+        task.add_done_callback(self._switching.discard)
+
+    async def _open_watch_page(self, window: Window) -> None:
+        try:
+            self._watched_case = self.session.snapshot().case_number
+            if self._watched_case == 0:
+                raise UsageError("open a case before others can watch it", code="session.no-case")
+            await self._watch_page.start()
+        except CarinaError as trouble:
+            window.outbox.push(wire.Error(trouble.code, str(trouble), None))
+        except Exception as trouble:
+            log_fault(logger, "the page for watchers could not be opened", trouble)
+            words = f"the page for watchers failed: internal error in Carina ({type(trouble).__name__})"
+            window.outbox.push(wire.Error("carina.fault", words, None))
+        if self.session.snapshot().case_number != self._watched_case:
+            # Another case was opened meanwhile.
+            await self.close_watch_page(SWITCHED_OFF)
+
+    async def close_watch_page(self, words: str) -> None:
+        """Nobody may watch any more, and who did is told why."""
+        await self._watch_page.stop(words)
 
     def _keep_for(self, command: Command, upload_id: str, window: Window) -> None:
         """The dropped files stay until the job that reads them has ended."""

@@ -52,6 +52,7 @@ CLOSE_CODES: dict[str, int] = {
     "protocol.case-closed": 4410,
     "protocol.slow-client": 4413,
     "protocol.too-many-windows": 4429,
+    "protocol.watching-ended": 4410,
 }
 """Why the server closes a socket; each comes with one sentence."""
 

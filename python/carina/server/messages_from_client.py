@@ -34,6 +34,8 @@ class ClientHello(ClientMessage, frozen=True, tag="hello"):
     """First message of a client."""
 
     wire_version: Annotated[int, Meta(ge=0, le=2**31)]
+    token: Annotated[str, Meta(max_length=200)] | None = None
+    """Of the link by which a watcher came; nobody else needs one here."""
 
 
 class OpenUpload(ClientMessage, frozen=True):
@@ -120,6 +122,18 @@ class SetFrameRate(ClientMessage, frozen=True):
 
 class AskStorage(ClientMessage, frozen=True):
     """Ask what the cases and their CTs take on the disk now; the answer is ``start``."""
+
+
+class SetWatchPage(ClientMessage, frozen=True):
+    """Show the open case to this machine's network, with a new certificate and link, or to nobody."""
+
+    on: bool
+
+
+class SendAway(ClientMessage, frozen=True):
+    """End a watcher's connection, and change the link so that nobody comes back by it."""
+
+    number: Count
 
 
 class AcceptNotice(ClientMessage, frozen=True):

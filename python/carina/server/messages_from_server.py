@@ -38,6 +38,8 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
 
     wire_version: Annotated[int, Meta(ge=0, le=2**31)]
     carina_version: Words
+    watches: bool = False
+    """This client may only watch: whatever changes more than its own sight is refused."""
 
 
 class RecentCase(FrozenValue, frozen=True):
@@ -350,6 +352,37 @@ class Notice(ServerMessage, frozen=True):
     """Something worth a line."""
 
     message: Words
+
+
+class Watcher(FrozenValue, frozen=True):
+    """Who watches."""
+
+    number: Count
+    address: Words
+    since_s: float
+    """Seconds since 1970."""
+
+
+class WatchPage(FrozenValue, frozen=True):
+    """The page by which others of the local network watch, while it is open."""
+
+    url: Words
+    """With the token: whoever has it sees the patient's pictures."""
+    address: Words
+    sha256: Words
+    """Of the certificate, as browsers show it."""
+    watchers: tuple[Watcher, ...]
+    num_refused: Count
+    """Connections with a wrong token."""
+
+
+class Watching(ServerMessage, frozen=True):
+    """Who else may see the open case; never told to who watches."""
+
+    page: WatchPage | None
+    """Null while nobody may."""
+    problem: Words | None
+    """Why it cannot be opened on this machine."""
 
 
 class Handled(ServerMessage, frozen=True):

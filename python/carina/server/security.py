@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Literal
 
-__all__ = ["Gate", "host_allowed", "is_loopback"]
+__all__ = ["Gate", "TokenGate", "host_allowed", "is_loopback"]
 
 SAFE_METHODS = frozenset({"GET", "HEAD"})
 MAX_COOKIE_BYTES = 8192
@@ -67,6 +67,29 @@ def host_allowed(header: str, *, bound_host: str, port: int) -> bool:
     except ValueError:
         return False
     return True
+
+
+class TokenGate:
+    """Who may come by a link into the local network: its token, and how many others were tried.
+
+    Nobody guesses 128 bits, so wrong tokens, however many, do not keep out who has the right one: any machine of the
+    network could shut everybody out by sending some now and then.
+    """
+
+    def __init__(self) -> None:
+        self.token = secrets.token_urlsafe(16)
+        self.num_refused = 0
+
+    def admits(self, token: str) -> bool:
+        """Whether it is the link's token."""
+        if token.isascii() and secrets.compare_digest(token, self.token):
+            return True
+        self.num_refused += 1
+        return False
+
+    def renew(self) -> None:
+        """Another token: by the present one nobody comes in any more."""
+        self.token = secrets.token_urlsafe(16)
 
 
 class Gate:

@@ -73,6 +73,7 @@ def make_server(
     build_info: dict[str, Any] | None = None,
     phone: Phone | None = None,
     cluster_status: Callable[[], ClusterStatus] | None = None,
+    watch_address: str | None = None,
 ) -> uvicorn.Server:
     """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
     uploads = uploads or Uploads()
@@ -85,6 +86,8 @@ def make_server(
         patient_citation=patient_citation,
         phone=phone,
         cluster_status=cluster_status,
+        web=web,
+        watch_address=watch_address,
     )
     strangers = Strangers()
     config = uvicorn.Config(
@@ -93,7 +96,9 @@ def make_server(
         backlog=ACCEPT_AT_ONCE,
         ws="websockets-sansio",
         ws_per_message_deflate=False,  # 3 ms a picture, for nothing: JPEG does not shrink
-        ws_max_size=MAX_TEXT_BYTES,
+        # What is too large is refused in words once it has been read. A connection that the library closes in the
+        # middle of a message, as it does far beyond, is reset, and the reason lost.
+        ws_max_size=4 * MAX_TEXT_BYTES,
         ws_max_queue=1024,
         access_log=False,  # a start URL holds a token
         log_config=None,
@@ -217,6 +222,8 @@ def serve(
             build_info=_build_info(),
             phone=page,
             cluster_status=cluster_status,
+            # Where a person said that the phone's page listens, this one does too.
+            watch_address=phone_address,
         )
         try:
             if phone and page is not None:

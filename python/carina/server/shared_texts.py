@@ -68,6 +68,12 @@ class SharedTexts:
             )
         )
 
+    def watchers_start(self) -> str:
+        """The same for who only watches: none of the person's cases."""
+        return wire.encode_message(
+            start_message(notice_accepted=True, recent=(), patient_citation=self._patient_citation, storage=None)
+        )
+
     def tree(self) -> str | None:
         """None where the newest is still to be written: it is marked then."""
         return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None

@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, assert_never
+from typing import Any, Protocol, assert_never
 
 from carina.commands import Command, VoxelAt, WallAt
 from carina.disk import disk_trouble, is_disk_trouble
@@ -32,21 +31,35 @@ from carina.session import (
     log_fault,
 )
 
-__all__ = ["Machine", "Window"]
+__all__ = ["Host", "Window"]
 
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Machine:
-    """What all windows of a server have in common beside the session."""
+class Host(Protocol):
+    """Where windows are: what they share, and who does what is not about one of them alone."""
 
+    session: Session
     clock: Callable[[], float]
     """Seconds, monotonic; the session's."""
     threads: int
     simd: str
-    in_loop: Callable[..., None]
-    """Calls a function with arguments in the event loop; from any thread."""
+    texts: SharedTexts
+
+    def in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call a function in the event loop; from any thread."""
+
+    def do(self, message: Any, window: Window) -> None:
+        """Do what a window asks."""
+
+    def detach(self, window: Window) -> None:
+        """A window is gone."""
+
+    def watching_text(self) -> str:
+        """Who may watch, and who does."""
+
+    def restored(self, text: str) -> str:
+        """A message in which dropped files have the names by which the person knows them."""
 
 
 class Window:
@@ -56,46 +69,32 @@ class Window:
     ----------
     number
         The name by which the session knows this window's sight.
-    session
-        What is driven.
-    machine
-        What pictures are made with.
-    texts
-        The messages that all windows share.
-    do
-        Does what is not about this window alone, for this window.
+    host
+        Where it is.
     rate_hz
         Airway pictures per second that are asked for at first.
     """
 
-    def __init__(
-        self,
-        number: int,
-        session: Session,
-        machine: Machine,
-        texts: SharedTexts,
-        do: Callable[[Any, Window], None],
-        *,
-        rate_hz: float,
-    ) -> None:
+    watches = False
+    """It only watches."""
+
+    def __init__(self, number: int, host: Host, *, rate_hz: float) -> None:
         self.number = number
-        self._session = session
-        self._texts = texts
-        self._do_for = do
-        self._in_loop = machine.in_loop
+        self._host = host
+        self._session = host.session
         self.outbox = Outbox()
         self.inbox = Inbox(self.handle)
         self.pump = FramePump(
-            partial(session.scene, number),
-            lambda data: self._in_loop(self.outbox.push_picture, data),
+            partial(host.session.scene, number),
+            lambda data: host.in_loop(self.outbox.push_picture, data),
             self._tell_from_pump,
-            clock=machine.clock,
-            threads=machine.threads,
-            simd=machine.simd,
+            clock=host.clock,
+            threads=host.threads,
+            simd=host.simd,
         )
         self.pump.set_rate(rate_hz)
         self._pictures = threading.Thread(target=self.pump.run, name=f"carina-frames-{number}", daemon=True)
-        self._pointing = Pointing(session, self.pump.shown, self.tell)
+        self._pointing = Pointing(host.session, self.pump.shown, self.tell)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._history_known: tuple[int, tuple[str, ...]] | None = None
 
@@ -103,22 +102,31 @@ class Window:
 
     def start(self) -> None:
         """Begin, and be told everything; from the event loop."""
-        self._unsubscribe = self._session.subscribe(self._on_event, window=self.number)
+        self._unsubscribe = self._session.subscribe(self._on_event, window=self.number, watches=self.watches)
         self._pictures.start()
         self._pointing.start()
-        topics = ["start", "state"]
+        topics = ["start", "state", "watching"]
         if self._session.snapshot().case is not None:
             topics += ["tree", "route", "keys", "history", "pose"]
         self.mark(*topics)
         for job in self._session.jobs.running:
             if job.latest is not None:
-                self.outbox.push(_progress(job.latest))
+                self._note(job.latest)
 
     def end(self) -> None:
         """Its place is free at once; a picture or an answer under way is finished for nobody."""
         self._unsubscribe()
         self.pump.stop()
         self._pointing.end()
+
+    def leave(self) -> None:
+        """Its connection is gone; from the event loop."""
+        self._host.detach(self)
+
+    @property
+    def ended(self) -> str | None:
+        """Why nothing more may be sent, in words; None while it may."""
+        return None
 
     @property
     def threads(self) -> tuple[threading.Thread, ...]:
@@ -129,32 +137,40 @@ class Window:
 
     def mark(self, *topics: str) -> None:
         """Send these topics anew; event loop only."""
-        self._texts.mark(self.outbox, *topics)
+        self._host.texts.mark(self.outbox, *topics)
 
     def tell(self, message: Any) -> None:
         """Send a message; from any thread."""
-        self._in_loop(self.outbox.push, message)
+        self._host.in_loop(self.outbox.push, message)
+
+    def restored(self, text: str) -> str:
+        """A message as this window may read it."""
+        return self._host.restored(text)
 
     def topic_text(self, topic: str) -> str | None:
         """The newest message of a topic, or None where there is none."""
         match topic:
             case "start":
-                return self._texts.start()
+                return self._host.texts.start()
             case "state":
-                snapshot = self._session.snapshot(self.number)
-                return wire.encode_message(state_message(snapshot, frame_rate_hz=self.pump.rate_hz))
+                return wire.encode_message(self._state())
             case "tree":
-                return self._texts.tree()
+                return self._host.texts.tree()
             case "route":
-                return self._texts.route()
+                return self._host.texts.route()
             case "keys":
-                return self._texts.keys()
+                return self._host.texts.keys()
+            case "watching":
+                return self._host.watching_text()
             case "history":
                 return self._history_text(self._session.snapshot())
             case "handled":
                 return wire.encode_message(wire.Handled(self.inbox.num_handled))
         info = self._session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
+
+    def _state(self) -> wire.State:
+        return state_message(self._session.snapshot(self.number), frame_rate_hz=self.pump.rate_hz)
 
     def _history_text(self, snapshot: Snapshot) -> str | None:
         """None where this window knows it already: a field of view that is dragged is one step all the time."""
@@ -171,7 +187,7 @@ class Window:
         """From any thread, with the session locked: hand on and return."""
         if isinstance(event, Changed) and event.topics & {"views", "pose"}:
             self.pump.content_changed()
-        self._in_loop(self._note, event)
+        self._host.in_loop(self._note, event)
 
     def _note(self, event: Event) -> None:
         match event:
@@ -229,7 +245,7 @@ class Window:
             case wire.AskBranchDetail():
                 self._pointing.ask_branch_detail(message)
             case _:
-                self._do_for(message, self)
+                self._host.do(message, self)
 
     def _pick(self, message: wire.Pick) -> None:
         """The wall under a click, in the picture that was clicked in and not in a newer one."""

@@ -34,6 +34,7 @@ __all__ = ["Event", "SessionCore"]
 Event = Changed | Trouble | NotEvident | Said | JobProgress | JobEnded
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
+WATCHING = "session.watching"
 ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "history", "pose", "views")
 
 
@@ -73,6 +74,8 @@ class SessionCore:
         self.jobs = JobRunner(submit or self._submit_to_pool, self.emit, clock)
         self._listeners: list[tuple[Callable[[Event], None], int | None]] = []
         """Each with the number of the window that it is, if it is one."""
+        self._watched: dict[int, int] = {}
+        """Of every window that ever only watched, the number of the case that it may see."""
         self.case: OpenCase | None = None
         self.case_numbers = itertools.count(1)
         self.device_woken = threading.Event()
@@ -91,10 +94,14 @@ class SessionCore:
 
     # ------------------------------------------------------------ listeners, jobs, life
 
-    def subscribe(self, listener: Callable[[Event], None], window: int | None = None) -> Callable[[], None]:
+    def subscribe(
+        self, listener: Callable[[Event], None], window: int | None = None, *, watches: bool = False
+    ) -> Callable[[], None]:
         """Be told of every event, and have a sight of one's own as a window; returns the function that ends it."""
         entry = listener, window
         with self.lock:
+            if watches and window is not None:
+                self._watched[window] = self.needed_case().number
             self._listeners.append(entry)
             if self.case is not None and window is not None:
                 self.case.sights.begin(window)
@@ -122,6 +129,18 @@ class SessionCore:
     def windows(self) -> tuple[int, ...]:
         """The windows that look at the case."""
         return tuple(window for _, window in self._listeners if window is not None)
+
+    def refuse_watcher(self, command: Command, window: int | None) -> None:
+        """Refuse a window that only watches all but its own sight; with the session locked."""
+        if window in self._watched and (self._seen_by(window) is None or command.sets not in Sight.__struct_fields__):
+            raise UsageError("you are watching: only your own slices, zoom and window can be changed", code=WATCHING)
+
+    def _seen_by(self, window: int | None) -> OpenCase | None:
+        """The open case; None for a window that was shown another one to watch."""
+        case = self.case
+        if case is None or window is None:
+            return case
+        return case if self._watched.get(window, case.number) == case.number else None
 
     @contextmanager
     def doing(self, command: Command, window: int | None) -> Iterator[None]:
@@ -229,8 +248,10 @@ class SessionCore:
     def see(self, case: OpenCase, change: Callable[[Sight], Sight]) -> None:
         """Change the sight of the window that asks, or of all where none does; that is no step of undo."""
         with self.lock:
-            case.sights.change(_asked.get().window, change)
-            for step in self.after_sight:
+            window = _asked.get().window
+            works = window not in self._watched
+            case.sights.change(window, change, is_kept=works)
+            for step in self.after_sight if works else ():
                 step(case)
             self.answer(Changed(frozenset({"state", "views"})))
 
@@ -302,7 +323,7 @@ class SessionCore:
     def snapshot(self, window: int | None = None) -> Snapshot:
         """All but the pose, as a window sees it; unless told, the one that was looked through last."""
         with self.lock:
-            case = self.case
+            case = self._seen_by(window)
             if case is None:
                 return Snapshot()
             return Snapshot(
@@ -334,7 +355,7 @@ class SessionCore:
     def scene(self, window: int | None = None) -> ShownCase | None:
         """What the views of a window show now, for its render thread; None without a case."""
         with self.lock:
-            case = self.case
+            case = self._seen_by(window)
             if case is None:
                 return None
             document = case.document

@@ -142,6 +142,8 @@ class Session:
         handler = self._handlers.get(type(command))
         if handler is None or not isinstance(command, Command):
             raise UsageError(f"expected a command from carina.commands; found {type(command).__name__}")
+        with self._core.lock:
+            self._core.refuse_watcher(command, window)
         command = checked(command)
         with self._core.doing(command, window):
             return cast("str | None", handler(command))
@@ -198,13 +200,16 @@ class Session:
 
     # ------------------------------------------------------------ life
 
-    def subscribe(self, listener: Callable[[Event], None], *, window: int | None = None) -> Callable[[], None]:
+    def subscribe(
+        self, listener: Callable[[Event], None], *, window: int | None = None, watches: bool = False
+    ) -> Callable[[], None]:
         """Be told of every event; returns the function that ends it.
 
         A window, which names itself by a number, has a sight of its own until then, and is not told what concerns
-        another one alone.
+        another one alone. One that only ``watches`` may do nothing but set its own sight, for ever, and sees the case
+        that is open now and no other; UsageError if none is.
         """
-        return self._core.subscribe(listener, window)
+        return self._core.subscribe(listener, window, watches=watches)
 
     @property
     def jobs(self) -> JobRunner:

@@ -30,12 +30,17 @@ class Sights:
         """A window's; the latest for whoever is none."""
         return self.latest if window is None else self._of_windows.get(window, self.latest)
 
-    def change(self, window: int | None, change: Callable[[Sight], Sight]) -> bool:
-        """Look otherwise through a window, which is the latest then, or through all; False if that is as before."""
+    def change(self, window: int | None, change: Callable[[Sight], Sight], *, is_kept: bool = True) -> bool:
+        """Look otherwise through a window, which is the latest then if that is kept, or through all.
+
+        False if it is as before.
+        """
         if window is not None:
             before = self.of(window)
-            self.latest = self._of_windows[window] = change(before)
-            return self.latest is not before
+            self._of_windows[window] = change(before)
+            if is_kept:
+                self.latest = self._of_windows[window]
+            return self._of_windows[window] is not before
         before_all = self.latest, self._of_windows
         self.latest = change(self.latest)
         self._of_windows = {number: change(sight) for number, sight in self._of_windows.items()}

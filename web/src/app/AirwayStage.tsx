@@ -164,10 +164,11 @@ function AirwayTools() {
   const { shading, texture } = useApp((state) => state.sight);
   const hasRoute = useApp((state) => state.route !== null);
   const ui = useApp((state) => state.ui);
+  const watches = useApp((state) => state.watches);
   if (session === null) return null;
   const facing = operator === "facing";
   return (
-    <div className="tools" role="toolbar" aria-label="Airway view">
+    <div className="tools" role="toolbar" aria-label="Airway view" inert={watches}>
       <Choice<StateMessage["mode"]>
         name="Movement"
         value={session.mode}
@@ -382,6 +383,7 @@ const hourWords = (hour: number | null): string => (hour === null ? "straight ah
 
 /** Where the tip is, in the corners that the round picture leaves free. */
 function Readings() {
+  const watches = useApp((state) => state.watches);
   const pose = useApp((state) => state.pose);
   const tree = useApp((state) => state.tree);
   const route = useApp((state) => state.route);
@@ -442,7 +444,7 @@ function Readings() {
         )}
       </div>
       <div className="reading bottom-right">
-        {atEnd ? null : pose.mode === "path" && route !== null ? (
+        {atEnd || watches ? null : pose.mode === "path" && route !== null ? (
           <Act
             kind="quiet"
             icon={advancing ? "stop" : "play"}

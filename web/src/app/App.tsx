@@ -1,3 +1,4 @@
+import { sentence } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { KeyCard, NoticeDialog } from "./Dialogs";
@@ -10,23 +11,25 @@ export function App() {
   const hasCase = useApp((state) => state.session?.case != null);
   const greeted = useApp((state) => state.start !== null && state.session !== null);
   const connection = useApp((state) => state.connection);
+  // Nothing of the patient stays on the screen of somebody who may not watch any more.
+  const sentAway = useApp((state) => state.watches && state.connection.status === "refused");
   return (
     <>
-      {hasCase ? (
+      {hasCase && !sentAway ? (
         <WorkstationPage />
-      ) : greeted ? (
+      ) : greeted && !sentAway ? (
         <StartPage />
       ) : (
         <main className="waiting">
           <h1>Carina</h1>
           <p>
             {connection.status === "refused"
-              ? connection.reason
+              ? sentence(connection.reason ?? "")
               : connection.status === "lost"
                 ? "Carina is not responding. Check that it is still running. This page keeps trying to reconnect."
                 : "Connecting to Carina\u2026"}
           </p>
-          {connection.status === "refused" ? (
+          {connection.status === "refused" && !sentAway ? (
             <Act kind="primary" label="Connect" words="Connect this window again" onPress={station.reconnect} />
           ) : null}
         </main>

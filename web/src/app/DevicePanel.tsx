@@ -12,6 +12,7 @@ import { Act, SwitchKey } from "./controls";
 import type { CalibrationPair } from "./devices";
 import { Figure } from "./Figure";
 import { PhoneGroup } from "./PhoneGroup";
+import { WatchGroup } from "./WatchGroup";
 
 const CONTROLS = [
   ["absolute", "Absolute", "The tip follows the pen's position in the patient. Needs a calibration."],
@@ -49,6 +50,7 @@ export function DevicePanel() {
             )}
             <Connections told={told} />
             <PhoneGroup told={told} />
+            <WatchGroup />
             <HeadsetGroup />
             <Recording told={told} />
           </>

@@ -11,6 +11,7 @@ export function HistoryList() {
   const station = useStation();
   const history = useApp((state) => state.history);
   const begunS = useApp((state) => state.session?.saving.begun_s ?? null);
+  const watches = useApp((state) => state.watches);
   const here = useRef<HTMLLIElement>(null);
   const step = history?.step ?? 0;
   // biome-ignore lint/correctness/useExhaustiveDependencies: the row that holds is another one at each step
@@ -35,6 +36,7 @@ export function HistoryList() {
                 <Button
                   className="history-row"
                   aria-current={n === step ? "step" : undefined}
+                  isDisabled={watches}
                   onPress={() => station.send({ type: "go_to_step", step: n })}
                 >
                   <span>{sentence(row.label)}</span>

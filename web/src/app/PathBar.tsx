@@ -22,6 +22,7 @@ export function PathBar() {
   const at = useApp(pathMm);
   const autoSpeed = useApp((state) => state.ui.autoSpeedMmS);
   const stage = useApp((state) => state.session?.airways ?? "none");
+  const watches = useApp((state) => state.watches);
   if (route === null) {
     return (
       <section className="path-bar" aria-label="Route">
@@ -35,7 +36,7 @@ export function PathBar() {
   }
   const here = at ?? 0;
   return (
-    <section className="path-bar" aria-label="Route">
+    <section className="path-bar" aria-label="Route" inert={watches}>
       <Act
         kind="icon"
         icon="previousFork"

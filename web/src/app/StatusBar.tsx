@@ -27,6 +27,7 @@ export function StatusBar() {
   const undo = useApp((state) => state.session?.can_undo ?? null);
   const redo = useApp((state) => state.session?.can_redo ?? null);
   const armed = useApp((state) => state.ui.armed !== null);
+  const watches = useApp((state) => state.watches);
   return (
     <footer className="status-bar numbers">
       <ConnectionWords />
@@ -40,7 +41,7 @@ export function StatusBar() {
         {windowWords(width, level)}
         {isHu ? " HU" : ""}
       </span>
-      <span className="undo">
+      <span className="undo" hidden={watches}>
         {undo === null ? null : (
           <Act
             kind="quiet"

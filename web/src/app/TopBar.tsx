@@ -4,8 +4,9 @@ import { Fragment } from "react";
 import { Button } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { besideNotHu } from "../state/badges";
-import { sentence } from "../state/format";
+import { plural, sentence } from "../state/format";
 import { STEP_WORDS, STEPS } from "../state/steps";
+import { watchingWords } from "../state/watching";
 import type { CaseNote } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
@@ -21,11 +22,40 @@ export function TopBar() {
   const badges = useApp((state) => state.session?.badges ?? NONE);
   const doubts = besideNotHu(badges);
   const step = useApp((state) => state.ui.step);
+  const watches = useApp((state) => state.watches);
+  const page = useApp((state) => state.watching?.page ?? null);
+  if (watches) {
+    return (
+      <header className="top-bar">
+        <h1>Carina</h1>
+        <p className="case-title">{title}</p>
+        {doubts.length === 0 ? null : (
+          <Tip words={doubts.map(({ words }) => sentence(words)).join(" ")}>
+            <Button className="badge warning">{plural(doubts.length, "finding")}</Button>
+          </Tip>
+        )}
+        <span className="space" />
+        <strong data-testid="watching">Watching</strong>
+        <KeyCardButton />
+      </header>
+    );
+  }
   return (
     <header className="top-bar">
       <h1>Carina</h1>
       <p className="case-title">{title}</p>
       <SavedWords />
+      {page === null ? null : (
+        <Tip words="Your patient's pictures are on the network. Open Devices to see who watches, and to end it.">
+          <Button
+            className="badge warning"
+            data-testid="on-network"
+            onPress={() => (station.state.ui.devicesOpen ? undefined : station.act("devices"))}
+          >
+            {watchingWords(page)}
+          </Button>
+        </Tip>
+      )}
       {isHu ? null : (
         <Tip words={reason ?? "This volume is not in Hounsfield units."}>
           <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="not-hu">
@@ -36,7 +66,7 @@ export function TopBar() {
       {doubts.length === 0 ? null : (
         <Tip words={doubts.map(({ words }) => sentence(words)).join(" ")}>
           <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="doubts">
-            {doubts.length === 1 ? "1 finding" : `${doubts.length} findings`}
+            {plural(doubts.length, "finding")}
           </Button>
         </Tip>
       )}
@@ -80,13 +110,20 @@ export function TopBar() {
         testId="open-devices"
         onPress={() => station.act("devices")}
       />
-      <Act
-        kind="icon"
-        label="?"
-        words="Keys and mouse"
-        keys={keyOf("key_card")}
-        onPress={() => station.ui({ keyCardOpen: true })}
-      />
+      <KeyCardButton />
     </header>
+  );
+}
+
+function KeyCardButton() {
+  const station = useStation();
+  return (
+    <Act
+      kind="icon"
+      label="?"
+      words="Keys and mouse"
+      keys={keyOf("key_card")}
+      onPress={() => station.ui({ keyCardOpen: true })}
+    />
   );
 }

@@ -17,6 +17,7 @@ import { StatusBar } from "./StatusBar";
 import { StepPanel } from "./StepPanel";
 import { cursorOf } from "./ToolTag";
 import { TopBar } from "./TopBar";
+import { WatcherPanel } from "./WatcherPanel";
 
 export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
@@ -24,6 +25,7 @@ export function WorkstationPage() {
   const keysOpen = useApp((state) => state.ui.keysOpen);
   const list = useApp((state) => state.ui.list);
   const armed = useApp((state) => state.ui.armed);
+  const watches = useApp((state) => state.watches);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div
@@ -38,7 +40,7 @@ export function WorkstationPage() {
       <aside className="left-panel">
         <ContinuedBar />
         {list === "history" ? <HistoryList /> : <BranchList />}
-        {devicesOpen ? <DevicePanel /> : keysOpen ? <KeyPanel /> : <StepPanel />}
+        {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyPanel /> : <StepPanel />}
       </aside>
       <main className="pictures">
         <AirwayStage />

@@ -4,6 +4,7 @@ import { Flight } from "../input/flight";
 import { KeyPlayer } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
+import { WATCHERS_ACTIONS } from "../input/watchers-actions";
 import { DownloadError, fetchAirways, fetchKeyFrames } from "../net/download";
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
@@ -24,6 +25,7 @@ import { type Armed, isBrush, nextBrush } from "../state/tools";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
+import { mayWatcherSend } from "../state/watching";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
 import type {
@@ -67,7 +69,7 @@ export class Workstation implements Station {
   readonly #pace = new PaceMeter();
   readonly #speed = new SpeedMeter();
 
-  constructor(connect: () => WebSocket) {
+  constructor(connect: () => WebSocket, token: string | null) {
     this.#board = new PictureBoard<ImageBitmap>({
       decode: ({ header, payload }) => createImageBitmap(new Blob([payload], { type: `image/${header.codec}` })),
       draw: (header, image, outline) => {
@@ -145,6 +147,7 @@ export class Workstation implements Station {
           return () => clearTimeout(timer);
         },
       },
+      token,
     );
   }
 
@@ -198,6 +201,7 @@ export class Workstation implements Station {
 
   /** Sends now; what the person should see at once is shown at once. */
   send = (message: ClientMessage): boolean => {
+    if (this.state.watches && !mayWatcherSend(message)) return false;
     if (!this.#stream.send(message)) return false;
     this.store.dispatch({ kind: "sent", message, number: this.#stream.numCommands });
     return true;
@@ -205,6 +209,7 @@ export class Workstation implements Station {
 
   /** Sends the newest of its kind at the next refresh; shown at once. */
   sendSoon(message: ClientMessage): void {
+    if (this.state.watches && !mayWatcherSend(message)) return;
     const kind = "view" in message ? `${message.type} ${message.view}` : message.type;
     this.#soon.set(kind, message);
     this.store.dispatch({ kind: "sent", message, number: NOT_SENT });
@@ -225,6 +230,7 @@ export class Workstation implements Station {
 
   /** Sends files to be opened: as another case, or as the airways or the key frames of this one. */
   async upload(files: readonly UploadFile[], use: keyof typeof UPLOADED = "case"): Promise<void> {
+    if (this.state.watches) return;
     this.#uploadStop?.abort();
     const stop = new AbortController();
     this.#uploadStop = stop;
@@ -463,7 +469,9 @@ export class Workstation implements Station {
     this.show(nextIn(cell, this.state.ui.shown));
   }
 
-  act = (action: Action): void => this.#actions[action]();
+  act = (action: Action): void => {
+    if (!this.state.watches || WATCHERS_ACTIONS.has(action)) this.#actions[action]();
+  };
 
   #wallPointAhead(): void {
     const viewport = this.wall.find(LEAD_VIEW);

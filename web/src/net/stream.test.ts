@@ -58,7 +58,7 @@ function stream() {
   return { made, sockets, statuses, faults, messages, due };
 }
 
-const HELLO = JSON.stringify({ type: "hello", wire_version: WIRE_VERSION, carina_version: "0.1.0" });
+const HELLO = JSON.stringify({ type: "hello", wire_version: WIRE_VERSION, carina_version: "0.1.0", watches: false });
 
 describe("the stream", () => {
   it("says hello first and is open when the server answers", () => {

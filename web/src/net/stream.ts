@@ -56,6 +56,7 @@ const NO_USE_TRYING = new Map<number, string>([
     CLOSE_CODES["protocol.too-many-windows"],
     "Carina is already open in as many windows as it takes. Close one of them, then connect again.",
   ],
+  [CLOSE_CODES["protocol.watching-ended"], "The case that you were watching was closed."],
 ]);
 
 export class Stream {
@@ -67,8 +68,11 @@ export class Stream {
   #callOff: (() => void) | null = null;
   #ended = false;
   #numCommands = 0;
+  readonly #token: string | null;
 
-  constructor(connect: () => Socket, handlers: StreamHandlers, clock: StreamClock) {
+  /** `token` is that of the link by which a watcher came. */
+  constructor(connect: () => Socket, handlers: StreamHandlers, clock: StreamClock, token: string | null = null) {
+    this.#token = token;
     this.#connect = connect;
     this.#handlers = handlers;
     this.#clock = clock;
@@ -95,7 +99,8 @@ export class Stream {
     this.#numCommands = 0;
     socket.onopen = () => {
       if (this.#socket !== socket) return;
-      socket.send(JSON.stringify({ type: "hello", wire_version: WIRE_VERSION }));
+      const token = this.#token === null ? {} : { token: this.#token };
+      socket.send(JSON.stringify({ type: "hello", wire_version: WIRE_VERSION, ...token }));
     };
     socket.onmessage = (event: { data: unknown }) => {
       if (this.#socket === socket) this.#receive(event.data);

@@ -27,6 +27,7 @@ import {
   type StatusMessage,
   type ValueMessage,
   type ViewName,
+  type WatchingMessage,
 } from "../wire/messages";
 import type { CellName, PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
@@ -134,6 +135,10 @@ export interface Ui {
 export interface AppState {
   readonly connection: Connection;
   readonly version: string | null;
+  /** This window only watches: somebody else's workstation, perhaps on another machine. */
+  readonly watches: boolean;
+  /** Who may watch this workstation, and who does; null in a window that watches itself. */
+  readonly watching: WatchingMessage | null;
   readonly start: StartMessage | null;
   readonly session: StateMessage | null;
   readonly tree: BranchTree | null;
@@ -189,6 +194,8 @@ const NOTHING_LOCAL: AppState["local"] = { look: {}, sight: {}, pathMm: null };
 export const INITIAL_STATE: AppState = {
   connection: { status: "connecting", reason: null, retryAtMs: null },
   version: null,
+  watches: false,
+  watching: null,
   start: null,
   session: null,
   tree: null,
@@ -332,7 +339,7 @@ export function reduce(state: AppState, event: AppEvent): AppState {
 function receive(state: AppState, message: ServerMessage): AppState {
   switch (message.type) {
     case "hello":
-      return { ...state, version: message.carina_version };
+      return { ...state, version: message.carina_version, watches: message.watches };
     case "start":
       return { ...state, start: message };
     case "state":
@@ -380,6 +387,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, keys: message };
     case "history":
       return { ...state, history: message };
+    case "watching":
+      return { ...state, watching: message };
     case "cluster":
       return { ...state, cluster: message };
   }

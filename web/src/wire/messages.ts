@@ -12,6 +12,7 @@ export const CLOSE_CODES = {
   "protocol.case-closed": 4410,
   "protocol.slow-client": 4413,
   "protocol.too-many-windows": 4429,
+  "protocol.watching-ended": 4410,
 } as const;
 
 /** 4x4, row-major. */
@@ -520,6 +521,7 @@ export interface EditTreeMessage {
 export interface ClientHelloMessage {
   readonly type: "hello";
   readonly wire_version: number;
+  readonly token?: string | null;
 }
 
 /** Open the files sent to `/api/upload`. */
@@ -596,6 +598,18 @@ export interface SetFrameRateMessage {
 /** Ask what the cases and their CTs take on the disk now; the answer is `start`. */
 export interface AskStorageMessage {
   readonly type: "ask_storage";
+}
+
+/** Show the open case to this machine's network, with a new certificate and link, or to nobody. */
+export interface SetWatchPageMessage {
+  readonly type: "set_watch_page";
+  readonly on: boolean;
+}
+
+/** End a watcher's connection, and change the link so that nobody comes back by it. */
+export interface SendAwayMessage {
+  readonly type: "send_away";
+  readonly number: number;
 }
 
 /** "Not a medical device" was read. */
@@ -678,6 +692,7 @@ export interface ServerHelloMessage {
   readonly type: "hello";
   readonly wire_version: number;
   readonly carina_version: string;
+  readonly watches: boolean;
 }
 
 /** A case opened before, without names. */
@@ -1025,6 +1040,29 @@ export interface ErrorMessage {
 export interface NoticeMessage {
   readonly type: "notice";
   readonly message: string;
+}
+
+/** Who watches. */
+export interface Watcher {
+  readonly number: number;
+  readonly address: string;
+  readonly since_s: number;
+}
+
+/** The page by which others of the local network watch, while it is open. */
+export interface WatchPage {
+  readonly url: string;
+  readonly address: string;
+  readonly sha256: string;
+  readonly watchers: readonly Watcher[];
+  readonly num_refused: number;
+}
+
+/** Who else may see the open case; never told to who watches. */
+export interface WatchingMessage {
+  readonly type: "watching";
+  readonly page: WatchPage | null;
+  readonly problem: string | null;
 }
 
 /** So many of this window's commands have been done or refused, and what came of them at once has been told. */
@@ -1462,7 +1500,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_keys"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_keys"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -1537,6 +1575,8 @@ export type ClientMessage =
   | AskBranchDetailMessage
   | SetFrameRateMessage
   | AskStorageMessage
+  | SetWatchPageMessage
+  | SendAwayMessage
   | AcceptNoticeMessage
   | DeviceSampleMessage
   | ConnectDeviceMessage
@@ -1559,6 +1599,7 @@ export type ServerMessage =
   | DoneMessage
   | ErrorMessage
   | NoticeMessage
+  | WatchingMessage
   | HandledMessage
   | ValueMessage
   | PickedMessage

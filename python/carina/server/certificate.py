@@ -1,4 +1,4 @@
-"""A certificate made on the spot: browsers give a phone's sensors to secure pages only."""
+"""A certificate made on the spot, for pages that the local network reaches: the phone's and a watcher's."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def make_certificate(host: str) -> Certificate:
     Parameters
     ----------
     host
-        Address or name that the phone's link holds.
+        Address or name that the link holds.
     """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
@@ -80,7 +80,7 @@ def make_certificate(host: str) -> Certificate:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     with scratch_folder() as folder:
-        file = folder / "phone.pem"
+        file = folder / "page.pem"
         file.touch(mode=0o600)
         file.write_bytes(
             key.private_bytes(

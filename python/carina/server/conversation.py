@@ -1,0 +1,105 @@
+"""What is said on one window's socket, from its hello to its end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+import carina
+from carina.errors import ProtocolError
+from carina.server import messages as wire
+from carina.server.closing import close_socket
+from carina.server.senders import start_sender
+from carina.server.window import Window
+
+__all__ = ["converse"]
+
+HELLO_WITHIN_S = 20.0
+
+
+async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Awaitable[Window]]) -> None:
+    """One window, from its hello to its end.
+
+    Parameters
+    ----------
+    websocket
+        Accepted.
+    attach
+        Gives whoever says hello a window, or raises ProtocolError.
+    """
+    window: Window | None = None
+    sender: asyncio.Task[None] | None = None
+    worker: asyncio.Task[None] | None = None
+    try:
+        async with asyncio.timeout(HELLO_WITHIN_S):
+            hello = wire.parse_client_message(await _receive_text(websocket))
+        if not isinstance(hello, wire.ClientHello):
+            raise ProtocolError("the first message must be hello", code="protocol.order")
+        if hello.wire_version != wire.WIRE_VERSION:
+            msg = (
+                f"this page uses protocol version {hello.wire_version} and Carina uses version "
+                f"{wire.WIRE_VERSION}; reload the page"
+            )
+            raise ProtocolError(msg, code="protocol.version")
+        window = await attach(hello)
+        greeting = wire.ServerHello(wire.WIRE_VERSION, carina.__version__, window.watches)
+        await websocket.send_text(wire.encode_message(greeting))
+        sender = start_sender(websocket, "the window", _send_all(websocket, window))
+        worker = asyncio.create_task(window.inbox.work())
+        while not worker.done():
+            await window.inbox.put(wire.parse_client_message(await _receive_text(websocket)))
+        worker.result()
+    except ProtocolError as trouble:
+        await close_socket(websocket, trouble.code, str(trouble))
+    except TimeoutError:
+        await close_socket(websocket, "protocol.order", "the client sent no hello message")
+    except WebSocketDisconnect:
+        pass
+    finally:
+        if worker is not None:
+            worker.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await worker
+        if window is not None:
+            window.inbox.finish()
+            window.leave()
+        if sender is not None:
+            sender.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await sender
+
+
+async def _receive_text(websocket: WebSocket) -> str:
+    message = await websocket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
+    text = message.get("text")
+    if text is None:
+        raise ProtocolError("the client sent a binary message; only text messages are accepted", code="protocol.type")
+    return str(text)
+
+
+async def _send_all(websocket: WebSocket, window: Window) -> None:
+    outbox = window.outbox
+    while True:
+        await outbox.filled()
+        if outbox.overflowed:
+            await close_socket(websocket, "protocol.slow-client", "this window could not keep up with the data")
+            return
+        topics, texts, pictures = outbox.take()
+        # All of one moment, before anything is sent: what is called handled then has been told.
+        told = [(topic, window.topic_text(topic)) for topic in topics]
+        ended = window.ended
+        if ended is not None:
+            await close_socket(websocket, "protocol.watching-ended", ended)
+            return
+        for topic, text in told:
+            if text is not None and outbox.is_news(topic, text):
+                await websocket.send_text(window.restored(text))
+        for text in texts:
+            await websocket.send_text(window.restored(text))
+        for picture in pictures:
+            await websocket.send_bytes(picture)

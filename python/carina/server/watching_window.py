@@ -1,0 +1,87 @@
+"""A window of somebody who only watches, perhaps elsewhere: it changes nothing, and is told nothing private."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from msgspec.structs import replace
+
+from carina.commands import Command
+from carina.errors import UsageError
+from carina.server import messages as wire
+from carina.server.window import Host, Window
+from carina.session import Changed, Event
+from carina.session.snapshot import SavingInfo
+
+__all__ = ["WATCHERS_RATE_HZ", "WatchingWindow"]
+
+WATCHERS_RATE_HZ = 30.0
+"""Whoever flies needs the machine more."""
+MAX_SIDE_PX = 1600
+READ_ONLY = (wire.Ack, wire.Layout, wire.Probe, wire.Pick, wire.AskBranchDetail)
+"""What it may ask beside commands, which the session itself refuses but for those of its own sight."""
+
+
+class WatchingWindow(Window):
+    """Sees the case that was open when it came, and no other."""
+
+    watches = True
+
+    def __init__(self, number: int, host: Host) -> None:
+        super().__init__(number, host, rate_hz=WATCHERS_RATE_HZ)
+        self._sent_away: str | None = None
+
+    def send_away(self, words: str) -> None:
+        """End it for a reason; event loop only."""
+        self._sent_away = words
+        self.outbox.mark("state")
+
+    @property
+    def ended(self) -> str | None:
+        """Asked when all that is to be sent has been read: it is of the case that may be seen, or is not sent."""
+        if self._sent_away is None and self._session.snapshot(self.number).case is None:
+            return "the case that you were watching was closed"
+        return self._sent_away
+
+    def restored(self, text: str) -> str:
+        """Names of files are the person's own."""
+        return text
+
+    def topic_text(self, topic: str) -> str | None:
+        """None of what is told to nobody else: the person's cases, and who watches."""
+        match topic:
+            case "start":
+                return self._host.texts.watchers_start()
+            case "watching":
+                return None
+        return super().topic_text(topic)
+
+    def _state(self) -> wire.State:
+        """Without folders, names of files and of the case, and what they may stand in."""
+        state = super()._state()
+        case = state.case
+        if case is not None:
+            lasting = tuple(note for note in case.notes if note.badge)
+            warnings = tuple(note.words for note in lasting)
+            case = replace(case, notes=lasting, warnings=warnings, other_series=())
+        return replace(state, case=case, saving=SavingInfo(), mask_question=None)
+
+    def _note(self, event: Event) -> None:
+        """What is said and what goes wrong is the matter of who works here, and may name files."""
+        if isinstance(event, Changed):
+            super()._note(event)
+
+    def _do(self, message: Any) -> None:
+        if not isinstance(message, (Command, *READ_ONLY)):
+            raise UsageError("you are watching: this is for the person at the workstation", code="session.watching")
+        super()._do(_smaller(message) if isinstance(message, wire.Layout) else message)
+
+
+def _smaller(layout: wire.Layout) -> wire.Layout:
+    """Pictures that whoever flies does not feel; the page stretches them."""
+    views = []
+    for view in layout.views:
+        scale = min(1.0, MAX_SIDE_PX / max(view.width, view.height))
+        width, height = (max(16, round(side * scale)) for side in (view.width, view.height))
+        views.append(replace(view, width=width, height=height))
+    return replace(layout, views=tuple(views))

@@ -1,0 +1,275 @@
+"""Watching over the network: a link that can be revoked, a window that changes nothing, and one case only."""
+
+from __future__ import annotations
+
+import contextlib
+import ssl
+
+import httpx
+import pytest
+from live_server import SHOWN, WAIT_S, Window, open_case
+from websockets.sync.client import connect
+
+from carina import commands
+from carina.commands import all_commands
+from carina.commands.value import LocalCommand
+from carina.errors import UsageError
+from carina.render import Sight
+from carina.server import messages as wire
+from carina.server.watch_page import MAX_WATCHERS
+from carina.server.watching_window import READ_ONLY
+from small_case import LEFT_TIP, small_bench
+
+pytest.importorskip("cryptography")
+
+
+def insecure():
+    """A browser whose person has compared the fingerprint."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    return context
+
+
+@contextlib.contextmanager
+def watching(url, *, token=None, hello=True):
+    origin, _, own = url.partition("/#")
+    address = origin.removeprefix("https://")
+    with connect(f"wss://{address}/ws", origin=origin, ssl=insecure(), compression=None, open_timeout=WAIT_S) as socket:
+        watcher = Window(socket, hello=False)
+        watcher.send(wire.ClientHello(wire.WIRE_VERSION, own if token is None else token))
+        if hello:
+            greeting = watcher.until(lambda m: isinstance(m, wire.ServerHello))
+            assert greeting.watches
+        yield watcher
+
+
+def page_of(window, wanted=lambda page: page is not None):
+    return window.until(lambda m: isinstance(m, wire.Watching) and wanted(m.page)).page
+
+
+@pytest.fixture
+def desk(tmp_path):
+    """A window of the person at the workstation, with a case and the page for watchers open."""
+    from live_server import running
+
+    web = tmp_path / "web"
+    web.mkdir()
+    (web / "index.html").write_text("the client")
+    (web / "phone.html").write_text("the phone")
+    with running(tmp_path, web=web) as live, live.window() as window:
+        window.send(SHOWN)
+        open_case(window)
+        window.send(wire.SetWatchPage(on=True))
+        yield live, window, page_of(window)
+
+
+def fields(value):
+    """All texts in a message."""
+    return wire.encode_message(value)
+
+
+def test_a_watcher_sees_the_case_and_the_flight_and_looks_in_its_own_way(desk):
+    live, window, page = desk
+    with watching(page.url) as watcher:
+        watcher.send(SHOWN)
+        watcher.until_state(lambda s: s.case is not None)
+        for kind in (wire.Tree, wire.Route, wire.Keys, wire.Pose):
+            watcher.had(lambda m, kind=kind: isinstance(m, kind))
+        window.send(wire.GoTo(20.0))
+        pose = watcher.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
+        watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.pose_id == pose.pose_id)
+        before = live.session.snapshot().sight
+        watcher.send(wire.SetCrosshair(LEFT_TIP), wire.SetTexture(on=False))
+        assert watcher.until_state(lambda s: not s.sight.texture).sight.crosshair_lps == LEFT_TIP
+        assert live.session.snapshot().sight is before, "what is kept is the person's own"
+        told = page_of(window, lambda page: page is not None and page.watchers)
+        assert [w.address for w in told.watchers] == ["127.0.0.1"]
+    assert page_of(window, lambda page: page is not None and not page.watchers).url == page.url
+
+
+def test_no_picture_of_a_watcher_is_larger_than_a_screen(desk):
+    _live, _window, page = desk
+    with watching(page.url) as watcher:
+        watcher.send(wire.Layout((wire.ViewSize("axial", 4096, 2048),)))
+        picture = watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.full)
+        assert (picture.width, picture.height) == (1600, 800)
+
+
+def test_the_session_refuses_a_watcher_every_command_but_those_of_its_own_sight():
+    bench = small_bench()
+    bench.open()
+    bench.session.subscribe(lambda _event: None, window=7, watches=True)
+    before = (bench.session.snapshot(), bench.session.history(), bench.session.pose_info())
+    refused = allowed = 0
+    for cls in all_commands():
+        if cls.sets in Sight.__struct_fields__:
+            allowed += 1
+            continue
+        # Who asks is looked at first: nothing of the fields matters.
+        command = cls(**dict.fromkeys(cls.__struct_fields__))
+        with pytest.raises(UsageError, match="you are watching") as told:
+            bench.session.do(command, window=7)
+        assert told.value.code == "session.watching"
+        refused += 1
+    assert (bench.session.snapshot(), bench.session.history(), bench.session.pose_info()) == before
+    assert refused > 50 and allowed == 10
+    bench.session.do(commands.SetSlab(10.0, "max"), window=7)
+    assert bench.session.snapshot(7).sight.slab.thickness_mm == 10.0
+    assert bench.session.snapshot().sight == before[0].sight
+
+
+def test_a_watcher_sees_no_other_case_and_may_do_nothing_in_it():
+    bench = small_bench()
+    bench.open()
+    end = bench.session.subscribe(lambda _event: None, window=7, watches=True)
+    bench.session.do(commands.OpenPath("another"))
+    bench.background.run_all()
+    assert bench.session.snapshot().case_number == 2
+    assert bench.session.snapshot(7).case is None
+    assert bench.session.scene(7) is None
+    end()
+    with pytest.raises(UsageError, match="watching"):
+        bench.session.do(commands.SetTexture(on=False), window=7)
+    with pytest.raises(UsageError, match="watching"):
+        bench.session.do(commands.Steer(1.0, 0.0, 0.0, 0.0), window=7)
+
+
+def test_without_a_case_there_is_nothing_to_watch(live):
+    with live.window() as window:
+        window.send(wire.SetWatchPage(on=True))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code in {"session.no-case", "watch.missing"}
+    with pytest.raises(UsageError):
+        small_bench().session.subscribe(lambda _event: None, window=1, watches=True)
+
+
+def sample(cls):
+    """A message of this class, as the samples of the protocol have it."""
+    import json
+    from pathlib import Path
+
+    folder = Path(__file__).resolve().parents[2] / "protocol" / "valid" / "client"
+    for path in sorted(folder.glob("*.json")):
+        text = path.read_text(encoding="utf-8")
+        if json.loads(text)["type"] == cls.__struct_config__.tag:
+            return wire.parse_client_message(text)
+    raise AssertionError(f"no sample of {cls.__name__}")
+
+
+def test_every_message_that_opens_saves_lists_or_reaches_devices_is_refused_over_the_wire(desk):
+    live, _window, page = desk
+    before = (live.session.snapshot(), live.session.pose_info())
+    with watching(page.url) as watcher:
+        watcher.send(SHOWN)
+        watcher.until_state(lambda s: s.case is not None)
+        num = 0
+        for cls in wire.CLIENT_MESSAGES.values():
+            is_own = getattr(cls, "sets", None) in Sight.__struct_fields__
+            if is_own or issubclass(cls, READ_ONLY) or issubclass(cls, LocalCommand):
+                continue
+            watcher.send(sample(cls))
+            error = watcher.until(lambda m: isinstance(m, wire.Error))
+            assert error.code == "session.watching", cls
+            num += 1
+        assert num > 60
+    assert (live.session.snapshot(), live.session.pose_info()) == before
+
+
+def test_a_watcher_is_told_of_no_folder_no_other_case_and_no_link(desk):
+    live, window, page = desk
+    live.session.store.remember("/scans/somebody/Miller^Anna/ct", "Chest", "2026-01-01")
+    with watching(page.url) as watcher:
+        watcher.until_state(lambda s: s.case is not None)
+        window.send(wire.SetPhone(on=True), wire.WatchDevices(on=True))
+        window.until(lambda m: isinstance(m, wire.Devices))
+        window.send(wire.OpenPath("/scans/somebody/refused"), wire.SetFov(80.0))
+        watcher.until_state(lambda s: s.look.fov_deg == 80.0)
+        start = watcher.had(lambda m: isinstance(m, wire.Start))
+        assert (start.recent, start.storage) == ((), None)
+        state = [m for m in watcher.seen if isinstance(m, wire.State)][-1]
+        assert state.saving.copy_folder is None and state.saving.title is None
+        assert state.case.other_series == ()
+        kinds = {type(m) for m in watcher.seen}
+        assert not kinds & {wire.Devices, wire.Pen, wire.Watching, wire.Progress, wire.Notice, wire.Done}
+        said = " ".join(fields(m) for m in watcher.seen)
+        assert "somebody" not in said and "token" not in said and page.url.partition("#")[2] not in said
+
+
+def test_a_wrong_token_is_refused_and_counted(desk):
+    _live, window, page = desk
+    with watching(page.url, token="guess", hello=False) as watcher:
+        code, reason = watcher.close_code()
+        assert code == wire.CLOSE_CODES["protocol.not-authorised"]
+        assert "no longer valid" in reason
+    assert page_of(window, lambda page: page is not None and page.num_refused == 1)
+
+
+def test_plain_http_is_refused_and_the_page_holds_nothing_but_the_client(desk):
+    _live, _window, page = desk
+    origin = page.url.partition("/#")[0]
+    with pytest.raises(httpx.TransportError):
+        httpx.get(origin.replace("https", "http"), timeout=WAIT_S)
+    with httpx.Client(base_url=origin, verify=insecure(), timeout=WAIT_S) as client:
+        assert client.get("/").text == "the client"
+        for path in ("/api/airways.json", "/api/cases/1/picture.jpg", "/phone.html", "/..%2f..%2fetc/passwd"):
+            assert client.get(path).status_code == 404, path
+        assert client.post("/api/upload", headers={"origin": origin}).status_code in {404, 405}
+        assert client.get("/", headers={"host": "evil.example"}).status_code == 403
+
+
+def test_switching_it_off_sends_all_away_and_frees_the_port(desk):
+    _live, window, page = desk
+    with watching(page.url) as watcher:
+        watcher.until_state(lambda s: s.case is not None)
+        window.send(wire.SetWatchPage(on=False))
+        assert watcher.close_code() == (4410, "the person at the workstation ended the watching")
+    page_of(window, lambda page: page is None)
+    with pytest.raises(ConnectionRefusedError), watching(page.url):
+        pass
+    # Another link is another token and another certificate.
+    window.send(wire.SetWatchPage(on=True))
+    again = page_of(window)
+    assert again.sha256 != page.sha256
+    with watching(again.url, token=page.url.partition("#")[2], hello=False) as watcher:
+        assert watcher.close_code()[0] == 4401
+
+
+def test_one_who_is_sent_away_does_not_come_back_by_the_same_link(desk):
+    _live, window, page = desk
+    with watching(page.url) as first, watching(page.url) as second:
+        told = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
+        window.send(wire.SendAway(told.watchers[0].number))
+        assert first.close_code() == (4410, "the person at the workstation ended your watching")
+        left = page_of(window, lambda page: page is not None and len(page.watchers) == 1)
+        assert left.url != page.url
+        window.send(wire.SetFov(81.0))
+        second.until_state(lambda s: s.look.fov_deg == 81.0)
+        with watching(page.url, hello=False) as again:
+            assert again.close_code()[0] == 4401
+    window.send(wire.SendAway(999))
+    assert window.until(lambda m: isinstance(m, wire.Error)).code == "watch.gone"
+
+
+@pytest.mark.parametrize("how", ["another", "closed"])
+def test_it_goes_off_when_the_case_changes_or_closes(desk, how):
+    _live, window, page = desk
+    with watching(page.url) as watcher:
+        watcher.send(SHOWN)
+        watcher.until_state(lambda s: s.case is not None)
+        window.send(wire.OpenPath("another") if how == "another" else wire.CloseCase())
+        assert watcher.close_code() == (4410, "the case that you were watching was closed")
+        assert {m.case.number for m in watcher.seen if isinstance(m, wire.State)} == {1}
+    page_of(window, lambda page: page is None)
+
+
+def test_watchers_take_no_place_of_those_who_work(desk):
+    live, window, page = desk
+    with contextlib.ExitStack() as opened:
+        for _ in range(MAX_WATCHERS):
+            opened.enter_context(watching(page.url))
+        with watching(page.url, hello=False) as refused:
+            assert refused.close_code()[0] == wire.CLOSE_CODES["protocol.too-many-windows"]
+        with live.window() as another:
+            another.until_state(lambda s: s.case is not None)
+        window.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
+        window.until(lambda m: isinstance(m, wire.Pose))

@@ -1,0 +1,80 @@
+/** The page for watchers: switched on and off, its link, the certificate to compare, and who is there. */
+
+import { clock } from "../state/format";
+import { fingerprintLines } from "../state/qr";
+import type { WatchPage } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act, SwitchKey } from "./controls";
+
+export function WatchGroup() {
+  const station = useStation();
+  const watching = useApp((state) => state.watching);
+  const page = watching?.page ?? null;
+  const problem = watching?.problem ?? null;
+  return (
+    <div className="group phone">
+      <h3>Watchers</h3>
+      <SwitchKey
+        words={
+          page === null
+            ? "Opens a page on this network. Anyone with its link sees your patient's pictures, but can change nothing."
+            : "Closes the page and sends all watchers away; its link stops working"
+        }
+        label={page === null ? "Let others watch" : "End watching"}
+        on={page !== null}
+        disabled={page === null && problem !== null}
+        testId="watch-switch"
+        onChange={() => station.send({ type: "set_watch_page", on: page === null })}
+      />
+      {page === null ? (
+        <p className="quiet">
+          {problem ?? "Others on this network follow the case in a browser. It ends with the case."}
+        </p>
+      ) : (
+        <Open page={page} />
+      )}
+    </div>
+  );
+}
+
+function Open({ page }: { page: WatchPage }) {
+  const station = useStation();
+  return (
+    <>
+      <p className="warning-text">Your patient's pictures are on the network.</p>
+      <p>Send this link to the people you want to watch:</p>
+      <p className="quiet path" data-testid="watch-url">
+        {page.url}
+      </p>
+      <p>
+        Their browser will warn about the certificate, because this computer issued it. Have them compare its
+        fingerprint (SHA-256):
+      </p>
+      <p className="fingerprint" data-testid="watch-sha256">
+        {fingerprintLines(page.sha256).map((line) => (
+          <span key={line}>{line}</span>
+        ))}
+      </p>
+      {page.watchers.length === 0 ? (
+        <p className="quiet">Nobody is watching yet.</p>
+      ) : (
+        <ul className="watchers" data-testid="watchers">
+          {page.watchers.map((watcher) => (
+            <li key={watcher.number}>
+              <span>
+                {watcher.address} <span className="quiet">since {clock(watcher.since_s, Date.now())}</span>
+              </span>
+              <Act
+                kind="quiet"
+                label="Send away"
+                words="Ends this connection and changes the link, so that nobody comes back by it"
+                onPress={() => station.send({ type: "send_away", number: watcher.number })}
+              />
+            </li>
+          ))}
+        </ul>
+      )}
+      {page.num_refused === 0 ? null : <p className="quiet">Refused: {page.num_refused} with an invalid link.</p>}
+    </>
+  );
+}
