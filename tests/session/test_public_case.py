@@ -19,6 +19,7 @@ from carina.render import Renderer
 from carina.session import Session, case_files
 from carina.session.named_lock import NamedLock
 from carina.session.records import CaseRecords
+from made import made_phantom
 from own_folders import own_folders
 
 
@@ -202,14 +203,14 @@ def window(saved):
     records = CaseRecords(load_settings().cases_dir, time.time)
     sessions = []
 
-    def opened():
+    def opened(ct=None):
         session = Session(
             lambda volume, transfer: Renderer(volume, transfer=transfer),
             records=records,
             files=case_files(None, records),
         )
         sessions.append(session)
-        session.do(c.OpenPath(str(saved)))
+        session.do(c.OpenPath(str(saved)) if ct is None else c.OpenCaseFile(saved, ct))
         session.jobs.wait_idle(None)
         return session
 
@@ -268,3 +269,21 @@ def test_a_file_that_somebody_went_on_with_elsewhere_is_another_case_here(saved,
     session = opened()
     assert session.snapshot().document.look.fov_deg == 95.0
     assert len(records.all()) == 2
+
+
+def test_a_window_opens_a_case_whose_scan_was_moved_with_the_place_that_it_is_given(saved, window, monkeypatch):
+    monkeypatch.setattr("carina.track.find_airways", searched)
+    opened, records = window
+    (saved.parent / "scan").rename(saved.parent / "moved")
+    lost = opened()
+    assert lost.snapshot().case is None
+    session = opened(saved.parent / "moved" / "ct.nii.gz")
+    assert (session.snapshot().undo_label or "").startswith("rename")
+    assert session._saving.write_now()
+    (record,) = records.all()
+    assert record.place == str(saved.parent / "moved" / "ct.nii.gz")
+    # Another CT is refused, and nothing of it is kept.
+    write_phantom(made_phantom(spacing_mm=4.0, generations=3), saved.parent / "other")
+    other = opened(saved.parent / "other" / "ct.nii.gz")
+    assert other.snapshot().case is None
+    assert len(records.all()) == 1

@@ -84,6 +84,7 @@ def _workstation(
     mixed: bool = False,
     phone: bool = False,
     phone_address: str | None = None,
+    ct: Path | None = None,
 ) -> None:
     told: dict[str, Any] = {}
 
@@ -107,9 +108,16 @@ def _workstation(
         from carina.phone import PhoneSwitch
         from carina.server import serve
 
+        if ct is not None:
+            from carina.cli.opened import check_case_options
+
+            if path is None:
+                raise UsageError("--ct only applies to a case file (NAME.carina)")
+            check_case_options(path, ct)
         with opened_cluster(cluster, token=token, mixed=mixed) as used:
             code = serve(
                 str(path) if path is not None else None,
+                ct=ct,
                 demo=demo,
                 host=host,
                 port=port,
@@ -152,9 +160,10 @@ def open_(
     token_file: TokenOption = None,
     phone: PhoneOption = False,
     phone_address: PhoneAddressOption = None,
+    ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Open the workstation on a CT.
+    """Open the workstation on a CT, or on a case file (NAME.carina).
 
     Example: carina open ~/scans/thorax
     """
@@ -170,6 +179,7 @@ def open_(
         mixed=mixed,
         phone=phone,
         phone_address=phone_address,
+        ct=ct,
     )
 
 

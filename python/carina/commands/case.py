@@ -16,6 +16,15 @@ class OpenPath(Command, frozen=True):
     path: PathText
 
 
+class OpenCaseFile(LocalCommand, frozen=True):
+    """Open a case file of this machine."""
+
+    path: Any
+    """A :class:`pathlib.Path`."""
+    ct: Any = None
+    """Where its CT lies now, a :class:`pathlib.Path`; None looks where it was."""
+
+
 class OpenDemo(Command, frozen=True):
     """Open a bundled case."""
 

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import uvicorn
 
-from carina.commands import OpenDemo, OpenPath
+from carina.commands import OpenCaseFile, OpenDemo, OpenPath
 from carina.config import load_settings
 from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
@@ -113,6 +113,7 @@ def make_server(
 def serve(
     path: str | None,
     *,
+    ct: Path | None = None,
     demo: str | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -130,7 +131,9 @@ def serve(
     Parameters
     ----------
     path
-        CT folder or file to open; None shows the start page.
+        CT folder or file, or case file, to open; None shows the start page.
+    ct
+        Where the CT of the case file lies now; None looks where it was.
     demo
         ``"phantom"`` or ``"patient"``: open a bundled case instead.
     host
@@ -203,7 +206,8 @@ def serve(
 
         def ready() -> None:
             if path is not None:
-                session.do(OpenPath(str(Path(path).absolute())))
+                place = Path(path).absolute()
+                session.do(OpenPath(str(place)) if ct is None else OpenCaseFile(place, ct))
             elif demo is not None:
                 session.do(OpenDemo(cast(Any, demo)))
             if on_ready is not None:

@@ -74,7 +74,15 @@ class Opening(Subject):
 
         return self._open("opening the case", read, path, case_id=case_id)
 
-    def _open_case_file(self, path: Path, scans: CaseScans) -> str:
+    @does(c.OpenCaseFile)
+    def open_case_file(self, command: c.OpenCaseFile) -> str:
+        """A CT that is named is compared with the case's; another one is refused."""
+        scans = self._saving.scans
+        if scans is None:
+            raise UsageError("this session opens no case files", code="case.not-kept")
+        return self._open_case_file(Path(command.path), scans, command.ct)
+
+    def _open_case_file(self, path: Path, scans: CaseScans, ct: Path | None = None) -> str:
         """Its CT, and what was done in it; from now on it is kept here like any other case."""
         opened: list[tuple[CaseFile, str | None]] = []
 
@@ -83,7 +91,7 @@ class Opening(Subject):
             opened.append((file, None))
             if file.note is not None:
                 self.core.emit(Said(file.note))
-            scan = scans.open(file, progress=job.progress, cancel=job.cancel)
+            scan = scans.open(file, ct=ct, progress=job.progress, cancel=job.cancel)
             opened[0] = (file, scan.place)
             return scan.volume
 
