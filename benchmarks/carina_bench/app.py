@@ -155,6 +155,23 @@ def bench_reopen(
         raise SystemExit(report(folder=output, ct=case, quick=quick, as_json=as_json))
 
 
+@bench.command("saving")
+def bench_saving(
+    output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
+) -> None:
+    """A flight at 30 pictures a second with four edits a second: how late pictures are while they are saved, and not.
+
+    Needs no extra and a quiet machine. A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench saving --quick
+    """
+    with exit_codes(as_json):
+        from carina_bench.saving import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, quick=quick, as_json=as_json))
+
+
 @bench.command("stream")
 def bench_stream(
     output: BenchFolder = Path("carina-bench"),

@@ -1,0 +1,17 @@
+"""What of the benchmark of saving holds on any machine: both flights have pictures, and one of them is saved."""
+
+from __future__ import annotations
+
+import json
+
+from carina_bench import saving
+
+
+def test_a_short_flight_is_flown_with_and_without_saving(monkeypatch, capsys, tmp_path):
+    small = {"spacing_mm": 3.0, "seconds": 1.0, "turns": 1}
+    monkeypatch.setattr(saving, "run_section", lambda _name, _request: saving.measure(small))
+    assert saving.report(folder=tmp_path, quick=True, as_json=False) == 0
+    row = json.loads((tmp_path / "saving.json").read_text())["row"]
+    assert row["saved"]["num_pictures"] > 0
+    assert row["saved"]["num_edits"] == row["not saved"]["num_edits"] == 4
+    assert "latest picture while edits are saved" in capsys.readouterr().out
