@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 import pytest
-from live_server import serving
+from live_server import Live, serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -207,6 +207,25 @@ def test_every_program_hears_of_its_own_trouble_alone(window, ct):
         assert one.state.document.look.fov_deg == 100.0
         assert one.history() == other.history()
     assert not [event for event in heard if isinstance(event, Trouble | NotEvident)]
+
+
+def test_a_window_shows_what_a_notebook_did_and_the_other_way_round(window, ct):
+    live = Live(window.gate, window.session, None, [])
+    with live.window() as page, carina.Case.open(ct) as case:
+        tip = case.airways.tree.tips()[0]
+        case.do(c.EditTree(c.RenameBranch(tip.id, "from the notebook")))
+        named = (tip.id, "from the notebook")
+        page.until(lambda m: isinstance(m, wire.Tree) and named in {(one.id, one.name) for one in m.tree.branches})
+        page.had(lambda m: isinstance(m, wire.History) and len(m.steps) == 1)
+        page.send(wire.SetOutline("none"))
+        page.until_state(lambda state: state.look.outline == "none")
+        assert case.state.document.look.outline == "none"
+        # What is only looked at stays where it is looked at.
+        case.do(c.SetTexture(on=False))
+        page.send(wire.SetShading(False))
+        page.until_state(lambda state: not state.sight.shading)
+        assert page.seen[-1].sight.texture
+        assert case.state.sight.shading
 
 
 # ---------------------------------------------------------------- the owner goes

@@ -214,7 +214,7 @@ def recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
     check_output_file(output, ".jsonl")
     if output.exists():
         raise UsageError(f"-o: {output} already exists; choose another name")
-    with CaseFile.open(path, read_only=True) as case:
+    with CaseFile.open(newest_state(path), read_only=True) as case:
         text = case.recording_text(recording_in(case, wanted).recording_id)
     write_whole(output, text.encode(), what="the recording")
     return _wrote(output, as_json)

@@ -22,7 +22,7 @@ from carina.cli.case import recording_in
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.kept_frames import KeptFrames
-from carina.cli.opened import Opened, check_case_options, opened
+from carina.cli.opened import Opened, check_case_options, newest_state, opened
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
@@ -159,7 +159,7 @@ def _recording(path: Path, wanted: Path) -> Recording:
     """A file, or a recording of the case by its name or number."""
     if wanted.is_file() or not is_case_file(path):
         return open_recording(wanted)
-    with CaseFile.open(path, read_only=True) as case:
+    with CaseFile.open(newest_state(path), read_only=True) as case:
         return case.recording(recording_in(case, str(wanted)).recording_id)
 
 
