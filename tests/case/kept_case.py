@@ -10,9 +10,19 @@ import numpy as np
 from edit_case import EditCase, assert_same, edit_case
 from edit_sequences import some_edit
 
-from carina.case import CaseFile, Document, History, KeptMeasures, Key, LaidScope, Moment, SourceFacts, Target
+from carina.case import (
+    CaseFile,
+    ChosenKeyFrame,
+    Document,
+    History,
+    KeptMeasures,
+    LaidScope,
+    Moment,
+    SourceFacts,
+    Target,
+)
 from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
-from carina.commands import AddTarget, EditKeys, EditTree, KeyAdd, SetFov, SetTransfer
+from carina.commands import AddTarget, EditKeyFrames, EditTree, KeyFrameAdd, SetFov, SetTransfer
 from carina.errors import NoResultError, UsageError
 from carina.navigate import Navigator
 from carina.render import GreyWindow, Sight, transfer_preset
@@ -97,9 +107,11 @@ class Doing:
         self.numbers["key"] += 1
         turn = 0.1 * number(60)
         pose = Pose.looking((1.0 / 3.0, -turn, turn), (np.cos(turn), np.sin(turn), -0.5))
-        frames = (*self.document.keys.frames, Key(f"key-{self.numbers['key']}", pose, None, None))
+        frames = (*self.document.key_frames.frames, ChosenKeyFrame(f"key-{self.numbers['key']}", pose, None, None))
         self.change(
-            "add key frame", replace(self.document, keys=replace(self.document.keys, frames=frames)), EditKeys(KeyAdd())
+            "add key frame",
+            replace(self.document, key_frames=replace(self.document.key_frames, frames=frames)),
+            EditKeyFrames(KeyFrameAdd()),
         )
 
     def look(self, number: Any) -> None:
@@ -235,8 +247,8 @@ def whole(airways: Any, case: EditCase) -> Airways:
 def assert_same_document(found: Document, expected: Document, case: EditCase) -> None:
     assert found.transfer.to_json() == expected.transfer.to_json()
     assert (found.look, found.lumen_threshold) == (expected.look, expected.lumen_threshold)
-    assert found.keys.flying == expected.keys.flying
-    for one, other in zip(found.keys.frames, expected.keys.frames, strict=True):
+    assert found.key_frames.flying == expected.key_frames.flying
+    for one, other in zip(found.key_frames.frames, expected.key_frames.frames, strict=True):
         assert (one.key_id, one.name, one.speed_mm_s) == (other.key_id, other.name, other.speed_mm_s)
         np.testing.assert_array_equal(one.pose.lps_from_camera, other.pose.lps_from_camera)
     assert_same_route(found.route, expected.route)

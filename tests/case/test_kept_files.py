@@ -43,7 +43,7 @@ def told(path, volume):
                 "edits": len(airways.edits),
                 "route": None if route is None else [route.route_id, round(route.length_mm, 9), len(route.spans)],
                 "targets": [[t.target_id, t.name, list(t.lps), t.length_mm, t.problem] for t in document.targets],
-                "keys": [[k.key_id, k.pose.lps_from_camera.tolist()] for k in document.keys.frames],
+                "keys": [[k.key_id, k.pose.lps_from_camera.tolist()] for k in document.key_frames.frames],
                 "look": [document.look.fov_deg, document.transfer.name],
             }
         )

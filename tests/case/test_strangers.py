@@ -382,4 +382,4 @@ def test_what_was_lost_is_listed_and_the_rest_is_rescued(made, stranger, tmp_pat
         assert any(found.airways is None for found, _ in documents)
         for found, expected in documents:
             assert [t.lps for t in found.targets] == [t.lps for t in expected.targets]
-            assert [k.key_id for k in found.keys.frames] == [k.key_id for k in expected.keys.frames]
+            assert [k.key_id for k in found.key_frames.frames] == [k.key_id for k in expected.key_frames.frames]

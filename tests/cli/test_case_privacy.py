@@ -120,7 +120,7 @@ def saved(tmp_path_factory):
         tip = case.airways.tree.tips()[0]
         case.do(c.AddTarget(tuple(float(v) for v in tip.points[-1])))
         case.do(c.EditTree(c.RenameBranch(tip.id, "near the tumour")))
-        case.do(c.EditKeys(c.KeyAdd()))
+        case.do(c.EditKeyFrames(c.KeyFrameAdd()))
         case.save(person / "beside.carina")
         case.save(root / "far.carina")
     return root, person

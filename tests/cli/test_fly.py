@@ -13,7 +13,7 @@ from carina.cli.along import way_to
 from carina.cli.badges import Badges
 from carina.cli.opened import Opened
 from carina.commands import GoTo, OpenVolume, RecordFlight, SetMode, SetScope, Steer, StopRecording
-from carina.navigate import AirwayWay, AutoFlight, KeyFile, KeyFrame, case_key
+from carina.navigate import AirwayWay, AutoFlight, KeyFrame, KeyFrameFile, case_key
 from carina.navigate.recording import ReplayedPose, sampled
 from carina.navigate.rotation import rotation_from_vector
 from carina.render import AirwayView, read_png_pose
@@ -118,7 +118,7 @@ def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(car
     way = AirwayWay(root.points_lps[: len(root.points_lps) // 2], 0)
     frames = [KeyFrame(None, poses[0]), KeyFrame(None, poses[1], speed_mm_s=40.0), KeyFrame(None, poses[2], way=way)]
     view = {"scope": None, "mask": "none", "fov_deg": 70.0, "operator": "head"}
-    file = KeyFile(tuple(frames), 50.0, "airways", case_key(volume), view)
+    file = KeyFrameFile(tuple(frames), 50.0, "airways", case_key(volume), view)
     document, output = tmp_path / "keys.json", tmp_path / "k.mp4"
     document.write_text(json.dumps(file.to_json()))
     how = ("--size", "64x64", "--rate", "10", "--step-vox", "1")

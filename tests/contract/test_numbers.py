@@ -13,7 +13,7 @@ from msgspec import inspect
 
 from carina.errors import CarinaError, ProtocolError
 from carina.export import read_tree
-from carina.navigate import open_keys, open_recording
+from carina.navigate import open_key_frames, open_recording
 from carina.render import TransferFunction, transfer_preset
 from carina.server import messages as wire
 from carina.server.wire_codec import MAX_DEPTH
@@ -147,7 +147,7 @@ FILES = {
             "version": 1,
             "keys": [{"time_s": 0.0, "lps_from_camera": IDENTITY}, {"time_s": 1.0, "lps_from_camera": IDENTITY}],
         },
-        open_keys,
+        open_key_frames,
     ),
     "recording": (
         {"format": "carina-recording", "version": 1, "carina": "0", "case": {}, "tip": {}, "begin": []},

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carina.navigate import open_keys
+from carina.navigate import open_key_frames
 
 pytestmark = pytest.mark.browser
 
@@ -17,7 +17,7 @@ def wait(page, condition: str) -> None:
 
 
 def wait_keys(page, num: int) -> None:
-    wait(page, f"window.__carina.state.keys?.keys.length === {num}")
+    wait(page, f"window.__carina.state.keyFrames?.frames.length === {num}")
 
 
 def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(server, workstation, tmp_path):
@@ -37,26 +37,26 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
         workstation.go_to(state("route.length_mm") - 3.0)
         page.get_by_test_id("add-key").click()
         wait_keys(page, n)
-    assert [key["through_airways"] for key in state("keys.keys")] == [False, True, True]
-    assert state("keys.keys")[0]["name"] == "Trachea"
-    lasts = state("keys.duration_s")
+    assert [key["through_airways"] for key in state("keyFrames.frames")] == [False, True, True]
+    assert state("keyFrames.frames")[0]["name"] == "Trachea"
+    lasts = state("keyFrames.duration_s")
     assert page.get_by_test_id("keys-clock").inner_text().endswith(f"of 0:{lasts:04.1f}")
     workstation.wait_still()
     workstation.picture("key-frames")
 
     # It plays from the start, through every view, and the speed is what was asked for.
     page.get_by_test_id("stop-keys").click()
-    wait(page, "window.__carina.state.pose.keys_s === 0")
+    wait(page, "window.__carina.state.pose.key_frames_s === 0")
     before = {view: workstation.pixels(view) for view in ("airway", "axial", "coronal", "sagittal", "cut-plane")}
     page.get_by_test_id("play-keys").click()
-    wait(page, "window.__carina.state.pose.keys_s > 1.0 && window.__carina.state.speedMmS > 1")
+    wait(page, "window.__carina.state.pose.key_frames_s > 1.0 && window.__carina.state.speedMmS > 1")
     page.get_by_test_id("speed").wait_for()
     assert state("pose.inside")
     workstation.picture("key-frames-flying")
 
     # A hand takes over at once, and the flight does not throw the tip back.
     workstation.hold("s", 300)
-    wait(page, "!window.__carina.state.playing.on && window.__carina.state.pose.keys_s === null")
+    wait(page, "!window.__carina.state.playing.on && window.__carina.state.pose.key_frames_s === null")
     workstation.wait_still()
     newest = state("pose.pose_id")
     workstation.let_pass(500)
@@ -67,16 +67,16 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
 
     # Scrubbed to the end; then a change of the list, undone and done again.
     page.get_by_role("slider", name="Time in the flight (seconds)").press("End")
-    wait(page, f"Math.abs(window.__carina.state.pose.keys_s - {lasts}) < 1e-6")
-    third = state("keys.keys")[2]["key_id"]
+    wait(page, f"Math.abs(window.__carina.state.pose.key_frames_s - {lasts}) < 1e-6")
+    third = state("keyFrames.frames")[2]["key_id"]
     rows = page.get_by_test_id("key")
     rows.nth(2).get_by_test_id("key-more").click()
     page.get_by_test_id("key-up").click()
-    wait(page, f"window.__carina.state.keys.keys[1].key_id === '{third}'")
+    wait(page, f"window.__carina.state.keyFrames.frames[1].key_id === '{third}'")
     page.get_by_test_id("key-name").click()
     page.get_by_test_id("key-rename").fill("the tumour")
     page.get_by_test_id("key-rename").press("Enter")
-    wait(page, "window.__carina.state.keys.keys[1].name === 'the tumour'")
+    wait(page, "window.__carina.state.keyFrames.frames[1].name === 'the tumour'")
     workstation.picture("key-frames-changed")
     page.set_viewport_size({"width": 1280, "height": 720})
     workstation.wait_still()
@@ -84,8 +84,8 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     page.set_viewport_size({"width": 1440, "height": 900})
     for _ in range(2):
         page.keyboard.press("Control+z")
-    wait(page, f"window.__carina.state.keys.keys[2].key_id === '{third}'")
-    assert state("keys.duration_s") == lasts
+    wait(page, f"window.__carina.state.keyFrames.frames[2].key_id === '{third}'")
+    assert state("keyFrames.duration_s") == lasts
 
     # Taken away, it is the same flight; opened again, it takes the list's place as one step.
     with page.expect_download() as waiting:
@@ -93,7 +93,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     assert waiting.value.suggested_filename == "key-frames.json"
     saved = tmp_path / "key-frames.json"
     waiting.value.save_as(saved)
-    assert open_keys(saved).flight().duration_s == lasts
+    assert open_key_frames(saved).flight().duration_s == lasts
     assert "--keys key-frames.json" in page.get_by_test_id("key-panel").inner_text()
     rows.nth(0).get_by_test_id("key-more").click()
     page.get_by_test_id("key-remove").click()
@@ -102,7 +102,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
         page.get_by_test_id("open-keys").click()
     choosing.value.set_files(str(saved))
     wait_keys(page, 3)
-    assert state("keys.duration_s") == lasts
+    assert state("keyFrames.duration_s") == lasts
     assert state("can_undo") == "open key frames"
 
     # A reload shows them as they are; a file of another case is refused in words and changes nothing.
@@ -119,7 +119,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
         page.get_by_test_id("open-keys").click()
     choosing.value.set_files(str(foreign))
     page.get_by_text("another case").wait_for()
-    assert len(state("keys.keys")) == 3
+    assert len(state("keyFrames.frames")) == 3
     assert workstation.faults == []
 
 

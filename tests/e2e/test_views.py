@@ -122,10 +122,10 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     # A full stop is a key frame's here as everywhere, and moves no plane.
     here = workstation.state("session.sight.crosshair_lps")
     workstation.page.keyboard.press(".")
-    workstation.wait_for("window.__carina.state.keys.keys.length === 1")
+    workstation.wait_for("window.__carina.state.keyFrames.frames.length === 1")
     assert workstation.state("session.sight.crosshair_lps") == here
     workstation.page.keyboard.press("Control+z")
-    workstation.wait_for("window.__carina.state.keys.keys.length === 0")
+    workstation.wait_for("window.__carina.state.keyFrames.frames.length === 0")
     workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
     drag(workstation, "tri-plane", (0.03, 0.03), (0.3, 0.03))
     workstation.wait_for("window.__carina.state.session.sight.orbits['tri-plane'] !== undefined")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carina.errors import UsageError, VolumeImportError
-from carina.navigate import AirwayWay, KeyFile, KeyFrame, KeyFrameFlight, case_key, open_keys
+from carina.navigate import AirwayWay, KeyFrame, KeyFrameFile, KeyFrameFlight, case_key, open_key_frames
 from carina.navigate.rotation import rotation_from_vector
 from carina.scopes import Pose, upright
 from small_case import small_volume
@@ -237,7 +237,7 @@ def inside(volume, *ijk) -> Pose:
     return pose(volume.to_lps(np.array(ijk, dtype=float)))
 
 
-def written(path, file: KeyFile):
+def written(path, file: KeyFrameFile):
     path.write_text(json.dumps(file.to_json()))
     return path
 
@@ -250,8 +250,8 @@ def test_a_file_gives_the_same_flight_to_the_last_bit(tmp_path):
         KeyFrame(None, inside(volume, 16, 14, 20), speed_mm_s=7.0, way=way),
         KeyFrame(None, inside(volume, 10, 13, 15)),
     )
-    file = KeyFile(frames, 15.0, "airways", case_key(volume), {"scope": None})
-    read = open_keys(written(tmp_path / "k.json", file))
+    file = KeyFrameFile(frames, 15.0, "airways", case_key(volume), {"scope": None})
+    read = open_key_frames(written(tmp_path / "k.json", file))
     read.check(volume)
     assert (read.speed_mm_s, read.through, read.view) == (15.0, "airways", {"scope": None})
     assert [frame.name for frame in read.frames] == ["start", "", ""]
@@ -264,11 +264,11 @@ def test_a_file_gives_the_same_flight_to_the_last_bit(tmp_path):
 def test_key_frames_of_another_case_are_refused_by_name(tmp_path):
     volume, other = small_volume(), small_volume(is_hu=False)
     frames = (KeyFrame(None, inside(volume, 16, 14, 30)), KeyFrame(None, inside(volume, 16, 14, 20)))
-    file = open_keys(written(tmp_path / "k.json", KeyFile(frames, case=case_key(volume))))
+    file = open_key_frames(written(tmp_path / "k.json", KeyFrameFile(frames, case=case_key(volume))))
     file.check(volume)
     with pytest.raises(VolumeImportError, match="another case"):
         file.check(other)
-    far = KeyFile((frames[0], KeyFrame(None, pose((9000, 0, 0)))))
+    far = KeyFrameFile((frames[0], KeyFrame(None, pose((9000, 0, 0)))))
     with pytest.raises(VolumeImportError, match="key frame 2 lies outside"):
         far.check(volume)
 
@@ -291,11 +291,11 @@ def test_key_frames_of_another_case_are_refused_by_name(tmp_path):
 def test_files_that_hold_no_key_frames_are_refused(tmp_path, change):
     volume = small_volume()
     frames = (KeyFrame(None, inside(volume, 16, 14, 30)), KeyFrame(None, inside(volume, 16, 14, 20)))
-    document = KeyFile(frames, case=case_key(volume)).to_json() | change
+    document = KeyFrameFile(frames, case=case_key(volume)).to_json() | change
     path = tmp_path / "k.json"
     path.write_text(json.dumps(document))
     with pytest.raises(VolumeImportError, match=r"k\.json: not a key-frame file"):
-        open_keys(path)
+        open_key_frames(path)
 
 
 @pytest.mark.parametrize(
@@ -305,6 +305,6 @@ def test_files_that_are_no_json_are_refused(tmp_path, text):
     path = tmp_path / "k.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(VolumeImportError):
-        open_keys(path)
+        open_key_frames(path)
     with pytest.raises(VolumeImportError, match="cannot be read"):
-        open_keys(tmp_path / "none.json")
+        open_key_frames(tmp_path / "none.json")

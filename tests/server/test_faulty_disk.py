@@ -28,7 +28,7 @@ POINTS = int(os.environ.get("CARINA_FAULT_POINTS", "200"))
 ROUNDED_S = 0.02
 """Times of steps are told to the millisecond and compared to the hundredth."""
 ACTS = (
-    lambda rng: {"type": "edit_keys", "edit": {"kind": "add"}},
+    lambda rng: {"type": "edit_key_frames", "edit": {"kind": "add"}},
     lambda rng: {"type": "set_outline", "outline": rng.choice(["round", "octagon", "none"])},
     lambda rng: {"type": "choose_route", "target_id": None, "branch_id": rng.choice([0, 1, 2])},
     lambda rng: {"type": "set_shading", "on": rng.random() < 0.5},

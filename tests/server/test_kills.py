@@ -24,7 +24,7 @@ def work_until(window: Window, end_s: float, rng: random.Random) -> float:
         window.send(
             rng.choice(
                 [
-                    {"type": "edit_keys", "edit": {"kind": "add"}},
+                    {"type": "edit_key_frames", "edit": {"kind": "add"}},
                     {"type": "set_outline", "outline": rng.choice(["round", "octagon", "none"])},
                     {"type": "choose_route", "target_id": None, "branch_id": rng.choice([0, 1, 2])},
                     {"type": "set_shading", "on": rng.random() < 0.5},

@@ -74,7 +74,7 @@ def test_a_watcher_sees_the_case_and_the_flight_and_looks_in_its_own_way(desk):
     with watching(page.url) as watcher:
         watcher.send(SHOWN)
         watcher.until_state(lambda s: s.case is not None)
-        for kind in (wire.Tree, wire.Route, wire.Keys, wire.Pose):
+        for kind in (wire.Tree, wire.Route, wire.KeyFrames, wire.Pose):
             watcher.had(lambda m, kind=kind: isinstance(m, kind))
         window.send(wire.GoTo(20.0))
         pose = watcher.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)

@@ -52,7 +52,7 @@ def test_numbers_and_points_of_numpy_are_numbers_and_points():
 
 def test_what_is_no_command_is_refused():
     bench = small_bench()
-    for other in (c.VoxelAt((0.0, 0.0, 0.0)), "undo", None, c.KeyAdd()):
+    for other in (c.VoxelAt((0.0, 0.0, 0.0)), "undo", None, c.KeyFrameAdd()):
         with pytest.raises(UsageError, match="expected a command"):
             bench.session.do(other)
     with pytest.raises(UsageError, match="expected a question"):

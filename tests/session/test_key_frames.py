@@ -9,31 +9,31 @@ import pytest
 
 from carina.commands import (
     ChooseRoute,
-    EditKeys,
-    FlyKeys,
+    EditKeyFrames,
+    FlyKeyFrames,
     GoTo,
-    KeyAdd,
-    KeyMove,
-    KeyRemove,
-    KeyRename,
-    KeySpeed,
-    KeysToTakeAway,
-    KeyUpdate,
+    KeyFrameAdd,
+    KeyFrameMove,
+    KeyFrameRemove,
+    KeyFrameRename,
+    KeyFrameSpeed,
+    KeyFramesToTakeAway,
+    KeyFrameUpdate,
     LevelHorizon,
     NextFork,
     RecordFlight,
-    SetKeyFlight,
+    SetKeyFrameFlight,
     SetLumenThreshold,
     SetMode,
     SetOperator,
-    ShowKey,
+    ShowKeyFrame,
     Steer,
     StopRecording,
-    TakeKeyFile,
+    TakeKeyFrameFile,
     Undo,
 )
 from carina.errors import NoResultError, UsageError
-from carina.navigate import KeyFile, KeyFrame, open_keys
+from carina.navigate import KeyFrame, KeyFrameFile, open_key_frames
 from carina.scopes import Pose
 from carina.session import Changed, Trouble
 from carina.session.flying import place_pose
@@ -64,12 +64,12 @@ def three(bench):
     """Key frames at the top, in the left and in the right bronchus."""
     for at in (TOP, LEFT, RIGHT):
         bench.session.do(place_pose(looking_down(at)))
-        bench.session.do(EditKeys(KeyAdd()))
+        bench.session.do(EditKeyFrames(KeyFrameAdd()))
     return bench
 
 
 def names(bench):
-    return [key.name for key in bench.session.keys_info().keys]
+    return [key.name for key in bench.session.key_frames_info().frames]
 
 
 def pose(bench):
@@ -78,97 +78,97 @@ def pose(bench):
 
 def test_key_frames_are_called_by_their_branch_until_a_person_names_them(three):
     assert names(three) == ["Trachea", "LMB", "generation 2"]
-    assert [key.branch_id for key in three.session.keys_info().keys] == [0, 2, 3]
-    second = three.session.keys_info().keys[1].key_id
-    three.session.do(EditKeys(KeyRename(second, "  the tumour  ")))
+    assert [key.branch_id for key in three.session.key_frames_info().frames] == [0, 2, 3]
+    second = three.session.key_frames_info().frames[1].key_id
+    three.session.do(EditKeyFrames(KeyFrameRename(second, "  the tumour  ")))
     assert names(three)[1] == "the tumour"
-    assert three.session.keys_info().keys[1].own_name
-    three.session.do(EditKeys(KeyRename(second, None)))
+    assert three.session.key_frames_info().frames[1].own_name
+    three.session.do(EditKeyFrames(KeyFrameRename(second, None)))
     assert names(three)[1] == "LMB"
     three.session.do(place_pose(looking_down(OUTSIDE_LUMEN)))
-    three.session.do(EditKeys(KeyAdd()))
+    three.session.do(EditKeyFrames(KeyFrameAdd()))
     assert names(three)[3] == "outside the airways"
 
 
 def test_every_change_of_the_list_is_one_step_of_undo(three):
     session = three.session
-    ids = [key.key_id for key in session.keys_info().keys]
+    ids = [key.key_id for key in session.key_frames_info().frames]
     steps = [
-        ("rename key frame 1", lambda: session.do(EditKeys(KeyRename(ids[0], "start")))),
-        ("set the speed to key frame 2", lambda: session.do(EditKeys(KeySpeed(ids[1], 5.0)))),
-        ("move key frame 3 to 2", lambda: session.do(EditKeys(KeyMove(ids[2], -1)))),
+        ("rename key frame 1", lambda: session.do(EditKeyFrames(KeyFrameRename(ids[0], "start")))),
+        ("set the speed to key frame 2", lambda: session.do(EditKeyFrames(KeyFrameSpeed(ids[1], 5.0)))),
+        ("move key frame 3 to 2", lambda: session.do(EditKeyFrames(KeyFrameMove(ids[2], -1)))),
         (
             "update key frame 1",
-            lambda: (session.do(place_pose(looking_down(LEFT))), session.do(EditKeys(KeyUpdate(ids[0])))),
+            lambda: (session.do(place_pose(looking_down(LEFT))), session.do(EditKeyFrames(KeyFrameUpdate(ids[0])))),
         ),
-        ("remove key frame 3", lambda: session.do(EditKeys(KeyRemove(ids[1])))),
-        ("set the path of the key-frame flight", lambda: session.do(SetKeyFlight(through="space"))),
-        ("set the speed of the key-frame flight", lambda: session.do(SetKeyFlight(speed_mm_s=44.0))),
-        ("add key frame 3", lambda: session.do(EditKeys(KeyAdd()))),
+        ("remove key frame 3", lambda: session.do(EditKeyFrames(KeyFrameRemove(ids[1])))),
+        ("set the path of the key-frame flight", lambda: session.do(SetKeyFrameFlight(through="space"))),
+        ("set the speed of the key-frame flight", lambda: session.do(SetKeyFrameFlight(speed_mm_s=44.0))),
+        ("add key frame 3", lambda: session.do(EditKeyFrames(KeyFrameAdd()))),
     ]
-    states = [session.keys_info()]
+    states = [session.key_frames_info()]
     for label, change in steps:
         change()
         assert session.snapshot().undo_label == label
-        states.append(session.keys_info())
+        states.append(session.key_frames_info())
         assert states[-1] != states[-2]
     for state in states[-2::-1]:
         session.undo()
-        assert session.keys_info() == state
+        assert session.key_frames_info() == state
     for state in states[1:]:
         session.redo()
-        assert session.keys_info() == state
+        assert session.key_frames_info() == state
 
 
 def test_changes_that_change_nothing_are_no_steps(three):
-    first = three.session.keys_info().keys[0].key_id
+    first = three.session.key_frames_info().frames[0].key_id
     before = three.session.snapshot().undo_label
-    three.session.do(EditKeys(KeyMove(first, -1)))
-    three.session.do(EditKeys(KeyRename(first, None)))
-    three.session.do(EditKeys(KeySpeed(first, None)))
-    three.session.do(SetKeyFlight(speed_mm_s=20.0, through="airways"))
+    three.session.do(EditKeyFrames(KeyFrameMove(first, -1)))
+    three.session.do(EditKeyFrames(KeyFrameRename(first, None)))
+    three.session.do(EditKeyFrames(KeyFrameSpeed(first, None)))
+    three.session.do(SetKeyFrameFlight(speed_mm_s=20.0, through="airways"))
     assert three.session.snapshot().undo_label == before
 
 
 def test_the_flight_follows_the_airways_between_key_frames_that_lie_in_them(three):
-    info = three.session.keys_info()
-    assert [key.through_airways for key in info.keys] == [False, True, True]
+    info = three.session.key_frames_info()
+    assert [key.through_airways for key in info.frames] == [False, True, True]
     branches = {b.id: b for b in three.session.snapshot().document.airways.tree.branches}
     # Up the left bronchus to the carina and down both on the right; smoothing cuts corners.
     way_mm = branches[2].length_mm + branches[1].length_mm + branches[3].length_mm
-    assert info.keys[2].leg_mm == pytest.approx(way_mm, rel=0.05)
-    assert info.keys[2].leg_mm > 1.2 * np.linalg.norm(LEFT - RIGHT)
-    three.session.do(SetKeyFlight(through="space"))
-    straight = three.session.keys_info()
-    assert [key.through_airways for key in straight.keys] == [False, False, False]
+    assert info.frames[2].leg_mm == pytest.approx(way_mm, rel=0.05)
+    assert info.frames[2].leg_mm > 1.2 * np.linalg.norm(LEFT - RIGHT)
+    three.session.do(SetKeyFrameFlight(through="space"))
+    straight = three.session.key_frames_info()
+    assert [key.through_airways for key in straight.frames] == [False, False, False]
     assert straight.duration_s < info.duration_s
 
 
 def test_without_airways_and_outside_them_the_flight_is_through_space(bench):
     for at in (TOP, OUTSIDE_LUMEN):
         bench.session.do(place_pose(looking_down(at)))
-        bench.session.do(EditKeys(KeyAdd()))
-    assert [key.through_airways for key in bench.session.keys_info().keys] == [False, False]
+        bench.session.do(EditKeyFrames(KeyFrameAdd()))
+    assert [key.through_airways for key in bench.session.key_frames_info().frames] == [False, False]
 
 
 def test_flying_moves_the_tip_and_says_the_time_until_anything_else_moves_it(three):
     session = three.session
-    info = session.keys_info()
-    for key, at in zip(info.keys, (TOP, LEFT, RIGHT), strict=True):
-        session.do(FlyKeys(key.time_s))
+    info = session.key_frames_info()
+    for key, at in zip(info.frames, (TOP, LEFT, RIGHT), strict=True):
+        session.do(FlyKeyFrames(key.time_s))
         np.testing.assert_array_equal(pose(three), looking_down(at).lps_from_camera)
-        assert session.pose_info().keys_s == key.time_s
+        assert session.pose_info().key_frames_s == key.time_s
     three.events.clear()
-    session.do(FlyKeys(info.duration_s / 2, goes_on=True))
-    assert session.pose_info().keys_s == info.duration_s / 2
+    session.do(FlyKeyFrames(info.duration_s / 2, goes_on=True))
+    assert session.pose_info().key_frames_s == info.duration_s / 2
     assert {"pose", "views"} <= set().union(*(e.topics for e in three.of_type(Changed)))
     session.do(Steer(1.0, 0.0, 0.0, 0.0))
-    assert session.pose_info().keys_s is None
+    assert session.pose_info().key_frames_s is None
     held = pose(three)
-    session.do(FlyKeys(1.0, goes_on=True))
+    session.do(FlyKeyFrames(1.0, goes_on=True))
     np.testing.assert_array_equal(pose(three), held)
-    session.do(FlyKeys(1.0))
-    assert session.pose_info().keys_s == 1.0
+    session.do(FlyKeyFrames(1.0))
+    assert session.pose_info().key_frames_s == 1.0
 
 
 @pytest.mark.parametrize(
@@ -184,106 +184,110 @@ def test_flying_moves_the_tip_and_says_the_time_until_anything_else_moves_it(thr
 )
 def test_whatever_moves_the_tip_or_changes_the_flight_takes_over(three, take_over):
     three.session.do(SetMode("path"))
-    three.session.do(FlyKeys(1.0))
+    three.session.do(FlyKeyFrames(1.0))
     three.session.do(take_over)
-    three.session.do(FlyKeys(1.1, goes_on=True))
-    assert three.session.pose_info().keys_s is None
+    three.session.do(FlyKeyFrames(1.1, goes_on=True))
+    assert three.session.pose_info().key_frames_s is None
 
 
 def test_a_device_takes_over_and_that_is_said(three):
     from carina.navigate import AxesSample
 
     session = three.session
-    session.do(FlyKeys(1.0))
+    session.do(FlyKeyFrames(1.0))
     session.devices.said("pad", AxesSample(0.0, (1.0, 0, 0, 0, 0, 0), 0))
     three.clock.advance(0.02)
     session.devices.frame()
     three.clock.advance(0.02)
     session.devices.frame()
     info = session.pose_info()
-    assert (info.keys_s, info.by_device) == (None, True)
+    assert (info.key_frames_s, info.by_device) == (None, True)
     session.do(Steer(1.0, 0.0, 0.0, 0.0))
     assert not session.pose_info().by_device
 
 
 def test_going_to_a_key_frame_is_exact_also_while_there_is_only_one(bench):
     bench.session.do(place_pose(looking_down(LEFT)))
-    key = bench.session.do(EditKeys(KeyAdd()))
+    key = bench.session.do(EditKeyFrames(KeyFrameAdd()))
     bench.session.do(place_pose(looking_down(RIGHT)))
-    bench.session.do(ShowKey(key))
+    bench.session.do(ShowKeyFrame(key))
     np.testing.assert_array_equal(pose(bench), looking_down(LEFT).lps_from_camera)
     with pytest.raises(NoResultError, match="at least two key frames"):
-        bench.session.do(FlyKeys(0.0))
+        bench.session.do(FlyKeyFrames(0.0))
 
 
 def test_commands_about_a_key_frame_that_is_gone_are_refused(three):
     session = three.session
-    for command in (EditKeys(KeyUpdate("key-99")), EditKeys(KeyRemove("key-99")), ShowKey("key-99")):
+    for command in (
+        EditKeyFrames(KeyFrameUpdate("key-99")),
+        EditKeyFrames(KeyFrameRemove("key-99")),
+        ShowKeyFrame("key-99"),
+    ):
         with pytest.raises(UsageError, match="this key frame has been removed"):
             session.do(command)
     with pytest.raises(UsageError, match=r"speed_mm_s must be at least 0\.1; found 0"):
-        session.do(EditKeys(KeySpeed(session.keys_info().keys[0].key_id, 0.0)))
+        session.do(EditKeyFrames(KeyFrameSpeed(session.key_frames_info().frames[0].key_id, 0.0)))
     with pytest.raises(UsageError, match="speed_mm_s must be at most 500; found 10000"):
-        session.do(SetKeyFlight(speed_mm_s=1e4))
+        session.do(SetKeyFrameFlight(speed_mm_s=1e4))
 
 
 def test_a_flight_that_nobody_means_is_told_and_not_flown(bench):
     for n in range(200):
         bench.session.do(place_pose(looking_down(LEFT if n % 2 else RIGHT)))
-        bench.session.do(EditKeys(KeyAdd()))
+        bench.session.do(EditKeyFrames(KeyFrameAdd()))
     with pytest.raises(UsageError, match="at most 200 key frames"):
-        bench.session.do(EditKeys(KeyAdd()))
-    bench.session.do(SetKeyFlight(speed_mm_s=0.1))
-    info = bench.session.keys_info()
+        bench.session.do(EditKeyFrames(KeyFrameAdd()))
+    bench.session.do(SetKeyFrameFlight(speed_mm_s=0.1))
+    info = bench.session.key_frames_info()
     assert "24 hours" in info.problem
     assert info.duration_s == 0.0
     with pytest.raises(NoResultError, match="24 hours"):
-        bench.session.do(FlyKeys(1.0))
+        bench.session.do(FlyKeyFrames(1.0))
 
 
 def test_new_airways_give_new_ways(three):
-    before = three.session.keys_info()
+    before = three.session.key_frames_info()
     three.session.do(SetLumenThreshold(-850.0))
     three.background.run_all()
-    assert three.session.keys_info().keys == before.keys
-    assert three.session.snapshot().document.keys.frames
+    assert three.session.key_frames_info().frames == before.frames
+    assert three.session.snapshot().document.key_frames.frames
 
 
 def test_a_saved_flight_is_the_same_and_comes_back_as_one_step(three, tmp_path):
     session = three.session
-    session.do(EditKeys(KeySpeed(session.keys_info().keys[2].key_id, 7.5)))
-    session.do(EditKeys(KeyRename(session.keys_info().keys[0].key_id, "start")))
-    info = session.keys_info()
+    session.do(EditKeyFrames(KeyFrameSpeed(session.key_frames_info().frames[2].key_id, 7.5)))
+    session.do(EditKeyFrames(KeyFrameRename(session.key_frames_info().frames[0].key_id, "start")))
+    info = session.key_frames_info()
     path = tmp_path / "k.json"
-    path.write_text(json.dumps(session.ask(KeysToTakeAway()).to_json(), allow_nan=False))
-    flight = open_keys(path).flight()
+    path.write_text(json.dumps(session.ask(KeyFramesToTakeAway()).to_json(), allow_nan=False))
+    flight = open_key_frames(path).flight()
     for t in np.linspace(0.0, info.duration_s, 40):
-        session.do(FlyKeys(float(t)))
+        session.do(FlyKeyFrames(float(t)))
         np.testing.assert_array_equal(pose(three), flight.pose_at(float(t)).lps_from_camera)
     for _ in range(5):
         session.undo()
-    assert session.keys_info().keys == ()
-    session.do(TakeKeyFile(path))
+    assert session.key_frames_info().frames == ()
+    session.do(TakeKeyFrameFile(path))
     three.background.run_all()
-    opened = session.keys_info()
-    for key, old in zip(opened.keys, info.keys, strict=True):
+    opened = session.key_frames_info()
+    for key, old in zip(opened.frames, info.frames, strict=True):
         # Bit for bit, but for the ids.
         assert (key.name, key.speed_mm_s, key.time_s, key.leg_mm) == (old.name, old.speed_mm_s, old.time_s, old.leg_mm)
     assert session.snapshot().undo_label == "open key frames"
     session.undo()
-    assert session.keys_info().keys == ()
+    assert session.key_frames_info().frames == ()
 
 
 def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_path):
     path = tmp_path / "k.json"
-    path.write_text(json.dumps(three.session.ask(KeysToTakeAway()).to_json()))
+    path.write_text(json.dumps(three.session.ask(KeyFramesToTakeAway()).to_json()))
     other = small_bench()
     other.open("raw")
-    other.session.do(TakeKeyFile(path))
+    other.session.do(TakeKeyFrameFile(path))
     other.background.run_all()
     (trouble,) = other.of_type(Trouble)
     assert "another case" in trouble.message
-    assert other.session.keys_info().keys == ()
+    assert other.session.key_frames_info().frames == ()
 
 
 def test_times_of_a_file_become_speeds(bench, tmp_path):
@@ -292,20 +296,20 @@ def test_times_of_a_file_become_speeds(bench, tmp_path):
         {"time_s": t, "lps_from_camera": looking_down(at).lps_from_camera.tolist()} for t, at in ((0, TOP), (4, LEFT))
     ]
     path.write_text(json.dumps({"format": "carina-keys", "version": 1, "keys": keys}))
-    bench.session.do(TakeKeyFile(path))
+    bench.session.do(TakeKeyFrameFile(path))
     bench.background.run_all()
-    info = bench.session.keys_info()
+    info = bench.session.key_frames_info()
     assert info.through == "space"
-    assert info.keys[1].speed_mm_s == pytest.approx(np.linalg.norm(TOP - LEFT) / 4.0)
+    assert info.frames[1].speed_mm_s == pytest.approx(np.linalg.norm(TOP - LEFT) / 4.0)
 
 
 def test_nothing_is_taken_away_without_key_frames_and_no_more_than_a_flight_holds(bench, tmp_path):
     with pytest.raises(NoResultError, match="no key frames"):
-        bench.session.ask(KeysToTakeAway())
+        bench.session.ask(KeyFramesToTakeAway())
     frames = tuple(KeyFrame(None, looking_down(TOP - np.array([0, 0, 0.05 * n]))) for n in range(201))
     path = tmp_path / "k.json"
-    path.write_text(json.dumps(KeyFile(frames).to_json()))
-    bench.session.do(TakeKeyFile(path))
+    path.write_text(json.dumps(KeyFrameFile(frames).to_json()))
+    bench.session.do(TakeKeyFrameFile(path))
     bench.background.run_all()
     assert [t.message for t in bench.of_type(Trouble)] == ["the file has 201 key frames; at most 200 can be opened"]
 
@@ -316,7 +320,7 @@ def test_a_recording_of_the_flight_replays_it(three, tmp_path):
     session = three.session
     session.do(RecordFlight(tmp_path / "r.jsonl"))
     for t in np.linspace(0.0, 2.0, 9):
-        session.do(FlyKeys(float(t)))
+        session.do(FlyKeyFrames(float(t)))
         three.clock.advance(0.25)
     session.do(StopRecording())
     replayed = list(open_recording(tmp_path / "r.jsonl").replay(small_volume()))

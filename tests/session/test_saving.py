@@ -40,7 +40,7 @@ def work(session: Session, background: Background) -> None:
     background.run_all()
     session.do(c.SetFov(100.0))
     session.do(c.SetShading(False))
-    session.do(c.EditKeys(c.KeyAdd()))
+    session.do(c.EditKeyFrames(c.KeyFrameAdd()))
     session.do(c.SetOutline("octagon"))
     session.do(c.Undo())
     session.do(c.GoTo(12.0))

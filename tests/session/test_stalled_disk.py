@@ -99,7 +99,7 @@ def test_work_goes_on_while_a_disk_is_silent_and_is_on_it_when_it_answers(desk):
     desk.until(lambda: desk.saving().problem is not None)
     assert "another folder" in desk.saving().problem
     desk.session.do(c.SetFov(80.0))
-    desk.session.do(c.EditKeys(c.KeyAdd()))
+    desk.session.do(c.EditKeyFrames(c.KeyFrameAdd()))
     assert not desk.session._saving.write_now()
     desk.file.lets_save.set()
     desk.until(lambda: desk.saving().problem is None)

@@ -1,6 +1,6 @@
 """A case: what a person made of a CT, as values, with the steps that led there; and the file that keeps it."""
 
-from carina.case.document import Document, Key, Keys, Target
+from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.file import CaseFile, StepFacts, migrate
 from carina.case.following import CaseFollower
 from carina.case.history import History, Step
@@ -16,13 +16,13 @@ __all__ = [
     "CaseFile",
     "CaseFileError",
     "CaseFollower",
+    "ChosenKeyFrame",
     "ChosenRoute",
     "Document",
     "History",
     "KeptAirways",
     "KeptMeasures",
-    "Key",
-    "Keys",
+    "KeyFrames",
     "LaidScope",
     "Moment",
     "RecordingFacts",

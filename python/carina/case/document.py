@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from carina.commands import KeyFlying
+from carina.commands import KeyFrameFlying
 from carina.commands.look import Look
 from carina.display import one_line
 from carina.scopes import Pose
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.track import Airways
 
-__all__ = ["Document", "Key", "Keys", "Target"]
+__all__ = ["ChosenKeyFrame", "Document", "KeyFrames", "Target"]
 
 Point = tuple[float, float, float]
 
@@ -39,7 +39,7 @@ class Target:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Key:
+class ChosenKeyFrame:
     """A key frame."""
 
     key_id: str
@@ -52,11 +52,11 @@ class Key:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Keys:
+class KeyFrames:
     """The key frames in their order, and how they are flown through."""
 
-    frames: tuple[Key, ...] = ()
-    flying: KeyFlying = KeyFlying(20.0, "airways")
+    frames: tuple[ChosenKeyFrame, ...] = ()
+    flying: KeyFrameFlying = KeyFrameFlying(20.0, "airways")
 
 
 @one_line
@@ -71,4 +71,4 @@ class Document:
     """As asked; None lets the tracker choose."""
     targets: tuple[Target, ...] = ()
     route: ChosenRoute | None = None
-    keys: Keys = Keys()
+    key_frames: KeyFrames = KeyFrames()

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import Annotated, Any, Literal, Union
 
 import msgspec
 from msgspec import Meta
 
-from carina.commands import Command, KeyFlying, all_commands
-from carina.commands.fields import BranchId, Count, Key, Matrix4, Part, PointLps
+from carina.case.packing import from_json
+from carina.commands import Command, KeyFrameFlying, all_commands
+from carina.commands.fields import BranchId, Count, Identifier, Matrix4, Part, PointLps
 from carina.commands.look import Look
 from carina.commands.value import LocalCommand
 from carina.render import Sight
 from carina.track import Uncertainty
 
 __all__ = [
+    "EARLIER_NAMES",
     "AirwaysFacts",
     "BadgeFacts",
     "BranchFacts",
     "ForkFacts",
-    "KeyFacts",
-    "KeysFacts",
+    "KeyFrameFacts",
+    "KeyFramesFacts",
     "MeasuredFacts",
     "MeasuresFacts",
     "MomentFacts",
@@ -32,6 +35,7 @@ __all__ = [
     "SummaryFacts",
     "TargetFacts",
     "TreeFacts",
+    "command_from_json",
     "decoders",
 ]
 
@@ -43,6 +47,9 @@ Mm = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Numbers = Annotated[tuple[Mm, ...], Meta(max_length=MAX_LIST)]
 LongWords = Annotated[str, Meta(max_length=100_000)]
 ShortWords = Annotated[str, Meta(min_length=1, max_length=4000)]
+EARLIER_NAMES = {"edit_keys": "edit_key_frames", "set_key_flight": "set_key_frame_flight"}
+"""What commands were called in files of earlier versions, and are called now."""
+_EARLIER = re.compile(rf'^\{{"type":"({"|".join(EARLIER_NAMES)})"')
 Ids = Annotated[tuple[RowId, ...], Meta(max_length=MAX_LIST)]
 
 
@@ -196,7 +203,7 @@ class TargetFacts(_Facts, frozen=True):
     route: RowId | None
 
 
-class KeyFacts(_Facts, frozen=True):
+class KeyFrameFacts(_Facts, frozen=True):
     """A key frame."""
 
     key_id: ShortWords
@@ -205,11 +212,11 @@ class KeyFacts(_Facts, frozen=True):
     speed_mm_s: Mm | None
 
 
-class KeysFacts(_Facts, frozen=True):
+class KeyFramesFacts(_Facts, frozen=True):
     """The key frames in their order."""
 
-    frames: Annotated[tuple[KeyFacts, ...], Meta(max_length=MAX_LIST)]
-    flying: KeyFlying
+    frames: Annotated[tuple[KeyFrameFacts, ...], Meta(max_length=MAX_LIST)]
+    flying: KeyFrameFlying
 
 
 class ScopeFacts(_Facts, frozen=True):
@@ -224,12 +231,12 @@ class MomentFacts(_Facts, frozen=True):
     """What is shown, where the tip is, and how the search for the airways stands."""
 
     sight: Sight
-    tip: dict[Key, Any]
+    tip: dict[Identifier, Any]
     scope: ScopeFacts | None
     search_status: ShortWords
     search_words: LongWords | None
     person_moved: bool
-    numbers: Annotated[dict[Key, Count], Meta(max_length=1000)]
+    numbers: Annotated[dict[Identifier, Count], Meta(max_length=1000)]
     saved_by: ShortWords = "unknown"
     """The version of Carina."""
 
@@ -245,14 +252,14 @@ class _Decoders:
         self.measures = msgspec.json.Decoder(MeasuresFacts)
         self.route = msgspec.json.Decoder(RouteFacts)
         self.targets = msgspec.json.Decoder(Annotated[tuple[TargetFacts, ...], Meta(max_length=MAX_LIST)])
-        self.keys = msgspec.json.Decoder(KeysFacts)
+        self.keys = msgspec.json.Decoder(KeyFramesFacts)
         self.look = msgspec.json.Decoder(Look)
         self.transfer = msgspec.json.Decoder(Annotated[dict[str, Any], Meta(max_length=100)])
-        self.edit = msgspec.json.Decoder(Annotated[dict[Key, Any], Meta(max_length=20)])
+        self.edit = msgspec.json.Decoder(Annotated[dict[Identifier, Any], Meta(max_length=20)])
         self.uncertain = msgspec.json.Decoder(Annotated[tuple[Uncertainty, ...], Meta(max_length=MAX_LIST)])
         self.moment = msgspec.json.Decoder(MomentFacts)
         self.command: msgspec.json.Decoder[Any] = msgspec.json.Decoder(Union[commands])  # noqa: UP007  # of a tuple
-        self.choices = msgspec.json.Decoder(Annotated[dict[Key, Any], Meta(max_length=100)])
+        self.choices = msgspec.json.Decoder(Annotated[dict[Identifier, Any], Meta(max_length=100)])
         self.extra: msgspec.json.Decoder[Any] = msgspec.json.Decoder()
         self.levels = msgspec.json.Decoder(tuple[Number, Number, Number] | None)
 
@@ -261,3 +268,17 @@ class _Decoders:
 def decoders() -> _Decoders:
     """The decoders."""
     return _Decoders()
+
+
+def command_from_json(said: str | None, where: str) -> Any:
+    """The command of a step, also by the name that it had in an earlier version; None where the step has none.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``: if it is none.
+    """
+    if said is None:
+        return None
+    now = _EARLIER.sub(lambda found: f'{{"type":"{EARLIER_NAMES[found[1]]}"', said) if isinstance(said, str) else said
+    return from_json(now, decoders().command, where)

@@ -659,9 +659,9 @@ def _ignored(_kind: str, _value: object, _row: int) -> None:
 
 
 def _kind_of(command: object) -> str | None:
-    """The kind of a command from how its JSON begins."""
+    """The kind of a command from how its JSON begins, by its name of today."""
     if not isinstance(command, str):
         return None
     _, mark, rest = command.partition('"type":"')
     kind = rest.partition('"')[0]
-    return kind if mark and kind.isidentifier() else None
+    return f.EARLIER_NAMES.get(kind, kind) if mark and kind.isidentifier() else None

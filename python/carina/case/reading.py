@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carina.case import facts as f
 from carina.case.database import no_surprise
-from carina.case.document import Document, Key, Keys, Target
+from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.history import Step
 from carina.case.measures import branch_from, fork_from
 from carina.case.moment import LaidScope, Moment
@@ -154,7 +154,7 @@ class CaseReader:
             return Moment(
                 first=documents[0],
                 steps=tuple(
-                    Step(label, document, self._command(command), at_s)
+                    Step(label, document, f.command_from_json(command, "step"), at_s)
                     for (label, command, at_s, _), document in zip(steps[1:], documents[1:], strict=True)
                 ),
                 position=position,
@@ -167,9 +167,6 @@ class CaseReader:
                 numbers=facts.numbers,
                 measures=measures,
             )
-
-    def _command(self, said: object) -> Any:
-        return None if said is None else from_json(said, self._decoders.command, "step")
 
     def airways_of(self, document: int) -> int | None:
         """The row of a document's airways."""
@@ -199,7 +196,7 @@ class CaseReader:
             lumen_threshold=threshold,
             targets=self._value("targets", targets, self._decoders.targets, self.made_targets),
             route=None if route is None else self.route(route),
-            keys=self.keys(keys),
+            key_frames=self.keys(keys),
         )
         self._documents[row] = made
         self._know("document", made, row)
@@ -215,9 +212,9 @@ class CaseReader:
         made: Look = self._value("look", row, self._decoders.look, lambda look: look)
         return made
 
-    def keys(self, row: int) -> Keys:
+    def keys(self, row: int) -> KeyFrames:
         """A row of ``value``."""
-        made: Keys = self._value("keys", row, self._decoders.keys, _keys)
+        made: KeyFrames = self._value("keys", row, self._decoders.keys, _keys)
         return made
 
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
@@ -561,9 +558,9 @@ def _edit(row: dict[str, Any]) -> TreeEdit:
     return edit
 
 
-def _keys(facts: f.KeysFacts) -> Keys:
+def _keys(facts: f.KeyFramesFacts) -> KeyFrames:
     frames = tuple(
-        Key(
+        ChosenKeyFrame(
             key_id=key.key_id,
             pose=Pose(np.array(key.lps_from_camera, dtype=np.float64).reshape(4, 4)),
             name=key.name,
@@ -571,4 +568,4 @@ def _keys(facts: f.KeysFacts) -> Keys:
         )
         for key in facts.frames
     )
-    return Keys(frames, facts.flying)
+    return KeyFrames(frames, facts.flying)

@@ -14,7 +14,7 @@ import numpy as np
 
 from carina.case import facts as f
 from carina.case.database import connected, copied_with_journal, needed_header, no_surprise, told
-from carina.case.document import Document, Keys, Target
+from carina.case.document import Document, KeyFrames, Target
 from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
 from carina.case.history import Step
 from carina.case.moment import LaidScope, Moment
@@ -206,9 +206,9 @@ class _Rescue:
             numbers = {"target": 10_000, "key": 10_000}  # none that was given is given again
             return max(num_steps - 1, 0), f.MomentFacts(Sight(), {}, None, "found", None, True, numbers)
 
-    def _command(self, said: object) -> Any:
+    def _command(self, said: Any) -> Any:
         try:
-            return None if said is None else from_json(said, f.decoders().command, "a step")
+            return f.command_from_json(said, "a step")
         except CaseFileError:
             return None
 
@@ -267,7 +267,7 @@ class _Rescue:
             lumen_threshold=threshold if isinstance(threshold, float) else None,
             targets=part("the targets", lambda: self._targets(targets, what), ()),
             route=None if route is None else part("the route", lambda: reader.route(route), None),
-            keys=part("the key frames", lambda: reader.keys(keys), Keys()),
+            key_frames=part("the key frames", lambda: reader.keys(keys), KeyFrames()),
         )
 
     def _targets(self, row: int, what: str) -> Sequence[Target]:

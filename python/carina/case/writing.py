@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case import facts as f
-from carina.case.document import Document, Keys, Target
+from carina.case.document import Document, KeyFrames, Target
 from carina.case.history import Step
 from carina.case.measures import branch_facts, flags_of, sections_of
 from carina.case.moment import Moment
@@ -170,7 +170,7 @@ class CaseWriter:
             "transfer": self._value("transfer", document.transfer, lambda: _transfer(document.transfer)),
             "look": self._value("look", document.look, lambda: document.look),
             "targets": self._value("targets", document.targets, lambda: [self._target(t) for t in document.targets]),
-            "keys": self._value("keys", document.keys, lambda: _keys(document.keys)),
+            "keys": self._value("keys", document.key_frames, lambda: _keys(document.key_frames)),
             "lumen_threshold": None if document.lumen_threshold is None else float(document.lumen_threshold),
         }
         return self._note("document", document, self._put("document", values))
@@ -181,7 +181,7 @@ class CaseWriter:
             ("transfer", document.transfer),
             ("look", document.look),
             ("targets", document.targets),
-            ("keys", document.keys),
+            ("keys", document.key_frames),
             ("airways", document.airways),
             ("airways", getattr(document.airways, "base", None)),
             ("route", document.route),
@@ -485,9 +485,9 @@ def _transfer(transfer: TransferFunction) -> dict[str, Any]:
     return document
 
 
-def _keys(keys: Keys) -> f.KeysFacts:
+def _keys(keys: KeyFrames) -> f.KeyFramesFacts:
     frames = tuple(
-        f.KeyFacts(
+        f.KeyFrameFacts(
             key_id=key.key_id,
             lps_from_camera=tuple(key.pose.lps_from_camera.ravel().tolist()),
             name=key.name,
@@ -495,7 +495,7 @@ def _keys(keys: Keys) -> f.KeysFacts:
         )
         for key in keys.frames
     )
-    return f.KeysFacts(frames=frames, flying=keys.flying)
+    return f.KeyFramesFacts(frames=frames, flying=keys.flying)
 
 
 def _three(values: Sequence[float] | NDArray[np.float64] | Iterable[float]) -> tuple[float, float, float]:

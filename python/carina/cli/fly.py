@@ -27,7 +27,7 @@ from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
-from carina.navigate import AutoFlight, KeyFile, KeyFrameFlight, Recording, open_keys, open_recording
+from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, Recording, open_key_frames, open_recording
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
 from carina.render import LEAD_VIEW, AirwayView, Backend, Renderer, TransferFunction, transfer_preset
@@ -87,7 +87,7 @@ def report(
     recorded = None if recording is None else _recording(path, recording)
     # In a case they are called by their names; a file is one all the same.
     of_case = keys is not None and is_case_file(path) and not keys.is_file()
-    given = None if keys is None or of_case else open_keys(keys)
+    given = None if keys is None or of_case else open_key_frames(keys)
     if given is not None:
         given.flight()
     progress = progress_printer()
@@ -221,7 +221,7 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
     return wall
 
 
-def _own_view(source: Opened, keys: KeyFile | None) -> dict[str, Any]:
+def _own_view(source: Opened, keys: KeyFrameFile | None) -> dict[str, Any]:
     """How the window showed the key frames, or shows the case."""
     if keys is not None:
         return keys.view

@@ -19,7 +19,7 @@ from carina.session import CaseRecords, CaseScans, is_case_file
 from carina.volume import Volume, VolumeCache, badges_of
 
 if TYPE_CHECKING:
-    from carina.case import CaseFile, Document, Keys, Moment
+    from carina.case import CaseFile, Document, KeyFrames, Moment
     from carina.track import Airways
 
 __all__ = ["Opened", "case_scans", "check_case_options", "newest_state", "opened", "opened_volume"]
@@ -78,10 +78,10 @@ class Opened:
         """
         document = self.document
         assert document is not None
-        return replace(document, keys=_chosen(document.keys, wanted))
+        return replace(document, key_frames=_chosen(document.key_frames, wanted))
 
 
-def _chosen(keys: Keys, wanted: str) -> Keys:
+def _chosen(keys: KeyFrames, wanted: str) -> KeyFrames:
     if wanted.strip() == "all":
         return keys
     chosen = []

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from carina.commands.fields import DemoName, Key, OwnName, PathText
+from carina.commands.fields import DemoName, Identifier, OwnName, PathText
 from carina.commands.value import Command, LocalCommand
 
 
@@ -34,7 +34,7 @@ class OpenDemo(Command, frozen=True):
 class OpenRecent(Command, frozen=True):
     """Open a case of ``start.recent``; its path never travels."""
 
-    recent_id: Key
+    recent_id: Identifier
 
 
 class BeginAnew(Command, frozen=True):
@@ -47,20 +47,20 @@ class RenameCase(Command, frozen=True):
     The name stays on this machine: no file that is saved or exported holds it.
     """
 
-    recent_id: Key
+    recent_id: Identifier
     title: OwnName | None
 
 
 class ForgetCase(Command, frozen=True):
     """Take a case out of the list, and what is kept of its CT; for a day it can be brought back."""
 
-    recent_id: Key
+    recent_id: Identifier
 
 
 class RestoreCase(Command, frozen=True):
     """Bring a forgotten case back."""
 
-    recent_id: Key
+    recent_id: Identifier
 
 
 class EmptyForgotten(Command, frozen=True):
@@ -101,7 +101,7 @@ class CloseCase(Command, frozen=True):
 class Cancel(Command, frozen=True):
     """Stop a job of ``progress``."""
 
-    job_id: Key
+    job_id: Identifier
 
 
 class Undo(Command, frozen=True):
@@ -138,7 +138,7 @@ class FollowMoment(LocalCommand, frozen=True):
 class TakeOver(LocalCommand, frozen=True):
     """Own the case that was followed until now, and keep it from now on: its owner has gone."""
 
-    case_id: Key
+    case_id: Identifier
 
 
 class GoToStep(Command, frozen=True):

@@ -22,7 +22,7 @@ __all__ = [
     "DemoName",
     "DeviceName",
     "FlatView",
-    "Key",
+    "Identifier",
     "Matrix4",
     "MaybeNumbers",
     "Mode",
@@ -49,7 +49,7 @@ MaybeNumbers = Annotated[tuple[float | None, ...], Meta(max_length=2_000_000)]
 PointsLps = Annotated[tuple[PointLps, ...], Meta(max_length=1_000_000)]
 Matrix4 = Annotated[tuple[float, ...], Meta(min_length=16, max_length=16)]
 """4x4, row-major."""
-Key = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
+Identifier = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
 OwnName = Annotated[str, Meta(min_length=1, max_length=80, pattern=TEXT)]
 """What a person calls something."""
 PathText = Annotated[str, Meta(min_length=1, max_length=4096, pattern=TEXT)]

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from carina.commands.fields import FlatView, Key, Operator, OrbitView, Outline
+from carina.commands.fields import FlatView, Identifier, Operator, OrbitView, Outline
 from carina.commands.value import Command
 from carina.render.sight import Carm, FlatPlace, GreyWindow, Method, Orbit, Reformation, Slab
 from carina.scopes import DEFAULT_SCOPE, scope_preset
@@ -20,7 +20,7 @@ from carina.value import FrozenValue, PointLps
 class Look(FrozenValue, frozen=True):
     """What the airway view is seen through, and from where: chosen by a person, and undone."""
 
-    scope: Key | None = DEFAULT_SCOPE
+    scope: Identifier | None = DEFAULT_SCOPE
     """The instrument, by name; null is a pinhole."""
     outline: Outline = "round"
     """Outline of the picture."""
@@ -51,14 +51,14 @@ class SetOutline(Command, frozen=True):
 class SetScope(Command, frozen=True):
     """Look through an instrument of the library, with its field of view and outline; null is a pinhole."""
 
-    scope: Key | None
+    scope: Identifier | None
 
 
 class SetTransfer(Command, frozen=True):
     """A preset by name, or a ``carina-transfer`` document; exactly one."""
 
     undo_label = "transfer function"
-    preset: Key | None = None
+    preset: Identifier | None = None
     document: dict[str, Any] | None = None
 
     def choice_problem(self) -> str | None:

@@ -72,8 +72,8 @@ class AirwaysToTakeAway(Question[tuple[Any, Any]], frozen=True):
     """
 
 
-class KeysToTakeAway(Question[Any], frozen=True):
-    """The key frames with their ways, the view and the case, as a :class:`carina.navigate.KeyFile`.
+class KeyFramesToTakeAway(Question[Any], frozen=True):
+    """The key frames with their ways, the view and the case, as a :class:`carina.navigate.KeyFrameFile`.
 
     Without any NoResultError (``session.keys``).
     """

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeAlias, get_args
 from msgspec import Meta
 from msgspec.structs import force_setattr
 
-from carina.commands.fields import BranchId, Key, OwnName, PathMm, PointLps
+from carina.commands.fields import BranchId, Identifier, OwnName, PathMm, PointLps
 from carina.commands.value import Command, FrozenValue, snake_case
 from carina.errors import UsageError
 from carina.volume.planes import Plane
@@ -41,13 +41,13 @@ class AddTarget(Command, frozen=True):
 class RemoveTarget(Command, frozen=True):
     """Take a target away."""
 
-    target_id: Key
+    target_id: Identifier
 
 
 class ChooseRoute(Command, frozen=True):
     """Route to a target or to the end of a branch; exactly one of both is set, or none for no route."""
 
-    target_id: Key | None = None
+    target_id: Identifier | None = None
     branch_id: BranchId | None = None
 
     def choice_problem(self) -> str | None:

@@ -2,7 +2,7 @@
 
 from carina.navigate.auto_flight import AutoFlight
 from carina.navigate.flight_path import FlightPath
-from carina.navigate.key_files import KeyFile, Through, open_keys
+from carina.navigate.key_files import KeyFrameFile, Through, open_key_frames
 from carina.navigate.key_frames import MAX_SPEED_MM_S, MIN_SPEED_MM_S, KeyFrame, KeyFrameFlight
 from carina.navigate.key_legs import AirwayWay
 from carina.navigate.moves import Move
@@ -22,8 +22,8 @@ __all__ = [
     "DeviceState",
     "FlightPath",
     "HandleSample",
-    "KeyFile",
     "KeyFrame",
+    "KeyFrameFile",
     "KeyFrameFlight",
     "Move",
     "Navigator",
@@ -40,6 +40,6 @@ __all__ = [
     "case_key",
     "filter_latency_ms",
     "fit_registration",
-    "open_keys",
+    "open_key_frames",
     "open_recording",
 ]

@@ -19,7 +19,7 @@ from carina.navigate.recording import case_key
 from carina.scopes import Pose
 from carina.volume import Volume
 
-__all__ = ["KeyFile", "Through", "open_keys"]
+__all__ = ["KeyFrameFile", "Through", "open_key_frames"]
 
 
 FORMAT, VERSION = "carina-keys", 2
@@ -29,7 +29,7 @@ MAX_NAME = 200
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class KeyFile:
+class KeyFrameFile:
     """Key frames with all that a flight through them needs.
 
     Parameters
@@ -106,7 +106,7 @@ class KeyFile:
         }
 
 
-def open_keys(path: str | Path) -> KeyFile:
+def open_key_frames(path: str | Path) -> KeyFrameFile:
     """Read key frames.
 
     Raises
@@ -130,15 +130,15 @@ def open_keys(path: str | Path) -> KeyFile:
         raise VolumeImportError(f"{place.name}: not a key-frame file: {trouble}", code="navigate.keys") from trouble
 
 
-def _timed(document: dict[str, Any]) -> KeyFile:
+def _timed(document: dict[str, Any]) -> KeyFrameFile:
     keys = document["keys"]
-    file = KeyFile(tuple(KeyFrame(float(key["time_s"]), Pose(np.array(key["lps_from_camera"]))) for key in keys))
+    file = KeyFrameFile(tuple(KeyFrame(float(key["time_s"]), Pose(np.array(key["lps_from_camera"]))) for key in keys))
     # Times that do not increase are the file's fault, whoever flies it.
     file.flight()
     return file
 
 
-def _with_speeds(document: dict[str, Any]) -> KeyFile:
+def _with_speeds(document: dict[str, Any]) -> KeyFrameFile:
     through, case, view = document["through"], document["case"], document.get("view", {})
     if (
         through not in {"airways", "space"}
@@ -160,7 +160,7 @@ def _with_speeds(document: dict[str, Any]) -> KeyFile:
                 None if way is None else AirwayWay(np.array(way["points_lps"]), int(way["apex"])),
             )
         )
-    file = KeyFile(tuple(frames), float(document["speed_mm_s"]), through, case, view)
+    file = KeyFrameFile(tuple(frames), float(document["speed_mm_s"]), through, case, view)
     if not frames or not math.isfinite(file.speed_mm_s):
         raise ValueError("it contains no key frames, or no speed")
     if len(frames) > 1:

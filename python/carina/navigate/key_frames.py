@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.commands.keys import MAX_SPEED_MM_S, MIN_SPEED_MM_S
+from carina.commands.key_frames import MAX_SPEED_MM_S, MIN_SPEED_MM_S
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.auto_flight import check_duration

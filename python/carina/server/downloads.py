@@ -12,7 +12,7 @@ from typing import Any
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from carina.commands import AirwaysToTakeAway, KeysToTakeAway
+from carina.commands import AirwaysToTakeAway, KeyFramesToTakeAway
 from carina.disk import ScratchFolder, disk_trouble
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
@@ -73,7 +73,7 @@ class Downloads:
         CarinaError
             If there are none.
         """
-        document = await asyncio.to_thread(lambda: self._session.ask(KeysToTakeAway()).to_json())
+        document = await asyncio.to_thread(lambda: self._session.ask(KeyFramesToTakeAway()).to_json())
         disposition = f'attachment; filename="{KEYS_NAME}"'
         return JSONResponse(document, headers={"cache-control": "no-store", "content-disposition": disposition})
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFile, TakeMask
+from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFrameFile, TakeMask
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
 from carina.server import messages as wire
@@ -212,8 +212,8 @@ class Hub:
                 self.devices.done(message)
             case wire.OpenUpload():
                 self._keep_for(OpenFiles(str(self._uploads.place(message.upload_id))), message.upload_id, window)
-            case wire.OpenKeys():
-                self._keep_for(TakeKeyFile(self._uploads.place(message.upload_id)), message.upload_id, window)
+            case wire.OpenKeyFrames():
+                self._keep_for(TakeKeyFrameFile(self._uploads.place(message.upload_id)), message.upload_id, window)
             case wire.ImportMask():
                 self._import_mask(message.upload_id, window)
             case wire.AcceptNotice():

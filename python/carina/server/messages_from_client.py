@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import BranchId, Count, Key, Pixels, PointLps, ViewName
+from carina.commands.fields import BranchId, Count, Identifier, Pixels, PointLps, ViewName
 from carina.commands.value import FrozenValue
 from carina.render import VIEW_NAMES
 from carina.server.wire_codec import ClientMessage
@@ -41,13 +41,13 @@ class ClientHello(ClientMessage, frozen=True, tag="hello"):
 class OpenUpload(ClientMessage, frozen=True):
     """Open the files sent to ``/api/upload``."""
 
-    upload_id: Key
+    upload_id: Identifier
 
 
 class ImportMask(ClientMessage, frozen=True):
     """Take the mask sent to ``/api/upload`` as the airways of the open case; undoable."""
 
-    upload_id: Key
+    upload_id: Identifier
 
 
 class ViewSize(FrozenValue, frozen=True):

@@ -11,7 +11,7 @@ from carina.commands.fields import (
     BranchId,
     Count,
     DemoName,
-    Key,
+    Identifier,
     Matrix4,
     Mode,
     Numbers,
@@ -45,8 +45,8 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
 class RecentCase(FrozenValue, frozen=True):
     """A case opened before, without names."""
 
-    recent_id: Key
-    date: Key
+    recent_id: Identifier
+    date: Identifier
     """ISO date of the last use."""
     title: Words
     used_s: float | None = None
@@ -88,7 +88,7 @@ class Demo(FrozenValue, frozen=True):
 class Scope(FrozenValue, frozen=True):
     """An instrument of the library; null where nothing is known."""
 
-    name: Key
+    name: Identifier
     title: Words
     tip_mm: float
     """Outer diameter, as stated."""
@@ -123,7 +123,7 @@ class OtherSeries(FrozenValue, frozen=True):
 class CaseNote(FrozenValue, frozen=True):
     """One thing that a person should know about the case, with its stable code."""
 
-    code: Key
+    code: Identifier
     words: Words
     badge: bool
     """It stays in sight for as long as the case is open."""
@@ -161,7 +161,7 @@ class CaseInfo(FrozenValue, frozen=True):
 class Target(FrozenValue, frozen=True):
     """A target as asked and as used; ``problem`` says in words why there is no path."""
 
-    target_id: Key
+    target_id: Identifier
     name: Words
     lps: PointLps
     used_lps: PointLps | None
@@ -260,9 +260,9 @@ class History(ServerMessage, frozen=True):
 class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """The way that is flown; lists are parallel, root to tip."""
 
-    route_id: Key
+    route_id: Identifier
     title: Words
-    target_id: Key | None
+    target_id: Identifier | None
     branch_id: BranchId | None
     points_lps: PointsLps
     cumulative_mm: Numbers
@@ -316,7 +316,7 @@ class Pose(ServerMessage, frozen=True):
     """The tip is in the lumen (in the volume's box while there is no lumen)."""
     scope: HeldScope | None
     """In mode ``scope``."""
-    keys_s: float | None
+    key_frames_s: float | None
     """The time in the flight through the key frames; null once anything else has moved the tip."""
     by_device: bool
     """An input device moved the tip last."""
@@ -325,7 +325,7 @@ class Pose(ServerMessage, frozen=True):
 class Progress(ServerMessage, frozen=True):
     """A job's progress; fraction and time left are null where they cannot be known."""
 
-    job_id: Key
+    job_id: Identifier
     title: Words
     what: Words
     fraction: Part | None
@@ -335,7 +335,7 @@ class Progress(ServerMessage, frozen=True):
 class Done(ServerMessage, frozen=True):
     """A job has ended; a failure comes as ``error`` too."""
 
-    job_id: Key
+    job_id: Identifier
     outcome: Literal["done", "cancelled", "failed"]
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from carina.commands.fields import BranchId, Count, Key, PointLps, PointsLps, Words
+from carina.commands.fields import BranchId, Count, Identifier, PointLps, PointsLps, Words
 from carina.commands.value import FrozenValue
 from carina.server.messages_from_client import AskAtPlace
 from carina.server.wire_codec import ClientMessage, ServerMessage
@@ -64,7 +64,7 @@ class NoEvidence(ServerMessage, frozen=True):
     The same edit with ``even_without_evidence`` draws this very way.
     """
 
-    job_id: Key
+    job_id: Identifier
     code: Literal["track.no-evidence"]
     message: Words
     lps: PointLps

@@ -15,13 +15,22 @@ from carina.commands import Look
 from carina.render import PictureLines
 from carina.scopes import scope_presets
 from carina.server import messages as wire
-from carina.session import ChosenRoute, KeysInfo, ListedCase, MaskQuestion, PoseInfo, Snapshot, StorageInfo, WallPoint
+from carina.session import (
+    ChosenRoute,
+    KeyFramesInfo,
+    ListedCase,
+    MaskQuestion,
+    PoseInfo,
+    Snapshot,
+    StorageInfo,
+    WallPoint,
+)
 from carina.volume import Citation, Note, badges_of
 
 __all__ = [
     "demos",
     "history_message",
-    "keys_message",
+    "key_frames_message",
     "picked_message",
     "picture_lines",
     "pose_message",
@@ -244,7 +253,7 @@ def pose_message(info: PoseInfo) -> wire.Pose:
         lumen_mm=info.lumen_mm,
         inside=info.inside,
         scope=_held(info),
-        keys_s=info.keys_s,
+        key_frames_s=info.key_frames_s,
         by_device=info.by_device,
     )
 
@@ -268,9 +277,9 @@ def _held(info: PoseInfo) -> wire.HeldScope | None:
     )
 
 
-def keys_message(info: KeysInfo) -> wire.Keys:
+def key_frames_message(info: KeyFramesInfo) -> wire.KeyFrames:
     """The key frames and the flight through them."""
-    return wire.Keys(**msgspec.structs.asdict(info))
+    return wire.KeyFrames(**msgspec.structs.asdict(info))
 
 
 def history_message(snapshot: Snapshot) -> wire.History:

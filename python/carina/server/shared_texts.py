@@ -9,7 +9,7 @@ from typing import Any
 
 from carina.server import messages as wire
 from carina.server.outbox import Outbox
-from carina.server.presenter import keys_message, route_message, start_message
+from carina.server.presenter import key_frames_message, route_message, start_message
 from carina.server.tree_words import tree_message
 from carina.session import Session, log_fault
 from carina.volume import Citation
@@ -84,9 +84,9 @@ class SharedTexts:
         route = None if document is None else document.route
         return self._cached("route", lambda: route_message(route), route)
 
-    def keys(self) -> str:
+    def key_frames(self) -> str:
         """The key frames."""
-        return wire.encode_message(keys_message(self._session.keys_info()))
+        return wire.encode_message(key_frames_message(self._session.key_frames_info()))
 
     def _tree_text(self) -> str:
         """From any thread."""

@@ -107,7 +107,7 @@ class Window:
         self._pointing.start()
         topics = ["start", "state", "watching"]
         if self._session.snapshot().case is not None:
-            topics += ["tree", "route", "keys", "history", "pose"]
+            topics += ["tree", "route", "key_frames", "history", "pose"]
         self.mark(*topics)
         for job in self._session.jobs.running:
             if job.latest is not None:
@@ -158,8 +158,8 @@ class Window:
                 return self._host.texts.tree()
             case "route":
                 return self._host.texts.route()
-            case "keys":
-                return self._host.texts.keys()
+            case "key_frames":
+                return self._host.texts.key_frames()
             case "watching":
                 return self._host.watching_text()
             case "history":

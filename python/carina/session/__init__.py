@@ -18,7 +18,7 @@ from carina.session.scene import Renderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (
     Changed,
-    KeysInfo,
+    KeyFramesInfo,
     MaskQuestion,
     NotEvident,
     PoseInfo,
@@ -43,7 +43,7 @@ __all__ = [
     "FoundScan",
     "JobEnded",
     "JobProgress",
-    "KeysInfo",
+    "KeyFramesInfo",
     "ListedCase",
     "LocalStore",
     "MaskQuestion",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from carina.case.document import Document, Keys, Point
+from carina.case.document import Document, KeyFrames, Point
 from carina.case.history import History
 from carina.case.moment import LaidScope, Moment
 from carina.case.recordings import RecordingWriter
@@ -76,9 +76,9 @@ class AirwaySearch:
 class LastMove:
     """What moved the tip last."""
 
-    by: Literal["program", "hand", "device", "keys"] = "program"
-    """A *hand* is a person's at mouse or keyboard; *keys* is the flight through the key frames."""
-    keys_s: float | None = None
+    by: Literal["program", "hand", "device", "key_frames"] = "program"
+    """A *hand* is a person's at mouse or keyboard; *key_frames* is the flight through the key frames."""
+    key_frames_s: float | None = None
     """The tip's time in that flight."""
     person_moved: bool = False
     """A person has moved the tip, now or before: airways that are found do not move it to their root."""
@@ -120,7 +120,7 @@ class OpenCase:
     outlined: Cached[Airways, LumenOutline]
     """The outline of the newest lumen that was looked at."""
     indexed: Cached[AirwayTree, AirwayIndex]
-    key_flight: Cached[tuple[Keys, Airways | None], KeyFlight]
+    key_flight: Cached[tuple[KeyFrames, Airways | None], KeyFlight]
     """The flight through the newest key frames that were asked for."""
     sights: Sights
     search: AirwaySearch = AirwaySearch()
@@ -332,7 +332,7 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
         inside=inside,
         scope=tip.scope_state,
         scope_tip_mm=tip.scope_tip_mm,
-        keys_s=case.last_move.keys_s,
+        key_frames_s=case.last_move.key_frames_s,
         by_device=case.last_move.by == "device",
     )
 

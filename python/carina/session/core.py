@@ -35,7 +35,7 @@ Event = Changed | Trouble | NotEvident | Said | JobProgress | JobEnded
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
-ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "history", "pose", "views")
+ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "key_frames", "history", "pose", "views")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import Key, Numbers, PointsLps
+from carina.commands.fields import Identifier, Numbers, PointsLps
 from carina.commands.value import snake_case
 from carina.session.snapshot import SavingInfo
 from carina.value import Count, FrozenValue, Words
@@ -29,7 +29,7 @@ class Join(JoinMessage, frozen=True):
     """The first message of a program: it works on this case, and on no other that is opened later."""
 
     wire_version: Annotated[int, Meta(ge=0, le=2**31)]
-    case_id: Key
+    case_id: Identifier
 
 
 class Settle(JoinMessage, frozen=True):
@@ -49,9 +49,9 @@ class Joined(ToJoinMessage, frozen=True):
 class Problem(FrozenValue, frozen=True):
     """Something that was asked for and not done."""
 
-    kind: Key
+    kind: Identifier
     """Its class in :mod:`carina.errors`."""
-    code: Key
+    code: Identifier
     message: Words
     doubtful_mm: float | None = None
     """Of a branch that was to be added without evidence, with its way and which of its segments are doubtful."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from carina.case.document import Key, Keys
+from carina.case.document import ChosenKeyFrame, KeyFrames
 from carina.errors import UsageError
 from carina.navigate import AirwayWay, KeyFrame, KeyFrameFlight
 from carina.session.inside import in_airways
@@ -26,7 +26,7 @@ class KeyFlight:
     problem: str | None = None
 
 
-def key_flight(volume: Volume, keys: Keys, airways: Airways | None) -> KeyFlight:
+def key_flight(volume: Volume, keys: KeyFrames, airways: Airways | None) -> KeyFlight:
     """Through all key frames."""
     if len(keys.frames) < 2:
         return KeyFlight()
@@ -36,10 +36,10 @@ def key_flight(volume: Volume, keys: Keys, airways: Airways | None) -> KeyFlight
         return KeyFlight(problem=str(trouble))
 
 
-def key_frames(keys: Keys, volume: Volume, airways: Airways | None) -> tuple[KeyFrame, ...]:
+def key_frames(keys: KeyFrames, volume: Volume, airways: Airways | None) -> tuple[KeyFrame, ...]:
     """The key frames as they are flown: through the airways between two that both lie in them, if that is asked for."""
     found: list[KeyFrame] = []
-    before: Key | None = None
+    before: ChosenKeyFrame | None = None
     for key in keys.frames:
         way = None
         if before is not None and keys.flying.through == "airways" and airways is not None:
@@ -49,7 +49,7 @@ def key_frames(keys: Keys, volume: Volume, airways: Airways | None) -> tuple[Key
     return tuple(found)
 
 
-def _way(volume: Volume, airways: Airways, start: Key, end: Key) -> AirwayWay | None:
+def _way(volume: Volume, airways: Airways, start: ChosenKeyFrame, end: ChosenKeyFrame) -> AirwayWay | None:
     if not all(in_airways(volume, airways, key.pose.position_lps) for key in (start, end)):
         return None
     between = way_between(airways.tree, start.pose.position_lps, end.pose.position_lps)

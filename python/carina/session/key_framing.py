@@ -11,14 +11,14 @@ import msgspec
 import numpy as np
 
 from carina import commands as c
-from carina.case.document import Document, Key, Keys
+from carina.case.document import ChosenKeyFrame, Document, KeyFrames
 from carina.errors import NoResultError, UsageError
 from carina.navigate import (
     MAX_SPEED_MM_S,
     MIN_SPEED_MM_S,
-    KeyFile,
+    KeyFrameFile,
     case_key,
-    open_keys,
+    open_key_frames,
 )
 from carina.render import Sight
 from carina.session.case import OpenCase
@@ -26,7 +26,7 @@ from carina.session.flying import place_pose, view_words
 from carina.session.inside import in_airways
 from carina.session.jobs import Job
 from carina.session.key_flight import KeyFlight, key_frames
-from carina.session.snapshot import KeysInfo, Said, ShownKeyFrame
+from carina.session.snapshot import KeyFramesInfo, Said, ShownKeyFrame
 from carina.session.subject import Subject, answers, does
 from carina.volume import Volume
 
@@ -40,109 +40,113 @@ class KeyFraming(Subject):
 
     # ------------------------------------------------------------ the list
 
-    @does(c.EditKeys)
-    def edit_keys(self, command: c.EditKeys) -> str | None:
+    @does(c.EditKeyFrames)
+    def edit_key_frames(self, command: c.EditKeyFrames) -> str | None:
         """One step of undo; the id of a key frame that is new."""
         edit = command.edit
         match edit:
-            case c.KeyAdd():
+            case c.KeyFrameAdd():
                 return self._add()
-            case c.KeyUpdate():
+            case c.KeyFrameUpdate():
                 self._change_key(edit.key_id, "update", pose=self.core.needed_case().navigator.pose)
-            case c.KeyMove():
+            case c.KeyFrameMove():
                 self._move(edit.key_id, edit.by)
-            case c.KeyRename():
+            case c.KeyFrameRename():
                 own = None if edit.name is None else edit.name.strip() or None
                 self._change_key(edit.key_id, "rename", name=own)
-            case c.KeySpeed():
+            case c.KeyFrameSpeed():
                 self._change_key(edit.key_id, "set the speed to", speed_mm_s=edit.speed_mm_s)
-            case c.KeyRemove():
+            case c.KeyFrameRemove():
                 self._remove(edit.key_id)
         return None
 
     def _add(self) -> str:
         case = self.core.needed_case()
         with self.core.lock:
-            keys = case.document.keys
+            keys = case.document.key_frames
             if len(keys.frames) >= MAX_KEYS:
                 raise UsageError(f"a flight has at most {MAX_KEYS} key frames; remove some first", code="session.keys")
-            key = Key(_new_key_id(case), case.navigator.pose)
-            self._set_keys(case, f"add key frame {len(keys.frames) + 1}", (*keys.frames, key))
+            key = ChosenKeyFrame(_new_key_id(case), case.navigator.pose)
+            self._set_key_frames(case, f"add key frame {len(keys.frames) + 1}", (*keys.frames, key))
             return key.key_id
 
     def _move(self, key_id: str, by: int) -> None:
         """Earlier (below 0) or later in the order; nothing beyond its ends."""
         case = self.core.needed_case()
         with self.core.lock:
-            frames = list(case.document.keys.frames)
+            frames = list(case.document.key_frames.frames)
             at = _place(frames, key_id)
             to = min(max(at + by, 0), len(frames) - 1)
             if to != at:
                 frames.insert(to, frames.pop(at))
-                self._set_keys(case, f"move key frame {at + 1} to {to + 1}", tuple(frames))
+                self._set_key_frames(case, f"move key frame {at + 1} to {to + 1}", tuple(frames))
 
     def _remove(self, key_id: str) -> None:
         case = self.core.needed_case()
         with self.core.lock:
-            frames = list(case.document.keys.frames)
+            frames = list(case.document.key_frames.frames)
             at = _place(frames, key_id)
             del frames[at]
-            self._set_keys(case, f"remove key frame {at + 1}", tuple(frames))
+            self._set_key_frames(case, f"remove key frame {at + 1}", tuple(frames))
 
-    @does(c.SetKeyFlight)
-    def set_key_flight(self, command: c.SetKeyFlight) -> None:
+    @does(c.SetKeyFrameFlight)
+    def set_key_frame_flight(self, command: c.SetKeyFrameFlight) -> None:
         """The speed of all legs that name none, and whether the flight follows the airways; None keeps either."""
         speed_mm_s, through = command.speed_mm_s, command.through
         case = self.core.needed_case()
         with self.core.lock:
             if speed_mm_s is not None:
-                self._set_flying(case, "set the speed of the key-frame flight", "keys speed", speed_mm_s=speed_mm_s)
+                self._set_flying(
+                    case, "set the speed of the key-frame flight", "key-frame speed", speed_mm_s=speed_mm_s
+                )
             if through is not None:
                 self._set_flying(case, "set the path of the key-frame flight", None, through=through)
 
     def _set_flying(self, case: OpenCase, label: str, gesture: str | None, **values: Any) -> None:
-        keys = case.document.keys
-        self.core.edit(label, gesture, keys=replace(keys, flying=msgspec.structs.replace(keys.flying, **values)))
+        keys = case.document.key_frames
+        self.core.edit(label, gesture, key_frames=replace(keys, flying=msgspec.structs.replace(keys.flying, **values)))
 
     def _change_key(self, key_id: str, verb: str, **values: Any) -> None:
         case = self.core.needed_case()
         with self.core.lock:
-            frames = list(case.document.keys.frames)
+            frames = list(case.document.key_frames.frames)
             at = _place(frames, key_id)
             changed = replace(frames[at], **values)
             if any(getattr(frames[at], name) != value for name, value in values.items()):
                 frames[at] = changed
-                self._set_keys(case, f"{verb} key frame {at + 1}", tuple(frames))
+                self._set_key_frames(case, f"{verb} key frame {at + 1}", tuple(frames))
 
-    def _set_keys(self, case: OpenCase, label: str, frames: tuple[Key, ...]) -> None:
-        self.core.change(case, label, replace(case.document, keys=replace(case.document.keys, frames=frames)))
+    def _set_key_frames(self, case: OpenCase, label: str, frames: tuple[ChosenKeyFrame, ...]) -> None:
+        self.core.change(
+            case, label, replace(case.document, key_frames=replace(case.document.key_frames, frames=frames))
+        )
 
     # ------------------------------------------------------------ the flight
 
     def follow(self, case: OpenCase) -> None:
         """Forget the flight through other key frames or airways, with the session locked."""
-        if case.key_flight.is_of_others((case.document.keys, case.document.airways)):
+        if case.key_flight.is_of_others((case.document.key_frames, case.document.airways)):
             # Another flight, at whose times the tip is not.
             case.key_flight.forget()
-            case.last_move = replace(case.last_move, keys_s=None)
+            case.last_move = replace(case.last_move, key_frames_s=None)
 
-    @does(c.ShowKey)
-    def show_key(self, command: c.ShowKey) -> None:
+    @does(c.ShowKeyFrame)
+    def show_key_frame(self, command: c.ShowKeyFrame) -> None:
         """Its pose, and its time in the flight."""
         case = self.core.needed_case()
         with self.core.lock:
-            at = _place(case.document.keys.frames, command.key_id)
+            at = _place(case.document.key_frames.frames, command.key_id)
             flight = self._key_flight(case).flight
-            self.core.fly(place_pose(case.document.keys.frames[at].pose))
+            self.core.fly(place_pose(case.document.key_frames.frames[at].pose))
             self._flown(case, 0.0 if flight is None else flight.key_times_s[at])
 
-    @does(c.FlyKeys)
-    def fly_keys(self, command: c.FlyKeys) -> None:
+    @does(c.FlyKeyFrames)
+    def fly_key_frames(self, command: c.FlyKeyFrames) -> None:
         """Clamped to the flight; NoResultError (``session.keys``) if there are fewer than two key frames."""
         time_s, goes_on = command.time_s, command.goes_on
         case = self.core.needed_case()
         with self.core.lock:
-            if goes_on and case.last_move.keys_s is None:
+            if goes_on and case.last_move.key_frames_s is None:
                 return
             found = self._key_flight(case)
             flight = found.flight
@@ -152,16 +156,16 @@ class KeyFraming(Subject):
             self.core.fly(place_pose(flight.pose_at(place_s)))
             self._flown(case, place_s)
 
-    def _flown(self, case: OpenCase, keys_s: float) -> None:
-        case.last_move = replace(case.last_move, by="keys", keys_s=keys_s)
+    def _flown(self, case: OpenCase, key_frames_s: float) -> None:
+        case.last_move = replace(case.last_move, by="key_frames", key_frames_s=key_frames_s)
 
-    def info(self) -> KeysInfo:
+    def info(self) -> KeyFramesInfo:
         """The key frames as they are shown."""
         with self.core.lock:
             case = self.core.case
             if case is None:
-                return _as_shown(Keys())
-            keys = case.document.keys
+                return _as_shown(KeyFrames())
+            keys = case.document.key_frames
             found = self._key_flight(case)
             flight = found.flight
             shown = []
@@ -184,25 +188,25 @@ class KeyFraming(Subject):
 
     def _key_flight(self, case: OpenCase) -> KeyFlight:
         """The flight, or why there is none; with the session locked."""
-        return case.key_flight.of((case.document.keys, case.document.airways))
+        return case.key_flight.of((case.document.key_frames, case.document.airways))
 
     # ------------------------------------------------------------ its file
 
-    @answers(c.KeysToTakeAway)
-    def keys_to_take_away(self, _question: c.KeysToTakeAway) -> KeyFile:
+    @answers(c.KeyFramesToTakeAway)
+    def key_frames_to_take_away(self, _question: c.KeyFramesToTakeAway) -> KeyFrameFile:
         """For a file that ``carina fly`` renders."""
         case = self.core.needed_case()
         with self.core.lock:
             document, sight = case.document, case.sight
         return key_file(case.info.volume, document, sight)
 
-    @does(c.TakeKeyFile)
-    def take_key_file(self, command: c.TakeKeyFile) -> str:
+    @does(c.TakeKeyFrameFile)
+    def take_key_frame_file(self, command: c.TakeKeyFrameFile) -> str:
         """As a job. The ways between them are found anew in the present airways."""
         case = self.core.needed_case()
 
         def work(job: Job) -> None:
-            file = open_keys(command.path)
+            file = open_key_frames(command.path)
             job.check()
             file.check(case.info.volume)
             if len(file.frames) > MAX_KEYS:
@@ -211,18 +215,18 @@ class KeyFraming(Subject):
             with self.core.lock:
                 job.check()
                 frames = tuple(
-                    Key(_new_key_id(case), frame.pose, frame.name or None, speed)
+                    ChosenKeyFrame(_new_key_id(case), frame.pose, frame.name or None, speed)
                     for frame, speed in zip(file.frames, speeds, strict=True)
                 )
-                keys = Keys(frames, c.KeyFlying(file.speed_mm_s, file.through))
-                self.core.change(case, "open key frames", replace(case.document, keys=keys))
+                keys = KeyFrames(frames, c.KeyFrameFlying(file.speed_mm_s, file.through))
+                self.core.change(case, "open key frames", replace(case.document, key_frames=keys))
                 if any(frame.time_s is not None for frame in file.frames):
                     self.core.emit(Said("the file stores times, which were converted to speeds"))
 
-        return self.core.jobs.start("keys", "opening key frames", work)
+        return self.core.jobs.start("key-frames", "opening key frames", work)
 
 
-def key_file(volume: Volume, document: Document, sight: Sight) -> KeyFile:
+def key_file(volume: Volume, document: Document, sight: Sight) -> KeyFrameFile:
     """The key frames of a document, with all that a flight through them needs.
 
     Raises
@@ -230,19 +234,19 @@ def key_file(volume: Volume, document: Document, sight: Sight) -> KeyFile:
     NoResultError
         ``session.keys``: if there are none.
     """
-    if not document.keys.frames:
+    if not document.key_frames.frames:
         raise NoResultError("there are no key frames yet", code="session.keys")
-    frames, flying = key_frames(document.keys, volume, document.airways), document.keys.flying
-    return KeyFile(frames, flying.speed_mm_s, flying.through, case_key(volume), view_words(document, sight))
+    frames, flying = key_frames(document.key_frames, volume, document.airways), document.key_frames.flying
+    return KeyFrameFile(frames, flying.speed_mm_s, flying.through, case_key(volume), view_words(document, sight))
 
 
 def _as_shown(
-    keys: Keys, shown: tuple[ShownKeyFrame, ...] = (), duration_s: float = 0.0, problem: str | None = None
-) -> KeysInfo:
-    return KeysInfo(**msgspec.structs.asdict(keys.flying), keys=shown, duration_s=duration_s, problem=problem)
+    keys: KeyFrames, shown: tuple[ShownKeyFrame, ...] = (), duration_s: float = 0.0, problem: str | None = None
+) -> KeyFramesInfo:
+    return KeyFramesInfo(**msgspec.structs.asdict(keys.flying), frames=shown, duration_s=duration_s, problem=problem)
 
 
-def _branch_words(case: OpenCase, key: Key) -> tuple[str, int | None]:
+def _branch_words(case: OpenCase, key: ChosenKeyFrame) -> tuple[str, int | None]:
     """What a key frame is called that has no name, and its branch."""
     airways, index = case.document.airways, case.index
     if airways is None or index is None:
@@ -257,7 +261,7 @@ def _new_key_id(case: OpenCase) -> str:
     return f"key-{case.next_number('key')}"
 
 
-def _speeds(file: KeyFile) -> list[float | None]:
+def _speeds(file: KeyFrameFile) -> list[float | None]:
     """Of the ways to a file's key frames; times become the speeds that keep them."""
     times = [frame.time_s for frame in file.frames]
     if times[0] is None:
@@ -267,7 +271,7 @@ def _speeds(file: KeyFile) -> list[float | None]:
     return [None, *found]
 
 
-def _place(frames: Sequence[Key], key_id: str) -> int:
+def _place(frames: Sequence[ChosenKeyFrame], key_id: str) -> int:
     for n, key in enumerate(frames):
         if key.key_id == key_id:
             return n

@@ -34,7 +34,7 @@ from carina.session.records import CaseRecords
 from carina.session.routing import Routing
 from carina.session.saving import KeptFiles, Saving
 from carina.session.scene import ShownCase
-from carina.session.snapshot import KeysInfo, PoseInfo, Snapshot
+from carina.session.snapshot import KeyFramesInfo, PoseInfo, Snapshot
 from carina.session.subject import handlers_of
 
 __all__ = ["Session"]
@@ -185,7 +185,7 @@ class Session:
         """The newest pose and where it is; None without a case."""
         return self._core.pose_info()
 
-    def keys_info(self) -> KeysInfo:
+    def key_frames_info(self) -> KeyFramesInfo:
         """The key frames as they are shown."""
         return self._keys.info()
 

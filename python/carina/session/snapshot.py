@@ -9,8 +9,8 @@ import msgspec
 
 from carina.case.document import Document
 from carina.case.history import Step
-from carina.commands import DeviceControls, KeyFlying
-from carina.commands.fields import BranchId, Key, Words
+from carina.commands import DeviceControls, KeyFrameFlying
+from carina.commands.fields import BranchId, Identifier, Words
 from carina.display import one_line
 from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
@@ -27,7 +27,7 @@ __all__ = [
     "CaseSnapshot",
     "Changed",
     "DevicesInfo",
-    "KeysInfo",
+    "KeyFramesInfo",
     "MaskQuestion",
     "NotEvident",
     "PoseInfo",
@@ -42,7 +42,7 @@ __all__ = [
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
-Topic = Literal["state", "tree", "route", "pose", "start", "views", "keys", "history"]
+Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "history"]
 
 
 @one_line
@@ -83,7 +83,7 @@ class PoseInfo:
     """The scope in the lumen, in mode *scope*."""
     scope_tip_mm: float | None = None
     """Diameter of its tip."""
-    keys_s: float | None = None
+    key_frames_s: float | None = None
     """The time in the flight through key frames, while that is what moved the tip."""
     by_device: bool = False
     """A device moved the tip last."""
@@ -196,7 +196,7 @@ class DevicesInfo:
 class ShownKeyFrame(FrozenValue, frozen=True):
     """A pose to fly through."""
 
-    key_id: Key
+    key_id: Identifier
     name: Words
     """As a person called it, or its branch."""
     own_name: bool
@@ -212,10 +212,10 @@ class ShownKeyFrame(FrozenValue, frozen=True):
     """Whether that way follows the airways."""
 
 
-class KeysInfo(KeyFlying, frozen=True):
+class KeyFramesInfo(KeyFrameFlying, frozen=True):
     """The key frames, and the flight through them."""
 
-    keys: tuple[ShownKeyFrame, ...]
+    frames: tuple[ShownKeyFrame, ...]
     duration_s: float
     """0 while there are fewer than two."""
     problem: Words | None

@@ -8,7 +8,7 @@ import { ContinuedBar } from "./ContinuedBar";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
 import { HistoryList } from "./HistoryList";
-import { KeyPanel } from "./KeyPanel";
+import { KeyFramePanel } from "./KeyFramePanel";
 import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
 import { SaveDialog } from "./SaveDialog";
@@ -40,7 +40,7 @@ export function WorkstationPage() {
       <aside className="left-panel">
         <ContinuedBar />
         {list === "history" ? <HistoryList /> : <BranchList />}
-        {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyPanel /> : <StepPanel />}
+        {watches ? <WatcherPanel /> : devicesOpen ? <DevicePanel /> : keysOpen ? <KeyFramePanel /> : <StepPanel />}
       </aside>
       <main className="pictures">
         <AirwayStage />

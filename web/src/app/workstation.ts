@@ -103,7 +103,7 @@ export class Workstation implements Station {
       advancing: (on) => this.ui({ advancing: on }),
     });
     this.player = new KeyPlayer({
-      keys: () => this.state.keys,
+      keyFrames: () => this.state.keyFrames,
       send: (message) => this.send(message),
       changed: (playing) => this.store.dispatch({ kind: "playing", playing }),
     });
@@ -119,7 +119,7 @@ export class Workstation implements Station {
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message });
           if (message.type === "pose") this.#posed(message);
-          if (message.type === "keys") this.player.reset(message);
+          if (message.type === "key_frames") this.player.reset(message);
           if (message.type === "picked") this.#picked(message);
           if (message.type === "route") this.#warnOfDoubts();
           if (message.type === "live_path") this.pointing.receive(message);
@@ -316,7 +316,7 @@ export class Workstation implements Station {
 
   /** Add the current view as the last key frame, in the list that is then on the screen. */
   addKey(): void {
-    this.send({ type: "edit_keys", edit: { kind: "add" } });
+    this.send({ type: "edit_key_frames", edit: { kind: "add" } });
     this.#showKeys(true);
   }
 
@@ -656,7 +656,7 @@ export class Workstation implements Station {
 }
 
 /** What becomes of files that were sent. */
-const UPLOADED = { case: "open_upload", mask: "import_mask", keys: "open_keys" } as const;
+const UPLOADED = { case: "open_upload", mask: "import_mask", keys: "open_key_frames" } as const;
 
 /** Longer than any file takes. */
 const DOWNLOAD_WITHIN_MS = 300_000;

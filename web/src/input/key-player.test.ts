@@ -1,18 +1,18 @@
 import { describe, expect, it } from "vitest";
 import { NOT_PLAYING, type Playing } from "../state/playing";
-import type { ClientMessage, KeysMessage, PoseMessage } from "../wire/messages";
+import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
 import { KeyPlayer } from "./key-player";
 
-const KEYS: KeysMessage = {
-  type: "keys",
-  keys: [],
+const KEYS: KeyFramesMessage = {
+  type: "key_frames",
+  frames: [],
   speed_mm_s: 20,
   through: "airways",
   duration_s: 4,
   problem: null,
 };
 
-const pose = (keys_s: number | null): PoseMessage => ({
+const pose = (key_frames_s: number | null): PoseMessage => ({
   type: "pose",
   pose_id: 1,
   lps_from_camera: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
@@ -24,15 +24,15 @@ const pose = (keys_s: number | null): PoseMessage => ({
   lumen_mm: null,
   inside: true,
   scope: null,
-  keys_s,
+  key_frames_s,
   by_device: false,
 });
 
-function player(keys: KeysMessage | null = KEYS) {
+function player(keys: KeyFramesMessage | null = KEYS) {
   const sent: ClientMessage[] = [];
   const around = { keys, playing: NOT_PLAYING as Playing, open: true };
   const made = new KeyPlayer({
-    keys: () => around.keys,
+    keyFrames: () => around.keys,
     send: (message) => {
       if (around.open) sent.push(message);
       return around.open;
@@ -44,7 +44,8 @@ function player(keys: KeysMessage | null = KEYS) {
   return { made, sent, around };
 }
 
-const asked = (sent: ClientMessage[]) => sent.map((one) => (one.type === "fly_keys" ? [one.time_s, one.goes_on] : one));
+const asked = (sent: ClientMessage[]) =>
+  sent.map((one) => (one.type === "fly_key_frames" ? [one.time_s, one.goes_on] : one));
 
 describe("the player of key frames", () => {
   it("begins by asking for the tip, goes on at each refresh, and ends at the end", () => {
@@ -131,7 +132,7 @@ describe("the player of key frames", () => {
   });
 
   it("is at a key frame, or at the end, where a bar with steps comes near to it", () => {
-    const keys = [0, 1.2345, 4].map((time_s, n) => ({
+    const frames = [0, 1.2345, 4].map((time_s, n) => ({
       key_id: `key-${n}`,
       name: "",
       own_name: false,
@@ -141,7 +142,7 @@ describe("the player of key frames", () => {
       leg_mm: null,
       through_airways: false,
     }));
-    const { made, sent } = player({ ...KEYS, keys });
+    const { made, sent } = player({ ...KEYS, frames });
     for (const at of [1.23, 3.99, 2]) made.seek(at);
     expect(asked(sent).map((one) => (Array.isArray(one) ? one[0] : one))).toEqual([1.2345, 4, 2]);
   });

@@ -4,14 +4,14 @@
  */
 
 import { NOT_PLAYING, type Playing } from "../state/playing";
-import type { ClientMessage, KeysMessage, PoseMessage } from "../wire/messages";
+import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
 import { MAX_TICK_S } from "./flight";
 
 /** Nearer than this to a key frame or to the end, it is there. */
 const AT_END_S = 0.02;
 
 export interface PlayerSurroundings {
-  keys(): KeysMessage | null;
+  keyFrames(): KeyFramesMessage | null;
   send(message: ClientMessage): boolean;
   changed(playing: Playing): void;
 }
@@ -32,7 +32,7 @@ export class KeyPlayer {
 
   /** From where it is, or from the start where it is at the end; false where there is no flight. */
   play(): boolean {
-    const lasts = this.#around.keys()?.duration_s ?? 0;
+    const lasts = this.#around.keyFrames()?.duration_s ?? 0;
     if (lasts <= 0) return false;
     const from = this.#playing.atS >= lasts - AT_END_S ? 0 : this.#playing.atS;
     if (!this.#go(from)) return false;
@@ -57,8 +57,8 @@ export class KeyPlayer {
   }
 
   seek(toS: number): void {
-    const lasts = this.#around.keys()?.duration_s ?? 0;
-    const stops = [lasts, ...(this.#around.keys()?.keys ?? []).map((key) => key.time_s)];
+    const lasts = this.#around.keyFrames()?.duration_s ?? 0;
+    const stops = [lasts, ...(this.#around.keyFrames()?.frames ?? []).map((key) => key.time_s)];
     // A bar has steps: what is meant is the key frame itself, or the end.
     const atS = stops.find((stop) => Math.abs(stop - toS) < AT_END_S) ?? Math.min(Math.max(toS, 0), lasts);
     if (lasts > 0 && this.#go(atS)) this.#set({ atS });
@@ -70,24 +70,24 @@ export class KeyPlayer {
 
   tick(elapsedS: number): void {
     if (!this.#playing.on) return;
-    const lasts = this.#around.keys()?.duration_s ?? 0;
+    const lasts = this.#around.keyFrames()?.duration_s ?? 0;
     const atS = Math.min(this.#playing.atS + Math.min(elapsedS, MAX_TICK_S) * this.#playing.rate, lasts);
-    this.#around.send({ type: "fly_keys", time_s: atS, goes_on: true });
+    this.#around.send({ type: "fly_key_frames", time_s: atS, goes_on: true });
     this.#set({ atS, on: atS < lasts });
   }
 
   /** The tip is where the server says; on the flight, the bar stands there too. */
   poseArrived(pose: PoseMessage): void {
-    if (pose.keys_s !== null) {
+    if (pose.key_frames_s !== null) {
       this.#answered = true;
-      if (!this.#playing.on && pose.keys_s !== this.#playing.atS) this.#set({ atS: pose.keys_s });
+      if (!this.#playing.on && pose.key_frames_s !== this.#playing.atS) this.#set({ atS: pose.key_frames_s });
     } else if (this.#answered) {
       this.pause();
     }
   }
 
   /** The list was changed, another case was opened, or the connection is gone. */
-  reset(keys: KeysMessage | null): void {
+  reset(keys: KeyFramesMessage | null): void {
     const lasts = keys?.duration_s ?? 0;
     if (this.#playing.on || this.#playing.atS > lasts) {
       this.#set({ on: false, atS: Math.min(this.#playing.atS, lasts) });
@@ -96,7 +96,7 @@ export class KeyPlayer {
 
   #go(time_s: number): boolean {
     this.#answered = false;
-    return this.#around.send({ type: "fly_keys", time_s, goes_on: false });
+    return this.#around.send({ type: "fly_key_frames", time_s, goes_on: false });
   }
 
   #set(change: Partial<Playing>): void {

@@ -85,7 +85,7 @@ function pose(poseId: number, pathMillimetres: number | null = null): PoseMessag
     lumen_mm: 9,
     inside: true,
     scope: null,
-    keys_s: null,
+    key_frames_s: null,
     by_device: false,
   };
 }

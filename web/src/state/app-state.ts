@@ -9,7 +9,7 @@ import {
   FIRST_SIGHT,
   type GreyWindow,
   type HistoryMessage,
-  type KeysMessage,
+  type KeyFramesMessage,
   type Look,
   type NoEvidenceMessage,
   type PenMessage,
@@ -171,7 +171,7 @@ export interface AppState {
   /** The tracked pen that moves the tip; null where none does. */
   readonly pen: PenMessage | null;
   /** The key frames, and the flight through them. */
-  readonly keys: KeysMessage | null;
+  readonly keyFrames: KeyFramesMessage | null;
   /** What was done, and how much of it holds. */
   readonly history: HistoryMessage | null;
   /** The flight through them, as it is played here. */
@@ -217,7 +217,7 @@ export const INITIAL_STATE: AppState = {
   upload: null,
   devices: null,
   pen: null,
-  keys: null,
+  keyFrames: null,
   history: null,
   playing: NOT_PLAYING,
   speedMmS: null,
@@ -383,8 +383,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, devices: message };
     case "pen":
       return { ...state, pen: message.device === null ? null : message };
-    case "keys":
-      return { ...state, keys: message };
+    case "key_frames":
+      return { ...state, keyFrames: message };
     case "history":
       return { ...state, history: message };
     case "watching":
@@ -399,7 +399,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keys: null, history: null, speedMmS: null };
+    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keyFrames: null, history: null, speedMmS: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = {
       ...next,

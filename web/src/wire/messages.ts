@@ -1,7 +1,7 @@
 // Generated from python/carina/commands and python/carina/server/messages.py by
 // `python -m carina.server.wire_types`. Do not edit.
 
-export const WIRE_VERSION = 2;
+export const WIRE_VERSION = 3;
 
 export const CLOSE_CODES = {
   "protocol.malformed": 4400,
@@ -253,65 +253,65 @@ export interface SetOperatorMessage {
 }
 
 /** The present pose becomes the last key frame. */
-export interface KeyAdd {
+export interface KeyFrameAdd {
   readonly kind: "add";
 }
 
 /** The present pose takes a key frame's place. */
-export interface KeyUpdate {
+export interface KeyFrameUpdate {
   readonly kind: "update";
   readonly key_id: string;
 }
 
 /** Earlier (below 0) or later in the order. */
-export interface KeyMove {
+export interface KeyFrameMove {
   readonly kind: "move";
   readonly key_id: string;
   readonly by: number;
 }
 
 /** A name of one's own; null calls it by its branch. */
-export interface KeyRename {
+export interface KeyFrameRename {
   readonly kind: "rename";
   readonly key_id: string;
   readonly name: string | null;
 }
 
 /** The speed on the way to a key frame; null takes that of all. */
-export interface KeySpeed {
+export interface KeyFrameSpeed {
   readonly kind: "speed";
   readonly key_id: string;
   readonly speed_mm_s: number | null;
 }
 
 /** Take a key frame away. */
-export interface KeyRemove {
+export interface KeyFrameRemove {
   readonly kind: "remove";
   readonly key_id: string;
 }
 
 /** One change to the list of key frames, and one step of undo. */
-export interface EditKeysMessage {
-  readonly type: "edit_keys";
-  readonly edit: KeyAdd | KeyUpdate | KeyMove | KeyRename | KeySpeed | KeyRemove;
+export interface EditKeyFramesMessage {
+  readonly type: "edit_key_frames";
+  readonly edit: KeyFrameAdd | KeyFrameUpdate | KeyFrameMove | KeyFrameRename | KeyFrameSpeed | KeyFrameRemove;
 }
 
 /** How the key frames are flown through; null keeps what there is. Undoable. */
-export interface SetKeyFlightMessage {
-  readonly type: "set_key_flight";
+export interface SetKeyFrameFlightMessage {
+  readonly type: "set_key_frame_flight";
   readonly speed_mm_s?: number | null;
   readonly through?: "airways" | "space" | null;
 }
 
 /** Tip to a key frame; free mode afterwards. */
-export interface ShowKeyMessage {
-  readonly type: "show_key";
+export interface ShowKeyFrameMessage {
+  readonly type: "show_key_frame";
   readonly key_id: string;
 }
 
 /** Tip to a time of the flight through the key frames; free mode afterwards. */
-export interface FlyKeysMessage {
-  readonly type: "fly_keys";
+export interface FlyKeyFramesMessage {
+  readonly type: "fly_key_frames";
   readonly time_s: number;
   readonly goes_on?: boolean;
 }
@@ -682,8 +682,8 @@ export interface AskEditPreviewMessage {
 }
 
 /** Take the key frames of the file sent to `/api/upload`; undoable. */
-export interface OpenKeysMessage {
-  readonly type: "open_keys";
+export interface OpenKeyFramesMessage {
+  readonly type: "open_key_frames";
   readonly upload_id: string;
 }
 
@@ -1007,7 +1007,7 @@ export interface PoseMessage {
   readonly lumen_mm: number | null;
   readonly inside: boolean;
   readonly scope: HeldScope | null;
-  readonly keys_s: number | null;
+  readonly key_frames_s: number | null;
   readonly by_device: boolean;
 }
 
@@ -1237,11 +1237,11 @@ export interface ShownKeyFrame {
 }
 
 /** The key frames, when they changed. */
-export interface KeysMessage {
-  readonly type: "keys";
+export interface KeyFramesMessage {
+  readonly type: "key_frames";
   readonly speed_mm_s: number;
   readonly through: "airways" | "space";
-  readonly keys: readonly ShownKeyFrame[];
+  readonly frames: readonly ShownKeyFrame[];
   readonly duration_s: number;
   readonly problem: string | null;
 }
@@ -1500,7 +1500,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_keys"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -1538,10 +1538,10 @@ export type ClientMessage =
   | LevelHorizonMessage
   | ResetLookMessage
   | SetOperatorMessage
-  | EditKeysMessage
-  | SetKeyFlightMessage
-  | ShowKeyMessage
-  | FlyKeysMessage
+  | EditKeyFramesMessage
+  | SetKeyFrameFlightMessage
+  | ShowKeyFrameMessage
+  | FlyKeyFramesMessage
   | SetFovMessage
   | SetOutlineMessage
   | SetScopeMessage
@@ -1586,7 +1586,7 @@ export type ClientMessage =
   | WatchDevicesMessage
   | StartRecordingMessage
   | AskEditPreviewMessage
-  | OpenKeysMessage;
+  | OpenKeyFramesMessage;
 
 export type ServerMessage =
   | ServerHelloMessage
@@ -1609,7 +1609,7 @@ export type ServerMessage =
   | PenMessage
   | EditPreviewMessage
   | NoEvidenceMessage
-  | KeysMessage
+  | KeyFramesMessage
   | TreeMessage
   | LivePathMessage
   | BranchDetailMessage;

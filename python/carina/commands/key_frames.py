@@ -6,7 +6,7 @@ from typing import Annotated, Any, TypeAlias
 
 from msgspec import Meta
 
-from carina.commands.fields import Key, OwnName, Through
+from carina.commands.fields import Identifier, OwnName, Through
 from carina.commands.value import Command, FrozenValue, LocalCommand
 
 MIN_SPEED_MM_S, MAX_SPEED_MM_S = 0.1, 500.0
@@ -15,61 +15,63 @@ Seconds = Annotated[float, Meta(ge=0.0, le=86_400.0)]
 
 
 def _kind(name: str) -> str:
-    """``KeyAdd`` as ``add``."""
-    return name.removeprefix("Key").lower()
+    """``KeyFrameAdd`` as ``add``."""
+    return name.removeprefix("KeyFrame").lower()
 
 
-class KeyEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
+class KeyFrameEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
     """One change to the list of key frames."""
 
 
-class KeyAdd(KeyEdit, frozen=True):
+class KeyFrameAdd(KeyFrameEdit, frozen=True):
     """The present pose becomes the last key frame."""
 
 
-class KeyUpdate(KeyEdit, frozen=True):
+class KeyFrameUpdate(KeyFrameEdit, frozen=True):
     """The present pose takes a key frame's place."""
 
-    key_id: Key
+    key_id: Identifier
 
 
-class KeyMove(KeyEdit, frozen=True):
+class KeyFrameMove(KeyFrameEdit, frozen=True):
     """Earlier (below 0) or later in the order."""
 
-    key_id: Key
+    key_id: Identifier
     by: Annotated[int, Meta(ge=-200, le=200)]
 
 
-class KeyRename(KeyEdit, frozen=True):
+class KeyFrameRename(KeyFrameEdit, frozen=True):
     """A name of one's own; null calls it by its branch."""
 
-    key_id: Key
+    key_id: Identifier
     name: OwnName | None
 
 
-class KeySpeed(KeyEdit, frozen=True):
+class KeyFrameSpeed(KeyFrameEdit, frozen=True):
     """The speed on the way to a key frame; null takes that of all."""
 
-    key_id: Key
+    key_id: Identifier
     speed_mm_s: Speed | None
 
 
-class KeyRemove(KeyEdit, frozen=True):
+class KeyFrameRemove(KeyFrameEdit, frozen=True):
     """Take a key frame away."""
 
-    key_id: Key
+    key_id: Identifier
 
 
-AnyKeyEdit: TypeAlias = KeyAdd | KeyUpdate | KeyMove | KeyRename | KeySpeed | KeyRemove
+AnyKeyFrameEdit: TypeAlias = (
+    KeyFrameAdd | KeyFrameUpdate | KeyFrameMove | KeyFrameRename | KeyFrameSpeed | KeyFrameRemove
+)
 
 
-class EditKeys(Command, frozen=True):
+class EditKeyFrames(Command, frozen=True):
     """One change to the list of key frames, and one step of undo."""
 
-    edit: AnyKeyEdit
+    edit: AnyKeyFrameEdit
 
 
-class KeyFlying(FrozenValue, frozen=True):
+class KeyFrameFlying(FrozenValue, frozen=True):
     """How the key frames are flown through."""
 
     speed_mm_s: Speed
@@ -77,20 +79,20 @@ class KeyFlying(FrozenValue, frozen=True):
     through: Through
 
 
-class SetKeyFlight(Command, frozen=True):
+class SetKeyFrameFlight(Command, frozen=True):
     """How the key frames are flown through; null keeps what there is. Undoable."""
 
     speed_mm_s: Speed | None = None
     through: Through | None = None
 
 
-class ShowKey(Command, frozen=True):
+class ShowKeyFrame(Command, frozen=True):
     """Tip to a key frame; free mode afterwards."""
 
-    key_id: Key
+    key_id: Identifier
 
 
-class FlyKeys(Command, frozen=True):
+class FlyKeyFrames(Command, frozen=True):
     """Tip to a time of the flight through the key frames; free mode afterwards."""
 
     time_s: Seconds
@@ -98,7 +100,7 @@ class FlyKeys(Command, frozen=True):
     """A flight under way: ignored if anything else has moved the tip since the last of these."""
 
 
-class TakeKeyFile(LocalCommand, frozen=True):
+class TakeKeyFrameFile(LocalCommand, frozen=True):
     """Take the key frames of a file in the place of these; undoable. Those of another case are refused."""
 
     path: Any

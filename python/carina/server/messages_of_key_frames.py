@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from carina.commands.fields import Key
+from carina.commands.fields import Identifier
 from carina.server.wire_codec import ClientMessage, ServerMessage
-from carina.session import KeysInfo
+from carina.session import KeyFramesInfo
 
 
-class OpenKeys(ClientMessage, frozen=True):
+class OpenKeyFrames(ClientMessage, frozen=True):
     """Take the key frames of the file sent to ``/api/upload``; undoable."""
 
-    upload_id: Key
+    upload_id: Identifier
 
 
-class Keys(KeysInfo, ServerMessage, frozen=True):
+class KeyFrames(KeyFramesInfo, ServerMessage, frozen=True):
     """The key frames, when they changed."""

@@ -7,15 +7,15 @@ import { KEYS_FILE } from "../net/download";
 import { filesOfPicker } from "../net/upload";
 import { mm, sentence } from "../state/format";
 import { clock, KEY_SPEEDS_MM_S, PLAY_RATES, passedKey } from "../state/playing";
-import type { KeysMessage, ShownKeyFrame } from "../wire/messages";
+import type { KeyFramesMessage, ShownKeyFrame } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice, Tip } from "./controls";
 import { Figure } from "./Figure";
 import { Icon } from "./icons";
 
-export function KeyPanel() {
+export function KeyFramePanel() {
   const station = useStation();
-  const told = useApp((state) => state.keys);
+  const told = useApp((state) => state.keyFrames);
   return (
     <section className="step-panel key-panel" aria-label="Key frames" data-testid="key-panel">
       <div className="panel-head">
@@ -42,7 +42,7 @@ export function KeyPanel() {
               testId="add-key"
               onPress={() => station.addKey()}
             />
-            {told.keys.length === 0 ? (
+            {told.frames.length === 0 ? (
               <p className="empty">
                 Fly to a view and add it as a key frame, then fly to the next. Carina flies smoothly from one to the
                 next, and can save the flight as a video.
@@ -50,9 +50,9 @@ export function KeyPanel() {
             ) : (
               <KeyList told={told} />
             )}
-            {told.keys.length > 1 ? <Player told={told} /> : null}
-            {told.keys.length > 0 ? <Flight told={told} /> : null}
-            <KeyFile told={told} />
+            {told.frames.length > 1 ? <Player told={told} /> : null}
+            {told.frames.length > 0 ? <Flight told={told} /> : null}
+            <KeyFrameFile told={told} />
           </>
         )}
       </div>
@@ -60,17 +60,19 @@ export function KeyPanel() {
   );
 }
 
-function KeyList({ told }: { told: KeysMessage }) {
+function KeyList({ told }: { told: KeyFramesMessage }) {
   const [open, setOpen] = useState<string | null>(null);
-  const here = useApp((state) => (state.pose?.keys_s == null ? -1 : passedKey(told.keys, state.pose.keys_s)));
+  const here = useApp((state) =>
+    state.pose?.key_frames_s == null ? -1 : passedKey(told.frames, state.pose.key_frames_s),
+  );
   return (
     <ol className="key-list">
-      {told.keys.map((key, n) => (
+      {told.frames.map((key, n) => (
         <KeyRow
           key={key.key_id}
           frame={key}
           number={n + 1}
-          last={n === told.keys.length - 1}
+          last={n === told.frames.length - 1}
           here={n === here}
           timed={told.duration_s > 0}
           open={open === key.key_id}
@@ -106,7 +108,7 @@ function KeyRow({ frame, number, last, here, timed, open, onOpen }: RowProps) {
           <Button
             className="key-name plain-text"
             data-testid="key-go"
-            onPress={() => station.send({ type: "show_key", key_id: id })}
+            onPress={() => station.send({ type: "show_key_frame", key_id: id })}
           >
             <span className="key-number numbers">{number}</span>
             <strong>{label}</strong>
@@ -137,7 +139,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
   const rename = () => {
     if (name !== null) {
       const own = name.trim();
-      station.send({ type: "edit_keys", edit: { kind: "rename", key_id, name: own === "" ? null : own } });
+      station.send({ type: "edit_key_frames", edit: { kind: "rename", key_id, name: own === "" ? null : own } });
     }
     setName(null);
   };
@@ -156,7 +158,9 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
             choices={KEY_SPEEDS_MM_S}
             none="default"
             testId="key-speed"
-            onChange={(speed_mm_s) => station.send({ type: "edit_keys", edit: { kind: "speed", key_id, speed_mm_s } })}
+            onChange={(speed_mm_s) =>
+              station.send({ type: "edit_key_frames", edit: { kind: "speed", key_id, speed_mm_s } })
+            }
           />
         </>
       )}
@@ -185,7 +189,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
           label="Update"
           words="Replace with the current view"
           testId="key-update"
-          onPress={() => station.send({ type: "edit_keys", edit: { kind: "update", key_id } })}
+          onPress={() => station.send({ type: "edit_key_frames", edit: { kind: "update", key_id } })}
         />
         <Act
           kind="icon"
@@ -200,7 +204,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
           words="Earlier"
           disabled={first}
           testId="key-up"
-          onPress={() => station.send({ type: "edit_keys", edit: { kind: "move", key_id, by: -1 } })}
+          onPress={() => station.send({ type: "edit_key_frames", edit: { kind: "move", key_id, by: -1 } })}
         />
         <Act
           kind="icon"
@@ -208,14 +212,14 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
           words="Later"
           disabled={last}
           testId="key-down"
-          onPress={() => station.send({ type: "edit_keys", edit: { kind: "move", key_id, by: 1 } })}
+          onPress={() => station.send({ type: "edit_key_frames", edit: { kind: "move", key_id, by: 1 } })}
         />
         <Act
           kind="icon"
           icon="close"
           words="Remove"
           testId="key-remove"
-          onPress={() => station.send({ type: "edit_keys", edit: { kind: "remove", key_id } })}
+          onPress={() => station.send({ type: "edit_key_frames", edit: { kind: "remove", key_id } })}
         />
       </div>
     </div>
@@ -223,11 +227,11 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
 }
 
 /** Play, stop, and the bar of the flight. */
-function Player({ told }: { told: KeysMessage }) {
+function Player({ told }: { told: KeyFramesMessage }) {
   const station = useStation();
   const playing = useApp((state) => state.playing);
   // Off the flight the bar stands where it was left, and says so.
-  const on = useApp((state) => state.pose?.keys_s != null);
+  const on = useApp((state) => state.pose?.key_frames_s != null);
   if (told.duration_s <= 0) {
     return told.problem === null ? null : <p className="warning-text">{sentence(told.problem)}</p>;
   }
@@ -274,7 +278,7 @@ function Player({ told }: { told: KeysMessage }) {
         <SliderTrack className="path-track">
           <div className="path-line" />
           <div className="path-done" style={{ width: share(playing.atS, told.duration_s) }} />
-          {told.keys.map((key) => (
+          {told.frames.map((key) => (
             <span key={key.key_id} className="fork" style={{ left: share(key.time_s, told.duration_s) }} />
           ))}
           <SliderThumb className="path-thumb" />
@@ -290,7 +294,7 @@ function Player({ told }: { told: KeysMessage }) {
 const share = (seconds: number, of: number): string =>
   `${(100 * Math.min(Math.max(seconds / Math.max(of, 1e-6), 0), 1)).toFixed(2)}%`;
 
-function Flight({ told }: { told: KeysMessage }) {
+function Flight({ told }: { told: KeyFramesMessage }) {
   const station = useStation();
   return (
     <div className="group">
@@ -301,9 +305,9 @@ function Flight({ told }: { told: KeysMessage }) {
         value={told.speed_mm_s}
         choices={KEY_SPEEDS_MM_S}
         testId="keys-speed"
-        onChange={(speed_mm_s) => station.send({ type: "set_key_flight", speed_mm_s, through: null })}
+        onChange={(speed_mm_s) => station.send({ type: "set_key_frame_flight", speed_mm_s, through: null })}
       />
-      <Choice<KeysMessage["through"]>
+      <Choice<KeyFramesMessage["through"]>
         name="Way between key frames"
         value={told.through}
         choices={[
@@ -314,13 +318,13 @@ function Flight({ told }: { told: KeysMessage }) {
           },
           { value: "space", label: "Straight", words: "A smooth curve through space; it may pass through tissue" },
         ]}
-        onChange={(through) => station.send({ type: "set_key_flight", speed_mm_s: null, through })}
+        onChange={(through) => station.send({ type: "set_key_frame_flight", speed_mm_s: null, through })}
       />
     </div>
   );
 }
 
-function KeyFile({ told }: { told: KeysMessage }) {
+function KeyFrameFile({ told }: { told: KeyFramesMessage }) {
   const station = useStation();
   return (
     <div className="group">
@@ -329,7 +333,7 @@ function KeyFile({ told }: { told: KeysMessage }) {
           icon="file"
           label="Save"
           words="Save to a file. Open it again in this case, or render it as a video with carina fly."
-          disabled={told.keys.length === 0}
+          disabled={told.frames.length === 0}
           testId="save-keys"
           onPress={() => void station.takeKeys()}
         />
@@ -347,7 +351,7 @@ function KeyFile({ told }: { told: KeysMessage }) {
           </Tip>
         </FileTrigger>
       </div>
-      {told.keys.length > 1 ? (
+      {told.frames.length > 1 ? (
         <p className="quiet film">
           Save as video: <code>carina fly SCAN --keys {KEYS_FILE} -o film.mp4</code>
         </p>
