@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
+from server_process import Child, start_server, stop_server
 from workstation import open_page, picture_of
+
+from carina.volume import write_grid
+from made import made_phantom
 
 pytestmark = pytest.mark.browser
 
@@ -84,3 +90,78 @@ def test_one_that_is_loaded_again_or_closed_leaves_the_other_as_it_is(two):
     first.hold_until("w", "() => window.__carina.state.pose.path_mm > 5")
     first.wait_still()
     assert first.page.locator(".connection").count() == 0
+
+
+NOTEBOOK = """
+import json, sys
+import carina
+from carina import commands
+case = carina.Case.open(sys.argv[1])
+print("ready")
+for line in sys.stdin:
+    print(json.dumps(eval(line)))
+case.close()
+"""
+
+
+class Notebook:
+    """A program of the same person, which is told line by line what to do."""
+
+    def __init__(self, scan, home):
+        self._child = Child(["-u", "-c", NOTEBOOK, str(scan)], home)
+        assert self._child.output.readline() == "ready\n", self._child.log
+
+    def __call__(self, line):
+        self._child.input.write(line + "\n")
+        self._child.input.flush()
+        answer = self._child.output.readline()
+        assert answer, self._child.log
+        return json.loads(answer)
+
+    def end(self):
+        self._child.input.close()
+        return self._child.wait()
+
+
+@pytest.mark.slow
+def test_two_windows_and_a_notebook_work_on_one_case(browser, workstation, tmp_path, request, has_failed):
+    scan = tmp_path / "scan.nii.gz"
+    chest = made_phantom(spacing_mm=1.5, generations=3).volume
+    write_grid(scan, chest.hu_zyx, chest.lps_from_ijk, what="the phantom")
+    running = start_server(["open", str(scan)], tmp_path / "home")
+    second = open_page(browser, ())
+    notebook = None
+    try:
+        for page in (workstation, second):
+            page.open(running)
+            page.wait_ready()
+        # A notebook joins a case that is on the disk.
+        workstation.page.keyboard.press("o")
+        workstation.wait_for("window.__carina.state.session.can_undo === 'image outline'")
+        workstation.wait_for("window.__carina.state.session.saving.saved_s !== null")
+        notebook = Notebook(scan, tmp_path / "home")
+        assert notebook("case.history()[-1]") == "image outline"
+        assert notebook("case.airways.tree.branches[0].name") == "Trachea"
+        # What it does is seen in both windows, and what they do is seen by it.
+        notebook("case.do(commands.EditKeyFrames(commands.KeyFrameAdd()))")
+        for page in (workstation, second):
+            page.wait_for("window.__carina.state.keyFrames.frames.length === 1")
+        second.page.keyboard.press("o")
+        workstation.wait_for("window.__carina.state.history.steps.length === 3")
+        workstation.settle()
+        assert notebook("case.history()[-1]") == "image outline"
+        assert notebook("case.state.document.look.outline") == workstation.state("session.look.outline")
+        for _ in range(2):
+            notebook("case.undo()")
+        for page in (workstation, second):
+            page.wait_for("window.__carina.state.keyFrames.frames.length === 0")
+        workstation.page.keyboard.press("Shift+h")
+        picture_of(workstation.page, "windows-and-a-notebook")
+    finally:
+        if has_failed():
+            second.failed(request.node.name)
+        ended = None if notebook is None else notebook.end()
+        second.page.context.close()
+        stop_server(running)
+        workstation.faults.clear()
+    assert ended == 0
