@@ -50,6 +50,16 @@ class MemoryFile:
         if self.refuses is not None:
             raise self.refuses
 
+    def recordings(self) -> Any:
+        return ()
+
+    def set_recordings(self, wanted: Any, *, removed: Any) -> None:
+        if self.refuses is not None:
+            raise self.refuses
+
+    def recording_text(self, recording_id: int) -> str:
+        raise CarinaError("the file is damaged", code="case.damaged")
+
     def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
         if self.refuses is not None:
             raise self.refuses

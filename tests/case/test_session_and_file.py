@@ -15,14 +15,19 @@ from carina.commands import (
     AddTarget,
     BeginAnew,
     CloseCase,
+    DescribeFlight,
     EditTree,
+    FlightToTakeAway,
+    MoveFlight,
     OpenPath,
     RecordFlight,
+    RemoveFlight,
+    RenameFlight,
     SetFov,
     Steer,
     StopRecording,
 )
-from carina.errors import DiskError, UsageError
+from carina.errors import CarinaError, DiskError, UsageError
 from carina.navigate import open_recording
 from carina.render import transfer_preset
 from carina.session import Said, Session, Trouble
@@ -336,3 +341,114 @@ def test_a_case_that_is_not_kept_holds_no_recording(tmp_path):
     with pytest.raises(UsageError, match="not kept on this machine"):
         session.do(RecordFlight())
     assert session.devices.recording_name is None
+
+
+# ------------------------------------------------------------ the list of flights
+
+
+def listed(session):
+    return [(one.number, one.name, one.words, one.state) for one in session.snapshot().flights]
+
+
+def recorded(session, seconds=1):
+    session.do(RecordFlight())
+    flown(session, session._core.clock, seconds)
+    session.do(StopRecording())
+
+
+def test_flights_are_named_described_ordered_and_deleted_and_so_they_are_when_the_case_is_opened_again(tmp_path):
+    session, _ = started(tmp_path)
+    assert listed(session) == []
+    for seconds in (1, 2, 3):
+        recorded(session, seconds)
+    session.do(RecordFlight())
+    assert [(one.length_s, one.state) for one in session.snapshot().flights] == [
+        (pytest.approx(1.0), "complete"),
+        (pytest.approx(2.0), "complete"),
+        (pytest.approx(3.0), "complete"),
+        (0.0, "recording"),
+    ]
+    # The one that is being recorded can be named, and not be deleted.
+    session.do(RenameFlight(4, "  the fourth "))
+    assert session.devices.recording_name == "the fourth"
+    with pytest.raises(UsageError, match="the fourth is still being recorded"):
+        session.do(RemoveFlight(4))
+    with pytest.raises(UsageError, match="needs a name"):
+        session.do(RenameFlight(4, "   "))
+    session.do(StopRecording())
+    label = session.snapshot().undo_label
+    session.do(RenameFlight(1, "to the nodule"))
+    session.do(DescribeFlight(1, "second attempt,\nwithout contact"))
+    session.do(MoveFlight(3, -100))
+    session.do(RemoveFlight(2))
+    for command in (RenameFlight(2, "gone"), MoveFlight(2, 1), RemoveFlight(2), DescribeFlight(9, "")):
+        with pytest.raises(UsageError, match="has been removed"):
+            session.do(command)
+    assert session.snapshot().undo_label == label, "flights are no steps of the history"
+    found = [
+        (3, "Flight 3", "", "complete"),
+        (1, "to the nodule", "second attempt,\nwithout contact", "complete"),
+        (4, "the fourth", "", "complete"),
+    ]
+    assert listed(session) == found
+    text = session.ask(FlightToTakeAway(1))
+    with pytest.raises(UsageError, match="has been removed"):
+        session.ask(FlightToTakeAway(2))
+    before = session.snapshot().flights
+    session.close()
+    with CaseFile.open(live_file(tmp_path), read_only=True) as file:
+        assert [(one.recording_id, one.name, one.words) for one in file.recordings()] == [f[:3] for f in found]
+        assert file.recording_text(1) == text
+    again, _ = started(tmp_path)
+    assert listed(again) == found
+    assert [one.begun_s for one in again.snapshot().flights] == pytest.approx([one.begun_s for one in before])
+    # A number is never given twice, though the flight that had it has gone.
+    recorded(again)
+    assert listed(again)[-1] == (5, "Flight 5", "", "complete")
+    again.do(CloseCase())
+    assert listed(again) == []
+    again.close()
+
+
+def test_a_flight_that_a_crash_cut_off_is_listed_as_such_and_taken_away_as_far_as_it_came(tmp_path):
+    session, _ = started(tmp_path)
+    session.do(RecordFlight())
+    flown(session, session._core.clock, 2)
+    assert session._saving.write_now()
+    # Nothing more is written; the system gives the lock back, and the journal stays.
+    kept = session._saving._kept
+    kept.held.release()
+    session._saving._kept = None
+    kept.file._connection = None
+    again, _ = started(tmp_path)
+    (flight,) = again.snapshot().flights
+    assert (flight.name, flight.state) == ("Flight 1", "cut-off")
+    assert flight.length_s == pytest.approx(2.0)
+    (tmp_path / "flight.jsonl").write_text(again.ask(FlightToTakeAway(1)))
+    assert not open_recording(tmp_path / "flight.jsonl").complete
+    recorded(again)
+    assert [one.number for one in again.snapshot().flights] == [1, 2]
+    again.close()
+
+
+def test_what_is_done_to_flights_while_the_disk_refuses_is_written_later(tmp_path, monkeypatch):
+    session, _ = started(tmp_path)
+    recorded(session)
+    recorded(session)
+    assert session._saving.write_now()
+    with monkeypatch.context() as broken:
+        broken.setattr(RecordingTable, "become", refused)
+        broken.setattr(RecordingTable, "add", refused)
+        recorded(session)
+        session.do(RemoveFlight(1))
+        session.do(RenameFlight(2, "kept"))
+        # Before any of it came to the disk.
+        session.do(RemoveFlight(3))
+        assert not session._saving.write_now()
+        with pytest.raises(CarinaError, match="the disk is full"):
+            session.ask(FlightToTakeAway(2))
+    session._core.clock.now_s += 60.0
+    assert session._saving.write_now()
+    with CaseFile.open(live_file(tmp_path), read_only=True) as file:
+        assert [(one.recording_id, one.name) for one in file.recordings()] == [(2, "kept")]
+    session.close()

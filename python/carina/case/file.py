@@ -8,7 +8,7 @@ import os
 import shutil
 import sqlite3
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -441,6 +441,19 @@ class CaseFile:
         """
         with self._lock, told(self.path):
             return self._table().text(recording_id)
+
+    def set_recordings(self, wanted: Sequence[RecordingFacts], *, removed: Collection[int] = ()) -> None:
+        """Have the recordings called, described and ordered as these, without the removed ones.
+
+        What is in neither stays, and nothing is written where all is so already.
+
+        Raises
+        ------
+        DiskError
+            If it cannot be written.
+        """
+        with self._lock, told(self.path):
+            self._table().become(wanted, removed)
 
     def change_recording(self, recording_id: int, *, name: str | None = None, words: str | None = None) -> None:
         """Call a recording otherwise, or say something about it; None leaves that as it is."""

@@ -6,7 +6,7 @@ import io
 import json
 import sqlite3
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,7 +14,7 @@ from typing import Final
 from carina.case.database import no_surprise, told, transaction
 from carina.case.packing import deflated, digest_of, inflated
 from carina.case.trouble import damaged
-from carina.display import one_line
+from carina.display import as_words, one_line
 from carina.errors import UsageError
 from carina.navigate import Recording
 from carina.navigate.recording import read_recording
@@ -57,15 +57,15 @@ class RecordingTable:
     ) -> None:
         self._reading, self._writing, self._lock, self._path = reading, writing, lock, path
 
-    def begin(self, name: str, begun_s: float) -> int:
-        """A new recording without lines; its number."""
+    def begin(self, name: str, begun_s: float, number: int | None = None) -> int:
+        """A new recording without lines; its number, which is the next one where none is given."""
         with self._lock, told(self._path):
             connection = self._writing()
             with transaction(connection):
                 made = connection.execute(
-                    "INSERT INTO recording (place, name, words, begun_s, length_s, complete) VALUES "
-                    "((SELECT 1 + coalesce(max(place), 0) FROM recording), ?, '', ?, 0.0, 0)",
-                    (name, float(begun_s)),
+                    "INSERT INTO recording (id, place, name, words, begun_s, length_s, complete) VALUES "
+                    "(?, (SELECT 1 + coalesce(max(place), 0) FROM recording), ?, '', ?, 0.0, 0)",
+                    (number, name, float(begun_s)),
                 )
             assert made.lastrowid is not None
             return made.lastrowid
@@ -151,6 +151,28 @@ class RecordingTable:
             rows = [(place, number) for place, number in enumerate(recording_ids, start=1)]
             connection.executemany("UPDATE recording SET place = ? WHERE id = ?", rows)
 
+    def become(self, wanted: Sequence[RecordingFacts], removed: Collection[int]) -> None:
+        """Have those that are there called, described and ordered as these, without the removed ones.
+
+        Nothing is written where that is so already, and what is in neither stays.
+        """
+        with self._lock, told(self._path):
+            connection = self._writing()
+            rows = connection.execute("SELECT id, place, name, words FROM recording")
+            found = {number: tuple(others) for number, *others in rows}
+            gone = [(number,) for number in removed if number in found]
+            as_wanted = [
+                (place, one.name, one.words, one.recording_id)
+                for place, one in enumerate(wanted, start=1)
+                if one.recording_id in found and found[one.recording_id] != (place, one.name, one.words)
+            ]
+            if gone or as_wanted:
+                with transaction(connection):
+                    connection.executemany("DELETE FROM recording WHERE id = ?", gone)
+                    connection.executemany(
+                        "UPDATE recording SET place = ?, name = ?, words = ? WHERE id = ?", as_wanted
+                    )
+
     def forget(self, recording_id: int) -> None:
         """Take it away."""
         self._change("DELETE FROM recording WHERE id = ?", (recording_id,), recording_id)
@@ -174,17 +196,21 @@ class RecordingWriter(io.TextIOBase):
         What the recording is called.
     begun_s
         Seconds since the case was begun.
+    number
+        Its own in the file, which no other has; None takes the next.
     table
         The recordings of the file; None where :meth:`CaseFile.keep_recording` is to be called, by whoever may wait for
         a disk: then closing it does not.
     """
 
-    def __init__(self, name: str, begun_s: float, table: RecordingTable | None = None) -> None:
+    def __init__(
+        self, name: str, begun_s: float, table: RecordingTable | None = None, *, number: int | None = None
+    ) -> None:
         super().__init__()
-        self.name, self.begun_s = name, begun_s
+        self.name, self.begun_s, self.number = name, begun_s, number
         self._table = table
         self._closes_file = table is not None
-        self._recording_id = None if table is None else table.begin(name, begun_s)
+        self._recording_id = None if table is None else table.begin(name, begun_s, number)
         self._lock = threading.Lock()
         self._keeping = threading.Lock()
         self._chunks: list[list[str]] = []
@@ -192,6 +218,9 @@ class RecordingWriter(io.TextIOBase):
         self._length_s = 0.0
         self._num_kept = 0
         self._is_complete = False
+
+    def __repr__(self) -> str:
+        return f"RecordingWriter({as_words(self.name)}, {self._length_s:.1f} s{', closed' if self.closed else ''})"
 
     @property
     def recording_id(self) -> int:
@@ -245,7 +274,7 @@ class RecordingWriter(io.TextIOBase):
             if not ready and not complete:
                 return
             if self._recording_id is None:
-                self._recording_id = self._table.begin(self.name, self.begun_s)
+                self._recording_id = self._table.begin(self.name, self.begun_s, self.number)
             self._table.add(self._recording_id, self._num_kept, ready, length_s, complete=complete)
             self._num_kept += num_ready
             self._is_complete = complete

@@ -13,6 +13,7 @@ constructors; what is out of them is refused in words.
 
 from carina.commands.case import *  # noqa: F403
 from carina.commands.devices import *  # noqa: F403
+from carina.commands.flights import *  # noqa: F403
 from carina.commands.flying import *  # noqa: F403
 from carina.commands.key_frames import *  # noqa: F403
 from carina.commands.look import *  # noqa: F403

@@ -22,6 +22,7 @@ __all__ = [
     "DemoName",
     "DeviceName",
     "FlatView",
+    "FlightNumber",
     "Identifier",
     "Matrix4",
     "MaybeNumbers",
@@ -55,6 +56,8 @@ OwnName = Annotated[str, Meta(min_length=1, max_length=80, pattern=TEXT)]
 PathText = Annotated[str, Meta(min_length=1, max_length=4096, pattern=TEXT)]
 DeviceName = Annotated[str, Meta(min_length=1, max_length=200, pattern=TEXT)]
 BranchId = Annotated[int, Meta(ge=0, le=2**31)]
+FlightNumber = Annotated[int, Meta(ge=1, le=2**31)]
+"""Of a recorded flight, from 1 in each case; no other flight of the case has it, before or after."""
 Pixels = Annotated[int, Meta(ge=16, le=4096)]
 PathMm = Annotated[float, Meta(ge=0.0, le=1e5)]
 """A place along a path or a branch."""

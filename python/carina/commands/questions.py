@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Generic, TypeVar
 
-from carina.commands.fields import BranchId, PointLps
+from carina.commands.fields import BranchId, FlightNumber, PointLps
 from carina.commands.tree import AddBranch, Bridge, MoveFork
 from carina.commands.value import FrozenValue
 
@@ -77,6 +77,15 @@ class KeyFramesToTakeAway(Question[Any], frozen=True):
 
     Without any NoResultError (``session.keys``).
     """
+
+
+class FlightToTakeAway(Question[str], frozen=True):
+    """A recorded flight as the text of a ``carina-recording`` file, read from the disk.
+
+    UsageError (``session.flights``) if the case has none of this number.
+    """
+
+    number: FlightNumber
 
 
 class MomentToKeep(Question[Any], frozen=True):

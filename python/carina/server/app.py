@@ -33,7 +33,7 @@ def _status(trouble: CarinaError, usual: int) -> int:
     """HTTP status of a refused file: 507 where the disk takes nothing."""
     if isinstance(trouble, DiskError):
         return 507
-    return {"export.suffix": 404, "upload.limit": 413}.get(trouble.code, usual)
+    return {"export.suffix": 404, "session.flights": 404, "upload.limit": 413}.get(trouble.code, usual)
 
 
 def _error(trouble: CarinaError, status: int) -> JSONResponse:
@@ -128,6 +128,14 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         except CarinaError as trouble:
             return _error(trouble, 409)
 
+    async def flight(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        try:
+            return await downloads.flight(request.path_params["number"])
+        except CarinaError as trouble:
+            return _error(trouble, _status(trouble, 409))
+
     async def case_picture(request: Request) -> Response:
         if not gate.authorised(request.headers):
             return _not_authorised()
@@ -171,6 +179,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/upload/{upload_id}", one_upload, methods=["PUT", "DELETE"]),
         Route("/api/airways{suffix:path}", download),
         Route("/api/key-frames.json", key_frames),
+        Route("/api/flights/flight-{number:int}.jsonl", flight),
         Route("/api/cases/{case_id}/picture.jpg", case_picture),
         WebSocketRoute("/ws", socket),
         WebSocketRoute(JOIN_PATH, joined),

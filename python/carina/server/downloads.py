@@ -1,4 +1,4 @@
-"""What a person takes away: airways and key frames of the open case as files, made when they are asked for."""
+"""What a person takes away: airways, key frames and flights of the open case as files, made when they are asked for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from carina.commands import AirwaysToTakeAway, KeyFramesToTakeAway
+from carina.commands import AirwaysToTakeAway, FlightToTakeAway, KeyFramesToTakeAway
 from carina.disk import ScratchFolder, disk_trouble
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
@@ -23,6 +23,8 @@ __all__ = ["FILE_STEM", "Downloads"]
 FILE_STEM = "airways"
 """Of every file: neither the patient nor the case is in its name."""
 KEYS_NAME = "key-frames.json"
+FLIGHT_STEM = "flight"
+"""Of a recording, before its number: its own name may say whose it is."""
 
 
 class Downloads:
@@ -76,6 +78,19 @@ class Downloads:
         document = await asyncio.to_thread(lambda: self._session.ask(KeyFramesToTakeAway()).to_json())
         disposition = f'attachment; filename="{KEYS_NAME}"'
         return JSONResponse(document, headers={"cache-control": "no-store", "content-disposition": disposition})
+
+    async def flight(self, number: int) -> Response:
+        """A recorded flight of the open case, as ``carina fly`` takes it.
+
+        Raises
+        ------
+        CarinaError
+            If there is none of this number, or it is not on the disk yet.
+        """
+        text = await asyncio.to_thread(self._session.ask, FlightToTakeAway(number))
+        disposition = f'attachment; filename="{FLIGHT_STEM}-{number}.jsonl"'
+        headers = {"cache-control": "no-store", "content-disposition": disposition}
+        return Response(text, media_type="application/x-ndjson", headers=headers)
 
     def _make(self, path: Path, volume: Any, airways: Any, given_up: threading.Event) -> Path:
         try:

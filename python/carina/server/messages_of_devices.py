@@ -10,6 +10,7 @@ from carina.commands.devices import DeviceControls
 from carina.commands.fields import Control, Count, DeviceName, Three, Wide, Words
 from carina.commands.value import FrozenValue
 from carina.server.wire_codec import ClientMessage, ServerMessage
+from carina.session import FlightInfo
 
 Four = tuple[Wide, Wide, Wide, Wide]
 Six = Annotated[tuple[Wide, ...], Meta(min_length=6, max_length=6)]
@@ -83,7 +84,13 @@ class WatchDevices(ClientMessage, frozen=True):
 
 
 class StartRecording(ClientMessage, frozen=True):
-    """Record the flight to a file of this machine."""
+    """Record the flight into the case; to a file of this machine where the case is not kept."""
+
+
+class Flights(ServerMessage, frozen=True):
+    """What was recorded into the case, in its order; when it changed."""
+
+    flights: Annotated[tuple[FlightInfo, ...], Meta(max_length=100_000)]
 
 
 class DeviceInfo(DeviceReading, frozen=True):
@@ -146,7 +153,7 @@ class Devices(ServerMessage, frozen=True):
     """Why devices at serial ports cannot be used."""
     published_port: Annotated[int, Meta(ge=0, le=65_535)] | None
     recording: Words | None
-    """The file that is being recorded to."""
+    """What is being recorded: the flight's name, or the file that it goes to."""
     phone: PhoneInfo | None
     """Null while the page for a phone is closed."""
     phone_problem: Words | None

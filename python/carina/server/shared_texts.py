@@ -88,6 +88,10 @@ class SharedTexts:
         """The key frames."""
         return wire.encode_message(key_frames_message(self._session.key_frames_info()))
 
+    def flights(self) -> str:
+        """What was recorded into the case."""
+        return wire.encode_message(wire.Flights(self._session.snapshot().flights))
+
     def _tree_text(self) -> str:
         """From any thread."""
         airways, measures = self._newest_tree()

@@ -48,11 +48,11 @@ class WatchingWindow(Window):
         return text
 
     def topic_text(self, topic: str) -> str | None:
-        """None of what is told to nobody else: the person's cases, and who watches."""
+        """None of what is told to nobody else: the person's cases and recordings, and who watches."""
         match topic:
             case "start":
                 return self._host.texts.watchers_start()
-            case "watching":
+            case "watching" | "flights":
                 return None
         return super().topic_text(topic)
 

@@ -107,7 +107,7 @@ class Window:
         self._pointing.start()
         topics = ["start", "state", "watching"]
         if self._session.snapshot().case is not None:
-            topics += ["tree", "route", "key_frames", "history", "pose"]
+            topics += ["tree", "route", "key_frames", "flights", "history", "pose"]
         self.mark(*topics)
         for job in self._session.jobs.running:
             if job.latest is not None:
@@ -160,6 +160,8 @@ class Window:
                 return self._host.texts.route()
             case "key_frames":
                 return self._host.texts.key_frames()
+            case "flights":
+                return self._host.texts.flights()
             case "watching":
                 return self._host.watching_text()
             case "history":

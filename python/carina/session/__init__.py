@@ -18,6 +18,7 @@ from carina.session.scene import Renderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (
     Changed,
+    FlightInfo,
     KeyFramesInfo,
     MaskQuestion,
     NotEvident,
@@ -40,6 +41,7 @@ __all__ = [
     "Door",
     "Errand",
     "Event",
+    "FlightInfo",
     "FoundScan",
     "JobEnded",
     "JobProgress",

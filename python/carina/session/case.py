@@ -13,7 +13,7 @@ import numpy as np
 from carina.case.document import Document, KeyFrames, Point
 from carina.case.history import History
 from carina.case.moment import LaidScope, Moment
-from carina.case.recordings import RecordingWriter
+from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.routes import AirwayIndex, ChosenRoute, path_move
 from carina.commands import TakeMask
 from carina.errors import CarinaError, UsageError
@@ -137,6 +137,10 @@ class OpenCase:
     """The last number that was given, by what was numbered: targets and key frames count from 1 in each case."""
     recorded: tuple[RecordingWriter, ...] = ()
     """Recordings of which not all is in the case file yet."""
+    flights: tuple[RecordingFacts, ...] = ()
+    """All its recordings in their order, with the one that is being made; the case file follows."""
+    removed_flights: frozenset[int] = frozenset()
+    """The numbers of those that were deleted here."""
 
     def next_number(self, what: str) -> int:
         """A number that nothing of its kind had; with the session locked."""

@@ -22,6 +22,7 @@ from carina.navigate import Move
 from carina.render import Sight
 from carina.session.case import LastMove, OpenCase, pose_info
 from carina.session.errands import current_errand
+from carina.session.flight_list import flight_list
 from carina.session.jobs import JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
@@ -344,7 +345,8 @@ class SessionCore:
                 transfer_presets=case.presets,
                 measures=case.measures.of(case.document.airways),
                 mask_question=None if case.asked_mask is None else case.asked_mask.question,
-                saving=self.saving(),
+                saving=(saving := self.saving()),
+                flights=flight_list(case, saving),
             )
 
     def pose_info(self) -> PoseInfo | None:

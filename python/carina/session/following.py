@@ -54,7 +54,7 @@ class Following(Subject):
         with self.core.lock:
             self._become(case, moment)
             between.attach(case, record.place)
-            self.core.changed(*ALL_TOPICS)
+            self.core.changed(*ALL_TOPICS, "flights")
         self._holding.resume(case)
         if case.search.status == "waiting":
             # Its owner went while it was looking for them.

@@ -118,6 +118,8 @@ class Keeper:
             self._copy_path = Path(held.record.copy_path)
             if held.record.used_s > (held.record.copied_s or 0.0):
                 self._num_copied = -1
+        self._flights_kept: object = None
+        """The flights of the case that its file lists as they are."""
         self._is_ending = self._has_ended = False
         self._pictured = False
         self._is_told_of = False
@@ -199,6 +201,13 @@ class Keeper:
             self._notes["alias"] = alias
             self._wake.notify_all()
         self._tell(title=alias)
+
+    def flight_text(self, number: int) -> str:
+        """The lines of a recorded flight, for whoever may wait for the disk; after :meth:`settle`."""
+        file = self.file
+        if file is None:
+            raise CarinaError(self.info.problem or NOT_RESPONDING, code="case.not-saved")
+        return file.recording_text(number)
 
     def save_to(self, path: Path) -> None:
         """Write all of it as one whole file, which follows from now on; for whoever may wait for that file's disk.
@@ -316,9 +325,14 @@ class Keeper:
                 # All that was done until now is on the disk when it is said.
                 now_s = self._records.now_s()
                 moment = moment_of(self.case)
+                flights = self.case.flights
+                recorded, removed = self.case.recorded, self.case.removed_flights
             self.file.save(moment)
-            for recording in self.case.recorded:
+            for recording in recorded:
                 self.file.keep_recording(recording)
+            if flights is not self._flights_kept:
+                self.file.set_recordings(flights, removed=removed)
+                self._flights_kept = flights
             with self._core.lock:
                 self.case.recorded = tuple(one for one in self.case.recorded if not one.is_complete)
             told["saved_s"] = now_s

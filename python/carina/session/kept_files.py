@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -11,7 +11,7 @@ from carina.display import one_line
 
 if TYPE_CHECKING:
     from carina.case.moment import Moment
-    from carina.case.recordings import RecordingWriter
+    from carina.case.recordings import RecordingFacts, RecordingWriter
     from carina.session.case_scan import CaseScans
     from carina.session.parts import Cancel, Progress
     from carina.session.scene import ShownCase
@@ -31,6 +31,15 @@ class KeptFile(Protocol):
 
     def keep_recording(self, recording: RecordingWriter) -> None:
         """Write what was recorded since the last call."""
+
+    def recordings(self) -> tuple[RecordingFacts, ...]:
+        """Those that it holds, in their order."""
+
+    def set_recordings(self, wanted: Sequence[RecordingFacts], *, removed: Collection[int]) -> None:
+        """Have them called, described and ordered so, without the removed ones."""
+
+    def recording_text(self, recording_id: int) -> str:
+        """The lines of one."""
 
     def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
         """One whole file elsewhere, with the relative way from it to its CT."""

@@ -164,7 +164,7 @@ class Opening(Subject):
         with self.core.lock:
             self._discard_case()
             self.core.case = None
-            self.core.changed(*ALL_TOPICS, "start")
+            self.core.changed(*ALL_TOPICS, "flights", "start")
 
     @does(c.Cancel)
     def cancel(self, command: c.Cancel) -> None:
@@ -258,7 +258,7 @@ class Opening(Subject):
                     if given is not None and given.steps:
                         case.begun_s -= given.steps[-1].at_s
                     keeping.attach(case, found_place)
-                    self.core.changed(*ALL_TOPICS, "start")
+                    self.core.changed(*ALL_TOPICS, "flights", "start")
             # A tenth of a second, and pictures come several times faster; the airways take many.
             case.content.prepare()
             self._go_on(case, kept, finds)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import TextIO, cast
 
 from carina import commands as c
-from carina.case.recordings import RecordingWriter
+from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.disk import disk_trouble, make_folder
 from carina.errors import UsageError
 from carina.navigate import Recorder, case_key
@@ -32,6 +33,8 @@ class FlightRecording(Subject):
         self._path: Path | None = None
         self._name = ""
         self._recorded_case: OpenCase | None = None
+        self._into: RecordingWriter | None = None
+        """Where it goes to the case."""
         core.before_move = self.tick
 
     @property
@@ -42,7 +45,17 @@ class FlightRecording(Subject):
     @property
     def name(self) -> str | None:
         """The file that is being recorded to, or what the recording is called in the case; None while there is none."""
-        return self._name if self._recorder is not None else None
+        if self._recorder is None:
+            return None
+        flight = self._flight()
+        return self._name if flight is None else flight.name
+
+    def _flight(self) -> RecordingFacts | None:
+        """What the list of the case says of it; None where it goes to a file."""
+        case, into = self._recorded_case, self._into
+        if case is None or into is None:
+            return None
+        return next((one for one in case.flights if one.recording_id == into.number), None)
 
     @does(c.RecordFlight)
     def start(self, command: c.RecordFlight) -> None:
@@ -68,8 +81,7 @@ class FlightRecording(Subject):
         if command.path is None:
             path = None
             with self.core.lock:
-                name = f"Flight {case.next_number('flight')}"
-                into = RecordingWriter(name, max(0.0, self.core.clock() - case.begun_s))
+                name, into = self._new_flight(case)
                 file = cast(TextIO, into)
         else:
             path, name, into = Path(command.path), str(command.path), None
@@ -94,13 +106,26 @@ class FlightRecording(Subject):
                     with contextlib.suppress(OSError):
                         path.unlink()
                 raise disk_trouble(trouble, "cannot write the recording to", path) from trouble
-            self._path, self._name, self._recorded_case = path, name, case
+            self._path, self._name, self._recorded_case, self._into = path, name, case, into
             if into is not None:
+                assert into.number is not None
                 case.recorded = (*case.recorded, into)
+                begun = RecordingFacts(into.number, name, "", into.begun_s, 0.0, complete=False)
+                case.flights = (*case.flights, begun)
             if case.navigator.scope_state is not None:
                 # A replay begins with the scope laid anew, so that it can begin at all.
                 self._holding.lay(case, case.navigator.scope_state.insertion_mm)
-            self.core.changed("state")
+            self.core.changed("state", "flights")
+
+    def _new_flight(self, case: OpenCase) -> tuple[str, RecordingWriter]:
+        """With the session locked."""
+        known = {one.recording_id for one in case.flights}
+        number = case.next_number("flight")
+        while number in known:
+            # A file whose numbers were lost: it was salvaged, or another program wrote it.
+            number = case.next_number("flight")
+        name = f"Flight {number}"
+        return name, RecordingWriter(name, max(0.0, self.core.clock() - case.begun_s), number=number)
 
     @does(c.StopRecording)
     def stop_command(self, _command: c.StopRecording) -> None:
@@ -116,12 +141,19 @@ class FlightRecording(Subject):
             recorder.tick(self.core.clock())
             recorder.close()
             if recorder.trouble is None:
-                if self._path is None:
-                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded in the case: {self._name}"))
-                else:
+                flight = self._flight()
+                if flight is None:
                     self.core.emit(Said(f"{recorder.length_s:.0f} s recorded to {self._path}"))
-                self.core.changed("state")
+                else:
+                    self._end(flight, recorder.length_s)
+                    self.core.emit(Said(f"{recorder.length_s:.0f} s recorded in the case: {flight.name}"))
+                self.core.changed("state", "flights")
             return self._path
+
+    def _end(self, flight: RecordingFacts, length_s: float) -> None:
+        assert self._recorded_case is not None
+        ended = replace(flight, length_s=round(length_s, 6), complete=True)
+        self._recorded_case.flights = tuple(ended if one is flight else one for one in self._recorded_case.flights)
 
     def _ended(self, trouble: OSError) -> None:
         """The file cannot be written any more, with the session locked; the flight goes on."""

@@ -19,6 +19,7 @@ from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import CASE_SUFFIX
 from carina.session.core import SessionCore
+from carina.session.flights import needed_flight
 from carina.session.jobs import Job
 from carina.session.keeping import NOT_RESPONDING, Keeper
 from carina.session.kept_files import CtCache, KeptCt, KeptFile, KeptFiles
@@ -27,6 +28,7 @@ from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
 from carina.session.subject import Subject, answers, does
 
 if TYPE_CHECKING:
+    from carina.case.recordings import RecordingFacts
     from carina.session.case_scan import CaseScans
     from carina.session.core import Event
     from carina.session.parts import Cancel, Progress
@@ -49,6 +51,7 @@ class Reopened:
 
     held: HeldCase
     file: KeptFile
+    flights: tuple[RecordingFacts, ...] = ()
 
 
 class Between:
@@ -117,6 +120,9 @@ class Between:
     def attach(self, case: OpenCase, place: str | None) -> None:
         """From now on this case is kept; with the session locked."""
         reopened, self._reopened = self._reopened, None
+        if reopened is not None and not case.flights:
+            # Else it is the case that was open before: its file may be behind.
+            case.flights = tuple(one for one in reopened.flights if one.recording_id not in case.removed_flights)
         if self._digest is not None:
             self._saving.attach(case, place, self._digest, reopened)
 
@@ -186,7 +192,8 @@ class Saving(Subject):
             return None
         try:
             if held.path.exists():
-                return Reopened(held, self._files.open(held.path))
+                file = self._files.open(held.path)
+                return Reopened(held, file, self._flights_in(file))
         except (OSError, sqlite3.Error, CarinaError) as trouble:
             self.say_unreadable(held, trouble)
         held.release()
@@ -227,14 +234,25 @@ class Saving(Subject):
             if self.records.forget(held.record):
                 self.records.remove(held.record.case_id)
             raise
-        steps, now_s = case.history(), self.records.now_s()
+        steps, now_s, flights = case.history(), self.records.now_s(), self._flights_in(file)
+        # Nothing of it was done later than now.
+        last_s = [step.at_s for step in steps] + [one.begun_s + one.length_s for one in flights]
         held.note(
-            begun_s=now_s - max((step.at_s for step in steps), default=0.0),
+            begun_s=now_s - max(last_s, default=0.0),
             num_changes=sum(step.holds for step in steps),
             copy_path=str(case.path.absolute()),
             copied_s=now_s,
         )
-        return Reopened(held, file)
+        return Reopened(held, file, flights)
+
+    def _flights_in(self, file: KeptFile) -> tuple[RecordingFacts, ...]:
+        try:
+            return file.recordings()
+        except (OSError, sqlite3.Error, CarinaError) as trouble:
+            self.core.emit(
+                Trouble("case.recording", f"the recorded flights of this case could not be listed: {trouble}")
+            )
+            return ()
 
     def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
         """Nothing of it is lost, but nothing is shown."""
@@ -399,6 +417,18 @@ class Saving(Subject):
             raise UsageError("this case is no longer open here", code="case.closed")
         if not is_kept:
             raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
+
+    @answers(c.FlightToTakeAway)
+    def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
+        """Waits for the disk, so not with the session locked."""
+        case, kept = self.core.needed_case(), self._kept
+        with self.core.lock:
+            needed_flight(case, question.number)
+        if kept is None or kept.case is not case:
+            raise UsageError("this case is no longer open here", code="case.closed")
+        if not kept.settle():
+            raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
+        return kept.flight_text(question.number)
 
     # ------------------------------------------------------------ a place of its own
 

@@ -18,6 +18,7 @@ from carina.session.core import Event, SessionCore
 from carina.session.devices import Devices
 from carina.session.editing import TreeEditing
 from carina.session.finding import AirwayFinding
+from carina.session.flights import Flights
 from carina.session.flying import STRAIGHT_TO_THE_PILOT, Flying
 from carina.session.following import Following
 from carina.session.holding import ScopeHolding
@@ -99,7 +100,7 @@ class Session:
         core.after_sight += [recording.note_view]
         looking = Looking(core)
         subjects = (
-            opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording,
+            opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording, Flights(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             Following(core, finding, holding, self._saving),
         )  # fmt: skip

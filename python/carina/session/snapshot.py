@@ -10,7 +10,7 @@ import msgspec
 from carina.case.document import Document
 from carina.case.history import Step
 from carina.commands import DeviceControls, KeyFrameFlying
-from carina.commands.fields import BranchId, Identifier, Words
+from carina.commands.fields import BranchId, FlightNumber, Identifier, Words
 from carina.display import one_line
 from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
@@ -27,6 +27,7 @@ __all__ = [
     "CaseSnapshot",
     "Changed",
     "DevicesInfo",
+    "FlightInfo",
     "KeyFramesInfo",
     "MaskQuestion",
     "NotEvident",
@@ -42,7 +43,7 @@ __all__ = [
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
-Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "history"]
+Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history"]
 
 
 @one_line
@@ -156,6 +157,22 @@ class SavingInfo(FrozenValue, frozen=True):
         return (*minutes, self.keeps, self.title, self.problem, self.copy_name, self.copy_folder, self.copy_problem)
 
 
+class FlightInfo(FrozenValue, frozen=True):
+    """A flight that was recorded into the case."""
+
+    number: FlightNumber
+    """By which commands name it."""
+    name: Words
+    words: Words
+    """What a person says about it."""
+    begun_s: float | None
+    """Seconds since 1970."""
+    length_s: float
+    """0 while it is being recorded."""
+    state: Literal["recording", "complete", "cut-off"]
+    """*cut-off*: Carina was stopped while it recorded; it goes as far as it came."""
+
+
 @one_line
 @dataclass(frozen=True, slots=True)
 class Snapshot:
@@ -181,6 +198,8 @@ class Snapshot:
     """What the document's airways measure; None until it is known."""
     mask_question: MaskQuestion | None = None
     saving: SavingInfo = SavingInfo()
+    flights: tuple[FlightInfo, ...] = ()
+    """What was recorded into the case, in its order."""
 
 
 @one_line

@@ -11,6 +11,7 @@ import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 import type { CalibrationPair } from "./devices";
 import { Figure } from "./Figure";
+import { FlightList, RecordSwitch } from "./FlightList";
 import { PhoneGroup } from "./PhoneGroup";
 import { WatchGroup } from "./WatchGroup";
 
@@ -52,7 +53,7 @@ export function DevicePanel() {
             <PhoneGroup told={told} />
             <WatchGroup />
             <HeadsetGroup />
-            <Recording told={told} />
+            <Recording />
           </>
         )}
         <p className="quiet">
@@ -330,19 +331,12 @@ function Connections({ told }: { told: DevicesMessage }) {
   );
 }
 
-function Recording({ told }: { told: DevicesMessage }) {
-  const station = useStation();
+function Recording() {
   return (
     <div className="group">
       <h3>Recording</h3>
-      <SwitchKey
-        words="Record the flight to a file on this machine. Use carina fly to render it as a video."
-        label={told.recording === null ? "Record the flight" : "Stop"}
-        on={told.recording !== null}
-        testId="record"
-        onChange={() => station.send({ type: told.recording === null ? "start_recording" : "stop_recording" })}
-      />
-      {told.recording === null ? null : <p className="quiet path">{told.recording}</p>}
+      <RecordSwitch />
+      <FlightList />
     </div>
   );
 }

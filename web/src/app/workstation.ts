@@ -5,7 +5,7 @@ import { KeyPlayer } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
-import { DownloadError, fetchAirways, fetchKeyFrames } from "../net/download";
+import { DownloadError, fetchAirways, fetchFlight, fetchKeyFrames } from "../net/download";
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
@@ -289,6 +289,11 @@ export class Workstation implements Station {
   /** The key frames as a file that `carina fly` makes a film of. */
   async takeKeys(): Promise<void> {
     await this.#take(() => fetchKeyFrames(AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+  }
+
+  /** A recorded flight as a file. */
+  async takeFlight(number: number): Promise<void> {
+    await this.#take(() => fetchFlight(number, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
   /** Refreshes the copy that has a name; a case without one gets it in a dialogue. */

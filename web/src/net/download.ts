@@ -20,10 +20,15 @@ export function fetchKeyFrames(signal: AbortSignal): Promise<{ name: string; blo
   return fetchFile(KEYS_FILE, signal);
 }
 
+/** A recorded flight of the case, as `carina fly` takes it. */
+export function fetchFlight(number: number, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  return fetchFile(`flight-${number}.jsonl`, signal, "flights/");
+}
+
 export const KEYS_FILE = "key-frames.json";
 
-async function fetchFile(name: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
-  const response = await fetch(`./api/${name}`, { signal });
+async function fetchFile(name: string, signal: AbortSignal, folder = ""): Promise<{ name: string; blob: Blob }> {
+  const response = await fetch(`./api/${folder}${name}`, { signal });
   if (!response.ok) {
     const body: unknown = await response.json().catch(() => null);
     const field = (name: string): string | null => {

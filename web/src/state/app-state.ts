@@ -7,6 +7,7 @@ import {
   type DevicesMessage,
   FIRST_LOOK,
   FIRST_SIGHT,
+  type FlightInfo,
   type GreyWindow,
   type HistoryMessage,
   type KeyFramesMessage,
@@ -172,6 +173,8 @@ export interface AppState {
   readonly pen: PenMessage | null;
   /** The key frames, and the flight through them. */
   readonly keyFrames: KeyFramesMessage | null;
+  /** What was recorded into the case. */
+  readonly flights: readonly FlightInfo[];
   /** What was done, and how much of it holds. */
   readonly history: HistoryMessage | null;
   /** The flight through them, as it is played here. */
@@ -218,6 +221,7 @@ export const INITIAL_STATE: AppState = {
   devices: null,
   pen: null,
   keyFrames: null,
+  flights: [],
   history: null,
   playing: NOT_PLAYING,
   speedMmS: null,
@@ -385,6 +389,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, pen: message.device === null ? null : message };
     case "key_frames":
       return { ...state, keyFrames: message };
+    case "flights":
+      return { ...state, flights: message.flights };
     case "history":
       return { ...state, history: message };
     case "watching":
@@ -399,7 +405,8 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keyFrames: null, history: null, speedMmS: null };
+    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keyFrames: null, flights: [], history: null };
+    next = { ...next, speedMmS: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = {
       ...next,

@@ -185,6 +185,33 @@ export interface StopRecordingMessage {
   readonly type: "stop_recording";
 }
 
+/** Call a recorded flight by another name. */
+export interface RenameFlightMessage {
+  readonly type: "rename_flight";
+  readonly number: number;
+  readonly name: string;
+}
+
+/** Say something about a recorded flight; no words take the description away. */
+export interface DescribeFlightMessage {
+  readonly type: "describe_flight";
+  readonly number: number;
+  readonly words: string;
+}
+
+/** Earlier (below 0) or later in the list of recorded flights. */
+export interface MoveFlightMessage {
+  readonly type: "move_flight";
+  readonly number: number;
+  readonly by: number;
+}
+
+/** Delete a recorded flight. It is no step of the history: undo does not bring it back. */
+export interface RemoveFlightMessage {
+  readonly type: "remove_flight";
+  readonly number: number;
+}
+
 /** Movement since the last one, in the camera's axes: forward, to the right, up, clockwise as seen by the camera. */
 export interface SteerMessage {
   readonly type: "steer";
@@ -662,7 +689,7 @@ export interface WatchDevicesMessage {
   readonly on: boolean;
 }
 
-/** Record the flight to a file of this machine. */
+/** Record the flight into the case; to a file of this machine where the case is not kept. */
 export interface StartRecordingMessage {
   readonly type: "start_recording";
 }
@@ -1125,6 +1152,22 @@ export interface ClusterMessage {
   readonly frame_ms: number | null;
 }
 
+/** A flight that was recorded into the case. */
+export interface FlightInfo {
+  readonly number: number;
+  readonly name: string;
+  readonly words: string;
+  readonly begun_s: number | null;
+  readonly length_s: number;
+  readonly state: "complete" | "cut-off" | "recording";
+}
+
+/** What was recorded into the case, in its order; when it changed. */
+export interface FlightsMessage {
+  readonly type: "flights";
+  readonly flights: readonly FlightInfo[];
+}
+
 /** A device that said something; its position is filtered. */
 export interface DeviceInfo {
   readonly device: string;
@@ -1527,6 +1570,10 @@ export type ClientMessage =
   | ArmPenMessage
   | JoinPenMessage
   | StopRecordingMessage
+  | RenameFlightMessage
+  | DescribeFlightMessage
+  | MoveFlightMessage
+  | RemoveFlightMessage
   | SteerMessage
   | SetModeMessage
   | ToggleModeMessage
@@ -1605,6 +1652,7 @@ export type ServerMessage =
   | PickedMessage
   | StatusMessage
   | ClusterMessage
+  | FlightsMessage
   | DevicesMessage
   | PenMessage
   | EditPreviewMessage

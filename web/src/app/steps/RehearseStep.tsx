@@ -3,7 +3,8 @@ import { comesFarthest, firstTooNarrow, thatPass } from "../../state/fit";
 import { fixed, mm } from "../../state/format";
 import type { HeldScope, RouteInfo, Scope } from "../../wire/messages";
 import { useApp, useStation } from "../context";
-import { Act, SwitchKey } from "../controls";
+import { Act } from "../controls";
+import { FlightList, RecordSwitch } from "../FlightList";
 import { Icon } from "../icons";
 import { ScopeSelect } from "../ScopeSelect";
 
@@ -12,7 +13,6 @@ export function RehearseStep() {
   const route = useApp((state) => state.route);
   const scopes = useApp((state) => state.start?.scopes ?? null);
   const name = useApp((state) => state.look.scope);
-  const recording = useApp((state) => state.devices?.recording ?? null);
   const held = useApp((state) => state.pose?.scope ?? null);
   if (route === null) {
     return <p className="empty">Rehearsal follows a route. Choose a branch in the list above, or mark a target.</p>;
@@ -54,14 +54,9 @@ export function RehearseStep() {
             onPress={() => station.send({ type: "set_mode", mode: "path" })}
           />
         )}
-        <SwitchKey
-          words="Record to a file on this machine. Use carina fly to replay it exactly, as a video."
-          label={recording === null ? "Record" : "Stop recording"}
-          on={recording !== null}
-          onChange={() => station.send({ type: recording === null ? "start_recording" : "stop_recording" })}
-        />
+        <RecordSwitch />
       </div>
-      {recording === null ? null : <p className="quiet path">{recording}</p>}
+      <FlightList />
       <Act
         kind="quiet"
         icon="capture"

@@ -1,0 +1,37 @@
+"""Flights that were recorded into the case: their names, their order, and their file."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from carina.commands.fields import FlightNumber, OwnName, Words
+from carina.commands.value import Command
+
+
+class RenameFlight(Command, frozen=True):
+    """Call a recorded flight by another name."""
+
+    number: FlightNumber
+    name: OwnName
+
+
+class DescribeFlight(Command, frozen=True):
+    """Say something about a recorded flight; no words take the description away."""
+
+    number: FlightNumber
+    words: Words
+
+
+class MoveFlight(Command, frozen=True):
+    """Earlier (below 0) or later in the list of recorded flights."""
+
+    number: FlightNumber
+    by: Annotated[int, Meta(ge=-100_000, le=100_000)]
+
+
+class RemoveFlight(Command, frozen=True):
+    """Delete a recorded flight. It is no step of the history: undo does not bring it back."""
+
+    number: FlightNumber

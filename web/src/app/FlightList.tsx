@@ -1,0 +1,212 @@
+/** Recording: its switch, and the flights that were recorded into the case. */
+
+import { useState } from "react";
+import { Button, Input, TextArea, TextField } from "react-aria-components";
+import { clock as timeOfDay } from "../state/format";
+import { clock } from "../state/playing";
+import type { FlightInfo } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act, SwitchKey, Tip } from "./controls";
+import { Icon } from "./icons";
+
+export function RecordSwitch() {
+  const station = useStation();
+  const recording = useApp((state) => state.devices?.recording ?? null);
+  const keeps = useApp((state) => state.session?.saving.keeps ?? false);
+  return (
+    <SwitchKey
+      words={
+        keeps
+          ? "Record every movement of the tip. The flight is kept in this case."
+          : "Record to a file on this machine. Use carina fly to replay it exactly, as a video."
+      }
+      label={recording === null ? "Record" : "Stop recording"}
+      on={recording !== null}
+      testId="record"
+      onChange={() => station.send({ type: recording === null ? "start_recording" : "stop_recording" })}
+    />
+  );
+}
+
+/** The file that is being recorded to, or the flights of the case. */
+export function FlightList() {
+  const recording = useApp((state) => state.devices?.recording ?? null);
+  const keeps = useApp((state) => state.session?.saving.keeps ?? false);
+  const flights = useApp((state) => state.flights);
+  const [open, setOpen] = useState<number | null>(null);
+  if (!keeps) return recording === null ? null : <p className="quiet path">{recording}</p>;
+  if (flights.length === 0) return <p className="quiet">Recorded flights are kept in this case and listed here.</p>;
+  return (
+    <ol className="key-list flights" aria-label="Recorded flights" data-testid="flights">
+      {flights.map((flight, n) => (
+        <FlightRow
+          key={flight.number}
+          flight={flight}
+          first={n === 0}
+          last={n === flights.length - 1}
+          open={open === flight.number}
+          onOpen={() => setOpen(open === flight.number ? null : flight.number)}
+        />
+      ))}
+    </ol>
+  );
+}
+
+interface RowProps {
+  flight: FlightInfo;
+  first: boolean;
+  last: boolean;
+  open: boolean;
+  onOpen: () => void;
+}
+
+function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
+  const isRecording = flight.state === "recording";
+  const when = flight.begun_s === null ? "" : timeOfDay(flight.begun_s, Date.now());
+  return (
+    <li className={isRecording ? "key here" : "key"} data-testid="flight">
+      <div className="key-head flight-head">
+        <span className="flight-words">
+          <strong>{flight.name}</strong>
+          <span className="quiet numbers">
+            {isRecording ? "recording" : clock(flight.length_s)} {when === "" ? "" : `\u00b7 ${when}`}
+          </span>
+        </span>
+        <Tip words={open ? "Close" : "Rename, describe, move, download or delete this flight"}>
+          <Button
+            className="button icon quiet"
+            aria-label={`Change ${flight.name}`}
+            aria-expanded={open}
+            data-testid="flight-more"
+            onPress={onOpen}
+          >
+            <Icon name={open ? "down" : "chevron"} />
+          </Button>
+        </Tip>
+      </div>
+      {flight.words === "" || open ? null : <p className="flight-note quiet">{flight.words}</p>}
+      {flight.state === "cut-off" ? (
+        <p className="flight-note warning-text">Incomplete: Carina was stopped during this recording.</p>
+      ) : null}
+      {open ? <FlightTools flight={flight} first={first} last={last} /> : null}
+    </li>
+  );
+}
+
+function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boolean; last: boolean }) {
+  const station = useStation();
+  const { number } = flight;
+  const isRecording = flight.state === "recording";
+  const [asking, setAsking] = useState(false);
+  return (
+    <div className="key-tools">
+      <Written
+        label="Flight name"
+        testId="flight-name"
+        maxLength={80}
+        value={flight.name}
+        onChange={(name) => (name === "" ? false : station.send({ type: "rename_flight", number, name }))}
+      />
+      <Written
+        label="Description"
+        testId="flight-words"
+        maxLength={4000}
+        long
+        value={flight.words}
+        onChange={(words) => station.send({ type: "describe_flight", number, words })}
+      />
+      {asking ? (
+        <div
+          role="alertdialog"
+          aria-label="Delete this flight?"
+          ref={(shown) => shown?.scrollIntoView({ block: "nearest" })}
+        >
+          <p>Delete this flight? Undo does not bring it back.</p>
+          <div className="row">
+            <Act
+              label="Delete"
+              words="Delete this flight from the case"
+              testId="flight-delete"
+              onPress={() => station.send({ type: "remove_flight", number })}
+            />
+            <Act kind="quiet" label="Keep" words="Keep this flight" onPress={() => setAsking(false)} />
+          </div>
+        </div>
+      ) : (
+        <div className="row">
+          <Act
+            icon="file"
+            label="Download"
+            words="Download this flight. Use carina fly to render it as a video."
+            disabled={isRecording}
+            testId="flight-download"
+            onPress={() => void station.takeFlight(number)}
+          />
+          <Act
+            kind="icon"
+            icon="up"
+            words="Move up"
+            disabled={first}
+            testId="flight-up"
+            onPress={() => station.send({ type: "move_flight", number, by: -1 })}
+          />
+          <Act
+            kind="icon"
+            icon="down"
+            words="Move down"
+            disabled={last}
+            testId="flight-down"
+            onPress={() => station.send({ type: "move_flight", number, by: 1 })}
+          />
+          <Act
+            kind="icon"
+            icon="close"
+            words="Delete"
+            disabled={isRecording}
+            testId="flight-remove"
+            onPress={() => setAsking(true)}
+          />
+        </div>
+      )}
+    </div>
+  );
+}
+
+interface WrittenProps {
+  label: string;
+  testId: string;
+  maxLength: number;
+  long?: boolean;
+  value: string;
+  /** False takes what was typed back. */
+  onChange: (value: string) => boolean;
+}
+
+/** A text of one's own: sent when the field is left (or by Enter), taken back by Esc. */
+function Written({ label, testId, maxLength, long = false, value, onChange }: WrittenProps) {
+  const [typed, setTyped] = useState<string | null>(null);
+  const [before, setBefore] = useState(value);
+  if (before !== value) {
+    // The server has answered, or another window has changed it.
+    setBefore(value);
+    setTyped(null);
+  }
+  const send = () => {
+    const now = typed?.trim() ?? value;
+    if (now === value || !onChange(now)) setTyped(null);
+  };
+  const field = {
+    "data-testid": testId,
+    placeholder: label,
+    onBlur: send,
+    onKeyDown: (event: React.KeyboardEvent<HTMLInputElement | HTMLTextAreaElement>) => {
+      if (event.key === "Escape") setTyped(null);
+      else if (event.key === "Enter" && !event.shiftKey) event.currentTarget.blur();
+    },
+  };
+  return (
+    <TextField className="field" aria-label={label} maxLength={maxLength} value={typed ?? value} onChange={setTyped}>
+      {long ? <TextArea rows={2} {...field} /> : <Input {...field} />}
+    </TextField>
+  );
+}
