@@ -71,7 +71,7 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
         ),
         (
             lambda: carina.open_volume("a", progress=3),
-            "open_volume: progress: expected True, False, None or a function that takes a text and a fraction; "
+            "open_volume: progress: expected True, False, None or a function that takes a string and a fraction; "
             "found int",
         ),
     ],

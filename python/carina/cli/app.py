@@ -215,7 +215,9 @@ def demo(
 @app.command()
 def info(
     path: PathArgument,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit with code 3 if the scan has findings.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with code 3 if the check of the scan finds problems.")
+    ] = False,
     series: SeriesOption = None,
     ct: CtOption = None,
     as_json: JsonOption = False,

@@ -25,7 +25,9 @@ ResampleOption = Annotated[
     bool, typer.Option("--resample", help="Resample the segmentation if its grid differs from that of the scan.")
 ]
 
-StrictOption = Annotated[bool, typer.Option("--strict", help="Stop with exit code 3 if the scan has findings.")]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Stop with exit code 3 if the check of the scan finds problems.")
+]
 
 
 def airways(

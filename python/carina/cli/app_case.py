@@ -79,7 +79,7 @@ def case_forget(
 
 @case.command("pack")
 def case_pack(path: FileArgument, output: CaseOutput, ct: CtOption = None, as_json: JsonOption = False) -> None:
-    """Write a case together with its scan into one file, without the scan's tags.
+    """Write a case together with its scan to one file, without the scan's DICOM tags.
 
     Example: carina case pack NAME.carina -o PACKED.carina
     """

@@ -166,7 +166,10 @@ def opened(
     _say_notes(found)
     if strict and found.badges.notes:
         codes = ", ".join(note.code for note in found.badges.notes)
-        msg = f"reading {path.name}: --strict: the scan has findings ({codes}); correct them, or omit --strict"
+        msg = (
+            f"reading {path.name}: --strict: the check of the scan found problems ({codes}); correct them, or omit "
+            "--strict"
+        )
         raise VolumeImportError(msg, code="import.strict")
     return found
 

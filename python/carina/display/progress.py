@@ -136,7 +136,7 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
             return function(*args, **kwargs)
         if choice is not None and not isinstance(choice, bool):
             raise UsageError(
-                f"{function.__name__}: progress: expected True, False, None or a function that takes a text and "
+                f"{function.__name__}: progress: expected True, False, None or a function that takes a string and "
                 "a fraction; "
                 f"found {type(choice).__name__}",
                 code="usage.type",

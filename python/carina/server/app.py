@@ -70,8 +70,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             if gate.authorised(request.headers):
                 return RedirectResponse("/", 303, headers={"cache-control": "no-store"})
             words = (
-                "The link works only once, so that nobody else can use it. Restart Carina, or go back to the open "
-                "window."
+                "The link works only once, so that nobody else can use it. Restart Carina, or go back to the window "
+                "that is already open."
             )
             return page("This link has already been used", words, 403)
         # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from

@@ -290,7 +290,7 @@ def _other_grid(
         return VolumeImportError(msg, code="import.mask-grid")
     msg = (
         f"reading the segmentation {path.name}: its grid differs from the scan's; {grids}; export it on the "
-        "scan's grid, or have it resampled (resample, --resample)"
+        "scan's grid, or have it resampled (--resample, or resample=True in Python)"
     )
     return MaskGridError(msg, expected=expected, found=found, share_inside=share)
 

@@ -15,8 +15,8 @@ export function NoticeDialog() {
         <Dialog role="alertdialog">
           <Heading slot="title">Carina is not a medical device</Heading>
           <p>
-            It is software for research, teaching and rehearsal. It has not been examined or approved for diagnosis or
-            treatment, and its automatic results can be wrong: airways may be missing, wrongly joined, or artefacts of
+            It is software for research, teaching and rehearsal. It has not been evaluated or approved for diagnosis or
+            treatment, and its automatic results can be wrong: airways may be missing or wrongly joined, and some may be
             noise.
           </p>
           <p>Decisions about a patient belong to a physician, from the original images.</p>

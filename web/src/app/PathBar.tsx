@@ -64,7 +64,7 @@ export function PathBar() {
       <Act
         kind="icon"
         icon="nextFork"
-        words="To the next fork (Space flies there)"
+        words="Go to the next fork (Space flies there)"
         onPress={() => station.toFork("next")}
       />
       <Figure

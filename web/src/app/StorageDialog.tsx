@@ -183,7 +183,7 @@ function Forgotten({ forgotten }: { forgotten: readonly RecentCase[] }) {
           </li>
         ))}
       </ul>
-      <p className="quiet">Deleted when Carina starts more than {FORGOTTEN_FOR} later.</p>
+      <p className="quiet">Forgotten cases are deleted the first time Carina starts after {FORGOTTEN_FOR}.</p>
     </section>
   );
 }

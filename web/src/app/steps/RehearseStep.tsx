@@ -61,7 +61,7 @@ export function RehearseStep() {
         kind="quiet"
         icon="capture"
         label="Key frames"
-        words="Views that are joined into a smooth flight at a set speed"
+        words="Views joined into a smooth flight at a set speed"
         keys={keyOf("key_frames")}
         onPress={() => station.act("key_frames")}
       />
@@ -73,7 +73,7 @@ export function RehearseStep() {
       {held === null ? null : <Score held={held} />}
       <p className="quiet">
         <kbd>W</kbd> <kbd>S</kbd> advance and withdraw, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> bend the tip,{" "}
-        <kbd>A</kbd> <kbd>D</kbd> rotate. Or a gamepad, pen or scope handle: <kbd>;</kbd>
+        <kbd>A</kbd> <kbd>D</kbd> rotate. To use a gamepad, pen or scope handle, press <kbd>;</kbd>
       </p>
     </>
   );

@@ -38,7 +38,7 @@ export function ShareStep() {
       <Act
         icon="capture"
         label="Key frames"
-        words="Views that are joined into a smooth flight at a set speed, for a video"
+        words="Views joined into a smooth flight at a set speed, for a video"
         keys={keyOf("key_frames")}
         testId="to-keys"
         onPress={() => station.act("key_frames")}
