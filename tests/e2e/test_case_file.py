@@ -101,7 +101,7 @@ def test_a_case_is_saved_under_a_name_and_the_top_bar_says_where(server, worksta
     workstation.page.get_by_test_id("save-path").fill(str(tmp_path / "mine"))
     workstation.page.get_by_test_id("save-now").click()
     # The place is known at once; the copy is told of when it lies there.
-    workstation.page.get_by_test_id("saved").filter(has_text="copy of").wait_for()
+    workstation.page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
     assert workstation.state("session.saving.copy_name") == "mine.carina"
     with CaseFile.open(tmp_path / "mine.carina", read_only=True) as case:
         assert [step.label for step in case.history()] == steps
