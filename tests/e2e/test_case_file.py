@@ -248,3 +248,42 @@ def test_a_case_whose_ct_has_moved_asks_for_it_refuses_another_and_goes_on(host,
     finally:
         host.close(server)
         workstation.faults.clear()
+
+
+def test_a_dropped_case_asks_for_its_ct_waits_for_it_and_has_no_place_of_its_own(host, workstation, home, tmp_path):
+    page = workstation.page
+    chest = made_phantom(spacing_mm=3.0, generations=3).volume
+    ct, given = tmp_path / "ct.nii.gz", tmp_path / "given.carina"
+    write_grid(ct, chest.hu_zyx, chest.lps_from_ijk, what="the phantom")
+    theirs = host.open(path=str(ct), home=str(tmp_path / "their home"))
+    workstation.open(theirs)
+    workstation.wait_ready()
+    work(workstation)
+    steps = shown(workstation)["steps"]
+    page.keyboard.press("Control+s")
+    page.get_by_test_id("save-path").fill(str(given))
+    page.get_by_test_id("save-now").click()
+    workstation.wait_for("window.__carina.state.session.saving.copy_name === 'given.carina'")
+    host.close(theirs)
+    mine = host.open(home=home)
+    try:
+        page.goto("about:blank")
+        workstation.open(mine)
+        page.get_by_test_id("start").wait_for()
+        files = page.locator(".drop input[type=file]:not([webkitdirectory])")
+        files.set_input_files(str(given))
+        workstation.wait_for("window.__carina.state.messages.some(({ code }) => code === 'case.no-ct')")
+        waiting = page.get_by_test_id("recent").get_by_role("listitem")
+        waiting.filter(has_text="Drop or choose its CT to continue.").wait_for()
+        assert "1 change" in waiting.inner_text()
+        workstation.picture("dropped-case-waits")
+        files.set_input_files(str(ct))
+        workstation.wait_ready()
+        assert shown(workstation)["steps"] == steps
+        assert workstation.state("session.saving.copy_name") is None
+        page.keyboard.press("Control+s")
+        page.get_by_test_id("save-dialog").wait_for()
+        workstation.picture("dropped-case-open")
+    finally:
+        host.close(mine)
+        workstation.faults.clear()

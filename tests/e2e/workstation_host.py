@@ -240,7 +240,8 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
     elif demo is not None:
         session.do(OpenDemo(demo))
     # A page that is opened sooner is sent every picture several times, as the airways and their measures come.
-    while session.jobs.running or session.snapshot().airways not in {"found", "failed"}:
+    opens = path is not None or demo is not None
+    while opens and (session.jobs.running or session.snapshot().airways not in {"found", "failed"}):
         assert changed.wait(OPENS_S), "the case does not open"
         changed.clear()
     unsubscribe()

@@ -8,12 +8,14 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from live_server import WAIT_S, open_case, running
+from live_server import WAIT_S, Live, open_case, running, serving
 
 from carina.errors import DiskError
 from carina.server import messages as wire
 from carina.server.downloads import Downloads
-from small_case import small_airways, small_lumen, small_volume
+from carina.server.uploads import Uploads
+from carina.session import CaseRecords, Session, case_files
+from small_case import SmallRenderer, small_airways, small_lumen, small_parts, small_volume
 
 
 def test_uploads_on_a_disk_that_takes_nothing_are_refused_in_words(live, monkeypatch):
@@ -135,6 +137,26 @@ def test_dropped_files_are_opened_and_removed(live):
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
         assert not folder.exists()
         assert live.session.store.recent() == ()
+
+
+def test_a_dropped_case_file_keeps_its_ending_and_is_opened_as_a_case(tmp_path):
+    records = CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
+    session = Session(SmallRenderer, parts=small_parts(), records=records, files=case_files(None, records))
+    uploads = Uploads()
+    with serving(session, uploads) as gate:
+        live = Live(gate, session, uploads, [])
+        with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
+            upload_id = http.post("/api/upload").json()["upload_id"]
+            sent = http.put(f"/api/upload/{upload_id}", params={"name": "Mueller Anna.carina"}, content=b"not a case")
+            assert sent.status_code == 201
+            place = uploads.place(upload_id)
+            assert place.suffix == ".carina"
+            assert "Mueller" not in place.name
+            window.send(wire.OpenUpload(upload_id))
+            refused = window.until(lambda m: isinstance(m, wire.Error))
+            assert refused.code == "case.not-a-case"
+            assert "Mueller Anna.carina" in refused.message
+            assert records.all() == ()
 
 
 def nrrd(labels_zyx):

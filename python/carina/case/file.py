@@ -351,6 +351,12 @@ class CaseFile:
             with transaction(connection):
                 write_ct(connection, volume)
 
+    @property
+    def holds_ct(self) -> bool:
+        """Whether the CT was packed with the case."""
+        with self._lock, told(self.path):
+            return self._open().execute("SELECT 1 FROM ct LIMIT 1").fetchone() is not None
+
     def packed_volume(self) -> Volume | None:
         """The CT that was packed with the case; None where none was.
 

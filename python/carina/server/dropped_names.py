@@ -40,6 +40,7 @@ _SUFFIXES = frozenset(
         ".ima",
         ".sr",
         ".seg",
+        ".carina",
         ".json",
         ".jsonl",
         ".csv",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -34,7 +35,7 @@ class ListedCase:
     """None where nothing was kept of it but its place."""
     num_bytes: int = 0
     opens: bool = True
-    """False where nobody knows where its CT lies."""
+    """False where its CT is not to be had."""
     pictured_s: float | None = None
     begun_s: float | None = None
     named: bool = False
@@ -70,16 +71,29 @@ class CaseList(Subject):
         kept = () if records is None else records.all()
         places = {record.place for record in kept}
         opened = () if self.core.store is None else self.core.store.recent()
+        opens = self._opens(kept)
         found = [
-            *(_of_record(record, records) for record in kept if records is not None),
+            *(_of_record(record, records, opens=opens(record)) for record in kept if records is not None),
             *(_of_place(case) for case in opened if case.path not in places),
         ]
         return tuple(sorted(found, key=lambda one: one.used_s, reverse=True))
+
+    def _opens(self, kept: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
+        """Whether the CT of a case is to be had: at its place, at another case's, in its file, or cached."""
+        if self._saving.scans is None:
+            return lambda record: record.place is not None
+        cts = {record.digest for record in kept if record.place is not None}
+        cache = self._saving.cache
+        if cache is not None and cache.is_on and any(record.digest not in cts for record in kept):
+            cts |= {one.digest for one in cache.sizes()}
+        return lambda record: record.holds_ct or record.digest in cts
 
     def storage(self) -> StorageInfo:
         """What is kept beside them."""
         records, cache = self._saving.records, self._saving.cache
         sizes = () if cache is None else cache.sizes()
+        gone = () if records is None else records.forgotten()
+        forgotten = tuple(_of_record(one, records, opens=True) for one in gone if records is not None)
         keeps: Literal["on", "off", "never"] = "never"
         if cache is not None and cache.can_be_on:
             keeps = "on" if cache.is_on else "off"
@@ -87,7 +101,7 @@ class CaseList(Subject):
             num_cts=len(sizes),
             ct_bytes=sum(one.num_bytes for one in sizes),
             keeps_cts=keeps,
-            forgotten=() if records is None else tuple(_of_record(one, records) for one in records.forgotten()),
+            forgotten=forgotten,
         )
 
     @property
@@ -182,14 +196,14 @@ class CaseList(Subject):
             self.core.changed("start")
 
 
-def _of_record(record: CaseRecord, records: CaseRecords) -> ListedCase:
+def _of_record(record: CaseRecord, records: CaseRecords, *, opens: bool) -> ListedCase:
     return ListedCase(
         recent_id=record.case_id,
         title=record.shown_title,
         used_s=record.used_s,
         num_changes=record.num_changes,
         num_bytes=records.num_bytes(record),
-        opens=record.place is not None,
+        opens=opens,
         pictured_s=record.pictured_s,
         begun_s=record.begun_s,
         named=record.alias is not None,

@@ -77,6 +77,7 @@ class CaseScans:
         *,
         ct: str | Path | None = None,
         series: str | None = None,
+        dropped: bool = False,
         progress: Progress = None,
         cancel: Cancel = None,
     ) -> FoundScan:
@@ -91,6 +92,8 @@ class CaseScans:
             Where a person says that it lies; nothing else is looked at then.
         series
             As of :func:`carina.open_volume`.
+        dropped
+            The file lies where its person did not put it, so the place in it leads nowhere.
 
         Raises
         ------
@@ -115,7 +118,8 @@ class CaseScans:
         if ct is not None:
             return opened(str(Path(ct).expanduser().absolute()))
         refusal: CarinaError | None = None
-        for place in self._places(case, source.path, source.digest):
+        path = None if dropped else source.path
+        for place in self._places(case, path, source.digest):
             try:
                 return opened(place)
             except CancelledError:
@@ -133,8 +137,7 @@ class CaseScans:
         if refusal is not None:
             raise refusal
         raise CaseFileError(
-            f"{case.path}: the scan of this case was not found"
-            f"{'' if source.path is None else f' at {source.path}'}; {self._advice}",
+            f"{case.path}: the scan of this case was not found{'' if path is None else f' at {path}'}; {self._advice}",
             code="case.no-scan",
         )
 
@@ -145,11 +148,13 @@ class CaseScans:
             beside = (case.path.absolute().parent / path).resolve()
             if beside.is_file() or beside.is_dir():
                 found.append(str(beside))
-        record = None if self._records is None else self._records.newest_of(digest)
-        if record is not None and record.place is not None and record.place not in found:
-            is_demo = record.place.startswith("demo:")
-            if self._open_demo is not None if is_demo else Path(record.place).exists():
-                found.append(record.place)
+        known = (one.place for one in self._records.all() if one.digest == digest) if self._records is not None else ()
+        # Where it was opened last; a copy of the case that came without its CT knows no place.
+        place = next((one for one in known if one is not None), None)
+        if place is not None and place not in found:
+            is_demo = place.startswith("demo:")
+            if self._open_demo is not None if is_demo else Path(place).exists():
+                found.append(place)
         return found
 
     def _opened(self, place: Path, series: str | None, progress: Progress, cancel: Cancel) -> Volume:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from carina import commands as c
-from carina.case import CaseFile
+from carina.case import CaseFile, CaseFileError
 from carina.case.moment import Moment
 from carina.errors import UsageError, VolumeImportError
 from carina.session.case import OpenCase, new_case
@@ -23,6 +24,17 @@ from carina.session.subject import Subject, does
 from carina.volume import Volume
 
 __all__ = ["Opening"]
+
+
+@dataclass(slots=True)
+class _Found:
+    """What is known only when a case file has been read."""
+
+    file: CaseFile | None = None
+    """To go on from."""
+    place: str | None = None
+    """Of the CT."""
+    dropped: bool = False
 
 
 class Opening(Subject):
@@ -50,6 +62,9 @@ class Opening(Subject):
     @does(c.OpenFiles)
     def open_files(self, command: c.OpenFiles) -> str:
         """Read files that nobody will find there again."""
+        scans = self._saving.scans
+        if scans is not None and is_case_file(command.path):
+            return self._open_case_file(Path(command.path), scans, dropped=True)
 
         def read(job: Job) -> Volume:
             return self.core.parts.open_volume(command.path, job.progress, job.cancel)
@@ -82,36 +97,82 @@ class Opening(Subject):
             raise UsageError("this session opens no case files", code="case.not-kept")
         return self._open_case_file(Path(command.path), scans, command.ct)
 
-    def _open_case_file(self, path: Path, scans: CaseScans, ct: Path | None = None) -> str:
-        """Its CT, and what was done in it; from now on it is kept here like any other case."""
-        opened: list[tuple[CaseFile, str | None]] = []
+    def _open_case_file(self, path: Path, scans: CaseScans, ct: Path | None = None, *, dropped: bool = False) -> str:
+        """Its CT, and what was done in it; from now on it is kept here like any other case.
+
+        A file that was dropped has no place of its own: what is kept is a copy, which waits where its CT is not found.
+        """
+        found = _Found(dropped=dropped)
 
         def read(job: Job) -> Volume:
-            file = CaseFile.open(path, read_only=True)
-            opened.append((file, None))
+            file = found.file = CaseFile.open(path, read_only=True)
             if file.note is not None:
                 self.core.emit(Said(file.note))
-            scan = scans.open(file, ct=ct, progress=job.progress, cancel=job.cancel)
-            opened[0] = (file, scan.place)
+            scan = self._saving.open_ct_of(file) if dropped else None
+            try:
+                if scan is None:
+                    scan = scans.open(file, ct=ct, dropped=dropped, progress=job.progress, cancel=job.cancel)
+            except CaseFileError as trouble:
+                if not dropped or trouble.code != "case.no-scan":
+                    raise
+                raise self._asked_for_ct(file) from trouble
+            except VolumeImportError as trouble:
+                if not dropped:
+                    raise
+                raise self._asked_for_ct(file) from trouble
+            found.place = scan.place
             return scan.volume
 
         def close() -> None:
-            for file, _ in opened:
-                file.close()
+            if found.file is not None:
+                found.file.close()
 
-        return self._open("opening the case", read, str(path), case_file=lambda: opened[0], ended=close)
+        return self._open("opening the case", read, None if dropped else str(path), found=found, ended=close)
+
+    def _asked_for_ct(self, file: CaseFile) -> UsageError:
+        """The case waits for its CT, among those that are kept: nobody has to drop it again."""
+        waits = file.note is None and self._saving.waits(file)
+        if waits:
+            with self.core.lock:
+                self.core.changed("start")
+        return UsageError(
+            "the CT of this case was not found on this computer: drop or choose it to continue"
+            + (". The case waits in the list of recent cases" if waits else ", then drop the case file again"),
+            code="case.no-ct",
+        )
 
     def _open_record(self, record: CaseRecord) -> str:
         if record.place is None:
-            raise UsageError(
-                "the CT of this case was dropped onto Carina, so its location is not known: drop or choose it again to "
-                "continue",
-                code="case.no-ct",
-            )
+            return self._open_without_place(record)
         name = record.place.removeprefix("demo:")
         if name == record.place:
             return self._open_path(record.place, record.case_id)
         return self._open_demo(name, record.case_id)
+
+    def _open_without_place(self, record: CaseRecord) -> str:
+        """Its CT was dropped, or lies in a case file that was: it may be cached, in the case, or known by another."""
+        scans, records = self._saving.scans, self._saving.records
+        no_ct = UsageError(
+            "the location of the CT of this case is not known: drop or choose it to continue", code="case.no-ct"
+        )
+        if scans is None or records is None:
+            raise no_ct
+        found = _Found()
+
+        def read(job: Job) -> Volume:
+            with CaseFile.open(records.path_of(record), read_only=True) as file:
+                try:
+                    scan = scans.open(file, dropped=True, progress=job.progress, cancel=job.cancel)
+                except CaseFileError as trouble:
+                    if trouble.code != "case.no-scan":
+                        raise
+                    raise no_ct from trouble
+                except VolumeImportError as trouble:
+                    raise no_ct from trouble
+            found.place = scan.place
+            return scan.volume
+
+        return self._open("opening the case", read, None, case_id=record.case_id, found=found)
 
     @does(c.OpenDemo)
     def open_demo(self, command: c.OpenDemo) -> str:
@@ -202,14 +263,14 @@ class Opening(Subject):
         anew: bool = False,
         given: Moment | None = None,
         finds: bool = True,
-        case_file: Callable[[], tuple[CaseFile, str | None]] | None = None,
+        found: _Found | None = None,
         ended: Callable[[], None] = lambda: None,
     ) -> str:
         """``case_id`` is the kept case that is meant; else the one of this CT that was used last, or none.
 
         What goes on from a ``given`` moment is kept by whoever gave it.
         """
-        if path is not None and case_file is None:
+        if path is not None and found is None:
             place = str(Path(path).absolute())
 
         def work(job: Job) -> None:
@@ -228,10 +289,9 @@ class Opening(Subject):
                 self._recording.stop()
             with self._saving.between() as keeping:
                 kept = given
-                found_place = place
-                if case_file is not None:
-                    file, found_place = case_file()
-                    kept = keeping.imported(volume, file)
+                found_place = place if found is None else found.place
+                if found is not None and found.file is not None:
+                    kept = keeping.imported(volume, found.file, dropped=found.dropped)
                 elif given is not None:
                     pass
                 elif anew:

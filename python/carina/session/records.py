@@ -32,6 +32,8 @@ RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg
 FORGOTTEN = ".forgotten"
 """The folder, among those of the cases, of what was forgotten: it can be brought back for a while."""
 FORGOTTEN_FOR_S = 24 * 3600.0
+UNSEEN_TITLE = "Case without its CT"
+"""Of a case file that was dropped and waits for its CT: the series text is the CT's."""
 
 
 class CaseRecord(FrozenValue, frozen=True):
@@ -43,6 +45,7 @@ class CaseRecord(FrozenValue, frozen=True):
     place: str | None
     """Where its CT was opened from last: an absolute path, or ``demo:NAME``; None where nobody could find it again."""
     title: str
+    """The series text of its CT; empty until that was opened here."""
     begun_s: float
     """When it was begun and last used, seconds since 1970."""
     used_s: float
@@ -53,6 +56,8 @@ class CaseRecord(FrozenValue, frozen=True):
     """Steps that hold."""
     alias: str | None = None
     """What its person calls it."""
+    holds_ct: bool = False
+    """Its CT is packed in the file."""
     pictured_s: float | None = None
     """When its small picture was made; None where it has none."""
     forgotten_s: float | None = None
@@ -61,7 +66,7 @@ class CaseRecord(FrozenValue, frozen=True):
     @property
     def shown_title(self) -> str:
         """What it is called in the list."""
-        return self.title if self.alias is None else self.alias
+        return (self.title or UNSEEN_TITLE) if self.alias is None else self.alias
 
 
 @one_line

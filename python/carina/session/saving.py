@@ -17,7 +17,7 @@ from carina.disk import disk_trouble
 from carina.display import one_line
 from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
-from carina.session.case_scan import CASE_SUFFIX
+from carina.session.case_scan import CASE_SUFFIX, FoundScan
 from carina.session.core import SessionCore
 from carina.session.flights import needed_flight
 from carina.session.jobs import Job
@@ -26,6 +26,7 @@ from carina.session.kept_files import CtCache, KeptCt, KeptFile, KeptFiles
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
 from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
 from carina.session.subject import Subject, answers, does
+from carina.volume import same_geometry
 
 if TYPE_CHECKING:
     from carina.case.recordings import RecordingFacts
@@ -61,6 +62,8 @@ class Between:
         self._saving = saving
         self._digest: str | None = None
         self._reopened: Reopened | None = None
+        self._is_new = False
+        """It was copied here just now: what is not shown after all leaves nothing behind."""
 
     def begin(self, volume: Volume) -> None:
         """What was kept of this CT stays where it is: a new case of it is begun."""
@@ -88,10 +91,14 @@ class Between:
     def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
         """What was kept of this CT, wherever its files lie now; None where nothing was, or nothing can be read."""
         reopened = self.take(self._saving.digest_of(volume), case_id)
+        self._saving.say_still_waits(self._digest)
         if reopened is None:
             return None
         try:
-            return reopened.file.load(volume)
+            moment = reopened.file.load(volume)
+            if not reopened.held.record.title:
+                reopened.held.note(title=volume.source.title)
+            return moment
         except (OSError, sqlite3.Error, CarinaError) as trouble:
             if isinstance(trouble, CaseFileError) and trouble.code == "case.empty":
                 # A crash right after it was begun: the same file is gone on with.
@@ -100,7 +107,7 @@ class Between:
         self.give_back()
         return None
 
-    def imported(self, volume: Volume, case: CaseFile) -> Moment | None:
+    def imported(self, volume: Volume, case: CaseFile, *, dropped: bool = False) -> Moment | None:
         """Go on from a case file: from what is kept of it here, else from a copy; None where nothing was saved in it.
 
         One of a newer Carina is shown and not kept.
@@ -109,7 +116,10 @@ class Between:
         if digest is None or case.note is not None:
             return case.load(volume)
         self._digest = digest
-        self._reopened = self._saving.reopened_file(case) or self._saving.taken_over(case, volume, digest)
+        self._reopened = self._saving.reopened_file(case)
+        if self._reopened is None:
+            self._is_new = True
+            self._reopened = self._saving.taken_over(case, volume.source.title, dropped=dropped)
         try:
             return self._reopened.file.load(volume)
         except CaseFileError as trouble:
@@ -132,6 +142,8 @@ class Between:
         if reopened is not None:
             reopened.file.close()
             reopened.held.release()
+            if self._is_new:
+                self._saving.remove(reopened.held)
 
 
 class Saving(Subject):
@@ -154,6 +166,8 @@ class Saving(Subject):
         self._kept: Keeper | None = None
         self._ending: list[Keeper] = []
         """Those whose disk did not respond when their case was closed."""
+        self._awaited: str | None = None
+        """The digest of the CT that was asked for last."""
         if records is not None:
             core.subscribe(self._hear)
 
@@ -201,6 +215,10 @@ class Saving(Subject):
 
     def reopened_file(self, case: CaseFile) -> Reopened | None:
         """What is kept here of a case file, owned from now on; None where nothing is that goes on from it."""
+        record = self._record_of(case)
+        return None if record is None else self.opened(record)
+
+    def _record_of(self, case: CaseFile) -> CaseRecord | None:
         assert self.records is not None
         steps, path = _told(case), str(case.path.absolute())
         changed_s = case.path.stat().st_mtime
@@ -210,7 +228,7 @@ class Saving(Subject):
             # Nobody else has written it since; or all that was done in it was done here, too.
             is_copy = record.copy_path == path and changed_s <= (record.copied_s or 0.0) + SAME_TIME_S
             if is_copy or (steps and self._told_here(record)[: len(steps)] == steps):
-                return self.opened(record)
+                return record
         return None
 
     def _told_here(self, record: CaseRecord) -> tuple[tuple[str, float], ...]:
@@ -221,27 +239,27 @@ class Saving(Subject):
         except (OSError, sqlite3.Error, CarinaError):
             return ()
 
-    def taken_over(self, case: CaseFile, volume: Volume, digest: str) -> Reopened:
-        """A copy of a case file, kept here from now on; the file that it came from follows it."""
+    def taken_over(self, case: CaseFile, title: str, *, dropped: bool = False) -> Reopened:
+        """A copy of a case file, kept here from now on; its file follows it, unless that was dropped."""
         assert self.records is not None
         assert self._files is not None
-        held = self.records.begin(digest, None, volume.source.title)
+        held = self.records.begin(case.digest, None, title)
         try:
             case.write_copy(held.path, private=True)
             file = self._files.open(held.path)
         except BaseException:
             held.release()
-            if self.records.forget(held.record):
-                self.records.remove(held.record.case_id)
+            self.remove(held)
             raise
         steps, now_s, flights = case.history(), self.records.now_s(), self._flights_in(file)
         # Nothing of it was done later than now.
         last_s = [step.at_s for step in steps] + [one.begun_s + one.length_s for one in flights]
+        if not dropped:
+            held.note(copy_path=str(case.path.absolute()), copied_s=now_s)
         held.note(
             begun_s=now_s - max(last_s, default=0.0),
             num_changes=sum(step.holds for step in steps),
-            copy_path=str(case.path.absolute()),
-            copied_s=now_s,
+            holds_ct=case.holds_ct,
         )
         return Reopened(held, file, flights)
 
@@ -253,6 +271,39 @@ class Saving(Subject):
                 Trouble("case.recording", f"the recorded flights of this case could not be listed: {trouble}")
             )
             return ()
+
+    def remove(self, held: HeldCase) -> None:
+        """A case that was taken over and is not shown after all; with the right to it given back."""
+        assert self.records is not None
+        if self.records.forget(held.record):
+            self.records.remove(held.record.case_id)
+
+    def waits(self, case: CaseFile) -> bool:
+        """Keep a dropped case until its CT is opened; False where nothing is kept."""
+        if self.records is None or self._files is None:
+            return False
+        if self._record_of(case) is None:
+            reopened = self.taken_over(case, "", dropped=True)
+            reopened.file.close()
+            reopened.held.release()
+        self._awaited = case.digest
+        return True
+
+    def say_still_waits(self, digest: str | None) -> None:
+        """A CT was opened: is it the one that was asked for?"""
+        awaited, self._awaited = self._awaited, None
+        if awaited is not None and digest != awaited:
+            self.core.emit(
+                Said("this is not the CT of the case dropped before, which waits in the list of recent cases")
+            )
+
+    def open_ct_of(self, case: CaseFile) -> FoundScan | None:
+        """The CT of the case on screen, where it is this case's, too."""
+        kept = self._kept
+        if kept is None or kept.digest != case.digest or self.core.case is not kept.case:
+            return None
+        volume = kept.case.info.volume
+        return FoundScan(volume, kept.place) if same_geometry(volume, case.source) else None
 
     def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
         """Nothing of it is lost, but nothing is shown."""

@@ -65,7 +65,7 @@ function DropPlace() {
       <p>
         <strong>Drop a folder or a file here</strong>
         <br />
-        <span className="quiet">a DICOM series, NIfTI, NRRD or MetaImage</span>
+        <span className="quiet">a DICOM series, NIfTI, NRRD, MetaImage or a Carina case</span>
       </p>
       <Pickers />
     </div>
@@ -86,7 +86,7 @@ export function Pickers() {
         </Tip>
       </FileTrigger>
       <FileTrigger onSelect={pick}>
-        <Tip words="Choose a NIfTI, NRRD or MetaImage file">
+        <Tip words="Choose a NIfTI, NRRD or MetaImage file, or a Carina case">
           <Button className="button">Choose file</Button>
         </Tip>
       </FileTrigger>
