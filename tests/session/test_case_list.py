@@ -12,7 +12,9 @@ from carina import commands as c
 from carina.errors import UsageError
 from carina.session import JobEnded, LocalStore, Trouble
 from carina.session.records import FORGOTTEN_FOR_S, CaseRecords
+from carina.volume import Volume
 from kept_desk import Desk, MemoryFile
+from small_case import small_volume
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,30 @@ def test_a_case_whose_ct_was_dropped_says_that_it_is_to_be_chosen_again(desk):
     desk.session.do(c.OpenFiles("dropped again"))
     desk.background.run_all()
     assert desk.session.snapshot().document.look.fov_deg == 100.0
+
+
+def test_the_date_of_a_scan_is_in_the_list_and_is_filled_in_where_it_was_not_known(desk):
+    """A record of before has none, and neither has a scan without one."""
+    desk.open()
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    assert [one.scanned_on for one in desk.listed()] == [None]
+    made = small_volume()
+    dated = Volume(made.hu_zyx, made.lps_from_ijk, source=replace(made.source, acquired_on="2021-05-03"))
+    desk.session.do(c.OpenVolume(dated))
+    desk.background.run_all()
+    desk.session.do(c.CloseCase())
+    assert [one.scanned_on for one in desk.listed()] == ["2021-05-03"]
+    desk.open()
+    desk.work(90.0)
+    desk.session.do(c.CloseCase())
+    assert [one.scanned_on for one in desk.listed()] == ["2021-05-03"], "the same CT in a file without a date"
+    desk.digest = "another CT"
+    desk.session.do(c.OpenVolume(dated))
+    desk.background.run_all()
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    assert [one.scanned_on for one in desk.listed()] == ["2021-05-03"] * 2, "a new one has it from the beginning"
 
 
 def test_a_case_is_named_while_it_is_open_and_after(desk):

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
 import sqlite3
 import zlib
 
 from carina import commands as c
+from carina.case import CaseFile
 from carina.render import Renderer
 from carina.session import CaseRecords, Session, case_files
 from carina.volume import Volume, VolumeSource, write_grid
 from made import made_phantom
 
 NAMES = (b"MUELLER", b"Mueller", b"mueller", b"19610405", b"1961-04-05")
+SCANNED_ON = "2021-05-03"
+DATES = (b"2021-05-03", b"20210503", b"3 May 2021")
+"""A date with a place is as good as a name."""
 
 
 def texts_of(path):
@@ -31,7 +37,7 @@ def texts_of(path):
     case.close()
 
 
-def test_a_copy_holds_no_name_of_the_ct_of_its_folders_or_of_a_mask(tmp_path):
+def test_a_copy_holds_no_name_of_the_ct_of_its_folders_or_of_a_mask_and_no_date(tmp_path, caplog):
     chest = made_phantom(spacing_mm=3.0, generations=3)
     folder = tmp_path / "MUELLER 19610405"
     folder.mkdir()
@@ -40,8 +46,9 @@ def test_a_copy_holds_no_name_of_the_ct_of_its_folders_or_of_a_mask(tmp_path):
     volume = Volume(
         chest.volume.hu_zyx,
         chest.volume.lps_from_ijk,
-        source=VolumeSource("dicom", "MUELLER thorax 1961-04-05"),
+        source=VolumeSource("dicom", "MUELLER thorax 1961-04-05", acquired_on=SCANNED_ON),
     )
+    caplog.set_level(logging.DEBUG)
     records = CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
     session = Session(lambda v, transfer: Renderer(v, transfer=transfer), records=records, files=case_files())
     session.do(c.OpenVolume(volume))
@@ -50,12 +57,27 @@ def test_a_copy_holds_no_name_of_the_ct_of_its_folders_or_of_a_mask(tmp_path):
     session.jobs.wait_idle(None)
     assert "imported segmentation" in session.snapshot().airways_words
     airways = session.snapshot().document.airways
+    session.do(c.RecordFlight())
     session.do(c.AddTarget(tuple(airways.tree.tips()[0].points[-1])))
     session.jobs.wait_idle(None)
+    session.do(c.GoTo(path_mm=20.0))
+    session.do(c.StopRecording())
     session.do(c.SaveCase(str(tmp_path / "given.carina")))
     session.jobs.wait_idle(None)
     assert session.snapshot().saving.copy_name == "given.carina"
+    (listed,) = session.cases.listed()
+    assert listed.scanned_on == SCANNED_ON, "its own person is told"
     session.close()
-    for text in texts_of(tmp_path / "given.carina"):
-        for name in NAMES:
+    with CaseFile.open(tmp_path / "given.carina", read_only=True) as case:
+        case.write_copy(tmp_path / "packed.carina", volume=volume)
+        assert case.recordings()
+        recorded = [case.recording_text(one.recording_id).encode() for one in case.recordings()]
+    (live,) = (tmp_path / "cases").glob("*/case.carina")
+    texts = [text for path in ("given.carina", "packed.carina") for text in texts_of(tmp_path / path)]
+    for text in (*texts, *texts_of(live), *recorded, caplog.text.encode()):
+        for name in (*NAMES, *DATES):
             assert name not in text
+    assert SCANNED_ON not in repr(volume.source)
+    (record,) = (tmp_path / "cases").glob("*/record.json")
+    assert SCANNED_ON in record.read_text()
+    assert os.name == "nt" or record.stat().st_mode & 0o777 == 0o600

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydicom.datadict import dictionary_VR
+from pydicom.dataelem import DataElement
 from pydicom.dataset import Dataset
 from pydicom.encaps import encapsulate
 from pydicom.uid import (
@@ -381,3 +383,27 @@ def test_a_deflated_bomb_is_passed_over_without_being_unpacked(write_series, tmp
     tracemalloc.stop()
     np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
     assert peak < 50e6  # the bomb holds 300 MB
+
+
+@pytest.mark.parametrize(
+    ("dates", "found"),
+    [
+        ({"AcquisitionDate": "20210503", "StudyDate": "20210502"}, "2021-05-03"),
+        ({"AcquisitionDateTime": "20210503101500.00"}, "2021-05-03"),
+        ({"StudyDate": "2021.05.03"}, "2021-05-03"),
+        ({"AcquisitionDate": "", "StudyDate": "20210503"}, "2021-05-03"),
+        ({"AcquisitionDate": "19000101", "StudyDate": "20211303"}, None),
+        ({"StudyDate": "in May"}, None),
+        ({}, None),
+    ],
+)
+def test_the_date_of_a_scan_is_its_acquisitions_else_its_studys_and_is_not_shown(write_series, dates, found):
+    def edit(dataset, _index):
+        for keyword, value in dates.items():
+            element = DataElement(keyword, dictionary_VR(keyword), None)
+            element._value = value  # as it stands in a file, checked by nobody
+            dataset.add(element)
+
+    volume = open_volume(write_series(edit=edit))
+    assert volume.source.acquired_on == found
+    assert "2021" not in repr(volume.source)

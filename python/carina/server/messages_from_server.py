@@ -59,7 +59,9 @@ class RecentCase(FrozenValue, frozen=True):
     picture: Words | None = None
     """Where its small picture is asked for: a JPEG of at most 320x240."""
     opens: bool = True
-    """False where its CT was dropped: it is to be dropped or chosen again."""
+    """False where its CT is not to be had: it is to be dropped or chosen."""
+    scanned_on: Identifier | None = None
+    """ISO date of the scan, where its files say one. Only whoever works here is told it."""
     named: bool = False
     """Its title was given by a person."""
 

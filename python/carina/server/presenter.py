@@ -84,6 +84,7 @@ def _listed(case: ListedCase) -> wire.RecentCase:
         num_bytes=case.num_bytes,
         picture=None if made_s is None else f"api/cases/{case.recent_id}/picture.jpg?made={made_s:.3f}",
         opens=case.opens,
+        scanned_on=case.scanned_on,
         named=case.named,
     )
 

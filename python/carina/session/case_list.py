@@ -36,6 +36,8 @@ class ListedCase:
     num_bytes: int = 0
     opens: bool = True
     """False where its CT is not to be had."""
+    scanned_on: str | None = None
+    """ISO date of the scan."""
     pictured_s: float | None = None
     begun_s: float | None = None
     named: bool = False
@@ -204,6 +206,7 @@ def _of_record(record: CaseRecord, records: CaseRecords, *, opens: bool) -> List
         num_changes=record.num_changes,
         num_bytes=records.num_bytes(record),
         opens=opens,
+        scanned_on=record.scanned_on,
         pictured_s=record.pictured_s,
         begun_s=record.begun_s,
         named=record.alias is not None,

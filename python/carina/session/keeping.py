@@ -313,6 +313,7 @@ class Keeper:
         volume = self.case.info.volume
         if self.held is None:
             self.held = self._records.begin(self.digest, self.place, volume.source.title, begun_s=self.info.begun_s)
+            notes = {"scanned_on": volume.source.acquired_on} | notes
         if self.file is None:
             self.held.clear()
             self.file = self._files.create(self.held.path, volume, self.digest)

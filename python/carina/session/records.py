@@ -56,6 +56,8 @@ class CaseRecord(FrozenValue, frozen=True):
     """Steps that hold."""
     alias: str | None = None
     """What its person calls it."""
+    scanned_on: str | None = None
+    """ISO date of the scan; None where its files say none."""
     holds_ct: bool = False
     """Its CT is packed in the file."""
     pictured_s: float | None = None

@@ -54,6 +54,13 @@ class Reopened:
     file: KeptFile
     flights: tuple[RecordingFacts, ...] = ()
 
+    def note_ct(self, volume: Volume) -> None:
+        """What was not known of its CT when it was begun: it was dropped without it, or by an earlier Carina."""
+        record, source = self.held.record, volume.source
+        title, scanned_on = record.title or source.title, record.scanned_on or source.acquired_on
+        if (title, scanned_on) != (record.title, record.scanned_on):
+            self.held.note(title=title, scanned_on=scanned_on)
+
 
 class Between:
     """One case has been given back; the next one is found, and attached or given back."""
@@ -96,8 +103,7 @@ class Between:
             return None
         try:
             moment = reopened.file.load(volume)
-            if not reopened.held.record.title:
-                reopened.held.note(title=volume.source.title)
+            reopened.note_ct(volume)
             return moment
         except (OSError, sqlite3.Error, CarinaError) as trouble:
             if isinstance(trouble, CaseFileError) and trouble.code == "case.empty":
@@ -120,6 +126,7 @@ class Between:
         if self._reopened is None:
             self._is_new = True
             self._reopened = self._saving.taken_over(case, volume.source.title, dropped=dropped)
+        self._reopened.note_ct(volume)
         try:
             return self._reopened.file.load(volume)
         except CaseFileError as trouble:

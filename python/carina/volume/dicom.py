@@ -20,7 +20,7 @@ from carina.volume.dicom_checks import (
 )
 from carina.volume.dicom_files import FolderContent, LostFiles, UnusedFile, name_files
 from carina.volume.dicom_geometry import grid_from_slices
-from carina.volume.dicom_headers import SETTINGS, SliceHeader
+from carina.volume.dicom_headers import SETTINGS, SliceHeader, acquisition_date
 from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
@@ -330,6 +330,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         series=series.info,
         other_series=tuple(others),
         notes=tuple(said),
+        acquired_on=acquisition_date(first.path),
     )
     watch.step("Reading the slices", 1.0)
     return Volume(values, series.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)

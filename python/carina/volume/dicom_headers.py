@@ -6,11 +6,15 @@ lacks is kept as a sentence (``problem``) for the person, never guessed.
 
 from __future__ import annotations
 
+import contextlib
+import datetime
 import functools
 import logging
 import math
+import re
 import warnings
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -27,6 +31,7 @@ __all__ = [
     "MAX_IMAGE_SIDE",
     "SETTINGS",
     "SliceHeader",
+    "acquisition_date",
     "looks_like_dicom",
     "read_dataset",
     "read_header",
@@ -81,6 +86,11 @@ _TAGS = sorted({
     "RescaleType", "Rows", "SOPClassUID", "SOPInstanceUID", "SamplesPerPixel", "SeriesInstanceUID",
     "SharedFunctionalGroupsSequence", *IDENTITY, *SETTINGS,
 })  # fmt: skip
+
+
+_DATES = ("AcquisitionDate", "AcquisitionDateTime", "StudyDate")
+_DATE_TAGS = [Tag(keyword) for keyword in _DATES]
+FIRST_CT_YEAR = 1971
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +197,7 @@ def read_dataset(path: Path, *, pixels: bool) -> Dataset:
     return _read(path, pixels=pixels)[0]
 
 
-def _read(path: Path, *, pixels: bool) -> tuple[Dataset, int | None]:
+def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dataset, int | None]:
     """The data set, and where in the file the element of its pixels begins, if it was left out and can be found."""
     try:
         _check_inflated_size(path)
@@ -196,13 +206,36 @@ def _read(path: Path, *, pixels: bool) -> tuple[Dataset, int | None]:
             if pixels:
                 return pydicom.dcmread(path, force=True), None
             with path.open("rb") as file:
-                dataset = pydicom.dcmread(file, force=True, stop_before_pixels=True, specific_tags=_TAGS)
+                dataset = pydicom.dcmread(file, force=True, stop_before_pixels=True, specific_tags=list(tags))
                 at = file.tell()
                 return dataset, at if file.read(4) in _PIXEL_TAGS else None
     except Exception as error:
         # pydicom raises many kinds on a broken file; each of them means the same to us.
         msg = f"cannot be read as DICOM ({type(error).__name__})"
         raise ValueError(msg) from None
+
+
+def acquisition_date(path: Path) -> str | None:
+    """ISO date on which an image was acquired, else of its study; None where the file has none that can be one.
+
+    Years before the first clinical CT (1971) are what anonymisation puts in the place of a date.
+    """
+    try:
+        dataset = _read(path, pixels=False, tags=_DATE_TAGS)[0]
+        with warnings.catch_warnings():  # pydicom's warnings may quote the value
+            warnings.simplefilter("ignore")
+            texts = [_Tags(dataset).text(keyword) for keyword in _DATES]
+    except ValueError:
+        return None
+    for text in texts:
+        # A date of ACR-NEMA has points; a date with time begins with the date.
+        digits = text.replace(".", "")[:8]
+        if re.fullmatch(r"[0-9]{8}", digits):
+            with contextlib.suppress(ValueError):
+                date = datetime.date(int(digits[:4]), int(digits[4:6]), int(digits[6:]))
+                if date.year >= FIRST_CT_YEAR:
+                    return date.isoformat()
+    return None
 
 
 def read_pixel_bytes(header: SliceHeader) -> bytes:

@@ -77,6 +77,9 @@ class VolumeSource:
     """Things a person should know: clipped values, a series beside it, ..."""
     citation: Citation | None = None
     """Source and licence that must be shown with the data, for the bundled case."""
+    acquired_on: str | None = field(default=None, repr=False)
+    """ISO date on which the scan was made, where its files say one. For this person's own list of cases alone: it tells
+    two scans apart and, with other things, whose they are. No file, message or log holds it."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ const ENTRY: RecentCase = {
   num_bytes: 1_830_912,
   picture: null,
   opens: true,
+  scanned_on: null,
   named: false,
 };
 const SAVING: SavingInfo = {
@@ -37,6 +38,11 @@ describe("a case in the list", () => {
     expect(caseFacts(ENTRY, [ENTRY], NOW_MS)).toEqual(["12 changes", `last used ${clock(NOW_S, NOW_MS)}`]);
     expect(changesWords(0)).toBe("no changes");
     expect(changesWords(1)).toBe("1 change");
+  });
+
+  it("says when the scan was made, on the same day in every time zone", () => {
+    const dated = { ...ENTRY, scanned_on: "2021-05-03" };
+    expect(caseFacts(dated, [dated], NOW_MS).slice(0, 2)).toEqual(["scan of 3 May 2021", "12 changes"]);
   });
 
   it("has a code of its own where another has its title", () => {

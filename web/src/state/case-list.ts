@@ -25,9 +25,17 @@ export function sizeWords(bytes: number): string {
 
 export const changesWords = (count: number): string => (count === 0 ? "no changes" : plural(count, "change"));
 
-/** What tells one case from another, in this order: changes, last use, and a short code where another has its title. */
+/** `scan of 3 May 2021`. The day is a day, not a moment: no time zone moves it. */
+export function scanWords(isoDate: string): string {
+  const day = new Date(`${isoDate}T00:00:00Z`);
+  const format = { day: "numeric", month: "long", year: "numeric", timeZone: "UTC" } as const;
+  return `scan of ${day.toLocaleDateString("en-GB", format)}`;
+}
+
+/** What tells one case from another: scan date, changes, last use, and a short code where another has its title. */
 export function caseFacts(entry: RecentCase, all: readonly RecentCase[], nowMs: number): string[] {
-  const facts = entry.num_changes === null ? [] : [changesWords(entry.num_changes)];
+  const facts = entry.scanned_on === null ? [] : [scanWords(entry.scanned_on)];
+  if (entry.num_changes !== null) facts.push(changesWords(entry.num_changes));
   facts.push(`last used ${entry.used_s === null ? entry.date.slice(0, 10) : clock(entry.used_s, nowMs)}`);
   if (all.some(({ recent_id, title }) => recent_id !== entry.recent_id && title === entry.title))
     facts.push(`case ${entry.recent_id.slice(0, 4)}`);

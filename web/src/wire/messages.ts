@@ -733,6 +733,7 @@ export interface RecentCase {
   readonly num_bytes: number;
   readonly picture: string | null;
   readonly opens: boolean;
+  readonly scanned_on: string | null;
   readonly named: boolean;
 }
 
