@@ -18,6 +18,7 @@ from carina.commands import (
     DescribeFlight,
     EditTree,
     FlightToTakeAway,
+    FlyFlight,
     MoveFlight,
     OpenPath,
     RecordFlight,
@@ -34,6 +35,7 @@ from carina.session import Said, Session, Trouble
 from carina.session.case_files import case_files
 from carina.session.editing import NUM_EDITS_WHOLE
 from carina.session.records import CaseRecords
+from carina.session.snapshot import FlightPlace
 from carina.track import CutBranch, PaintLumen, RenameBranch, edit_airways, measure_tree
 from small_case import Background, Clock, SmallRenderer, small_parts
 
@@ -429,6 +431,49 @@ def test_a_flight_that_a_crash_cut_off_is_listed_as_such_and_taken_away_as_far_a
     recorded(again)
     assert [one.number for one in again.snapshot().flights] == [1, 2]
     again.close()
+
+
+def test_a_flight_is_flown_again_where_it_went_until_a_hand_moves_the_tip(tmp_path):
+    session, background = started(tmp_path)
+    session.do(RecordFlight())
+    first = session.pose_info().pose
+    with pytest.raises(UsageError, match="still being recorded"):
+        session.do(FlyFlight(1, 0.0))
+    flown(session, session._core.clock, 1)
+    middle = session.pose_info().pose
+    flown(session, session._core.clock, 1)
+    session.do(StopRecording())
+    last = session.pose_info().pose
+    session.do(FlyFlight(1, 0.5, goes_on=True))
+    assert session.pose_info().pose is last, "nothing is under way that could go on"
+    session.do(FlyFlight(1, 0.0))
+    background.run_all()
+    assert session.pose_info().flight == FlightPlace(1, 0.0)
+    assert np.array_equal(session.pose_info().pose.lps_from_camera, first.lps_from_camera)
+    session.do(FlyFlight(1, 1.01, goes_on=True))
+    assert np.array_equal(session.pose_info().pose.lps_from_camera, middle.lps_from_camera)
+    session.do(FlyFlight(1, 99.0, goes_on=True))
+    assert np.array_equal(session.pose_info().pose.lps_from_camera, last.lps_from_camera)
+    assert session.pose_info().flight == FlightPlace(1, pytest.approx(2.0))
+    session.do(Steer(0.5, 0.0, 0.0, 0.0))
+    here = session.pose_info()
+    assert here.flight is None
+    session.do(FlyFlight(1, 1.0, goes_on=True))
+    assert session.pose_info() == here
+    with pytest.raises(UsageError, match="has been removed"):
+        session.do(FlyFlight(2, 0.0))
+    session.close()
+
+
+def test_a_hand_that_moves_while_a_flight_is_read_is_not_thrown_back(tmp_path):
+    session, background = started(tmp_path)
+    recorded(session)
+    session.do(FlyFlight(1, 0.0))
+    session.do(Steer(0.5, 0.0, 0.0, 0.0))
+    here = session.pose_info()
+    background.run_all()
+    assert session.pose_info() == here
+    session.close()
 
 
 def test_what_is_done_to_flights_while_the_disk_refuses_is_written_later(tmp_path, monkeypatch):

@@ -64,6 +64,18 @@ def test_flights_are_recorded_named_there_again_taken_away_and_deleted(host, wor
     assert taken.complete
     assert taken.length_s == pytest.approx(workstation.state("flights")[0]["length_s"], abs=1e-5)
     before = workstation.state("flights")
+
+    # It is flown again in its own time, and a hand takes over at once.
+    length_s = before[1]["length_s"]
+    rows.nth(1).get_by_test_id("flight-play").click()
+    workstation.wait_for("window.__carina.state.pose.flight?.number === 1 && window.__carina.state.replaying.atS > 0.3")
+    workstation.picture("flights-flown-again")
+    workstation.wait_for(f"Math.abs(window.__carina.state.pose.flight.time_s - {length_s}) < 1e-6")
+    workstation.wait_for("!window.__carina.state.replaying.on")
+    rows.nth(1).get_by_test_id("flight-play").click()
+    workstation.wait_for("window.__carina.state.pose.flight.time_s > 0 && window.__carina.state.replaying.on")
+    workstation.hold("s", 100)
+    workstation.wait_for("!window.__carina.state.replaying.on && window.__carina.state.pose.flight === null")
     host.close(first)
 
     again = host.open(demo="phantom", home=home)

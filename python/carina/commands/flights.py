@@ -31,6 +31,15 @@ class MoveFlight(Command, frozen=True):
     by: Annotated[int, Meta(ge=-100_000, le=100_000)]
 
 
+class FlyFlight(Command, frozen=True):
+    """Tip to where it was at a time of a recorded flight; free mode afterwards. A job where it is read first."""
+
+    number: FlightNumber
+    time_s: Annotated[float, Meta(ge=0.0, le=86_400.0)]
+    goes_on: bool = False
+    """A flight under way: ignored if anything else has moved the tip since the last of these."""
+
+
 class RemoveFlight(Command, frozen=True):
     """Delete a recorded flight. It is no step of the history: undo does not bring it back."""
 

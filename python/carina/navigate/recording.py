@@ -245,6 +245,31 @@ class Recording:
         """Whether a scope was held in the lumen, so that a replay needs the wall."""
         return any(line.get("move", {}).get("move") == "SetScope" for line in self.lines)
 
+    def recorded_poses(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """When the tip was where, as it was recorded: without a replay, so of any version of Carina.
+
+        Returns
+        -------
+        tuple
+            (n,) seconds from the beginning, ascending, the first 0; and (n, 4, 4) ``lps_from_camera``, mm.
+
+        Raises
+        ------
+        VolumeImportError
+            ``navigate.recording``: if a pose is none.
+        """
+        try:
+            moments = [(0.0, self.header["tip"]["lps_from_camera"])]
+            moments += [(float(line["t"]), line["pose"]) for line in self.lines if "pose" in line]
+            poses = np.stack([np.asarray(pose, dtype=np.float64).reshape(4, 4) for _, pose in moments])
+            for pose in poses:
+                Pose(pose)
+        except (KeyError, TypeError, ValueError, OverflowError) as trouble:
+            raise VolumeImportError(
+                f"the recording cannot be flown again: {trouble}", code="navigate.recording"
+            ) from trouble
+        return np.array([time_s for time_s, _ in moments]), poses
+
     def replay(
         self, volume: Volume, *, wall: WallField | Callable[[dict[str, Any]], WallField] | None = None
     ) -> Iterator[tuple[ReplayedPose, bool]]:

@@ -25,7 +25,7 @@ from carina.commands.fields import (
 from carina.commands.look import Look
 from carina.render import ClusterState, Processor, Sight
 from carina.server.wire_codec import ServerMessage
-from carina.session.snapshot import SavingInfo
+from carina.session.snapshot import FlightPlace, SavingInfo
 from carina.track import DrawnPart
 from carina.value import FrozenValue
 from carina.volume import Citation
@@ -320,6 +320,8 @@ class Pose(ServerMessage, frozen=True):
     """In mode ``scope``."""
     key_frames_s: float | None
     """The time in the flight through the key frames; null once anything else has moved the tip."""
+    flight: FlightPlace | None
+    """The time in a recorded flight that is flown again; null once anything else has moved the tip."""
     by_device: bool
     """An input device moved the tip last."""
 

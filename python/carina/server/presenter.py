@@ -255,6 +255,7 @@ def pose_message(info: PoseInfo) -> wire.Pose:
         inside=info.inside,
         scope=_held(info),
         key_frames_s=info.key_frames_s,
+        flight=info.flight,
         by_device=info.by_device,
     )
 

@@ -19,6 +19,7 @@ from carina.session.session import Session
 from carina.session.snapshot import (
     Changed,
     FlightInfo,
+    FlightPlace,
     KeyFramesInfo,
     MaskQuestion,
     NotEvident,
@@ -42,6 +43,7 @@ __all__ = [
     "Errand",
     "Event",
     "FlightInfo",
+    "FlightPlace",
     "FoundScan",
     "JobEnded",
     "JobProgress",

@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carina.case.document import Document, KeyFrames, Point
 from carina.case.history import History
@@ -29,7 +30,7 @@ from carina.session.key_flight import KeyFlight, key_flight
 from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts, RendererFactory
 from carina.session.sights import Sights
-from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
+from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, FlightPlace, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.track import LumenOutline
 from carina.volume import Volume
@@ -76,12 +77,31 @@ class AirwaySearch:
 class LastMove:
     """What moved the tip last."""
 
-    by: Literal["program", "hand", "device", "key_frames"] = "program"
-    """A *hand* is a person's at mouse or keyboard; *key_frames* is the flight through the key frames."""
+    by: Literal["program", "hand", "device", "key_frames", "flight"] = "program"
+    """A *hand* is a person's at mouse or keyboard; *key_frames* is the flight through the key frames, *flight* a
+    recorded one."""
     key_frames_s: float | None = None
     """The tip's time in that flight."""
+    flight: FlightPlace | None = None
+    """The tip's time in a recorded flight."""
     person_moved: bool = False
     """A person has moved the tip, now or before: airways that are found do not move it to their root."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlownFlight:
+    """A recorded flight that has been read to be flown again."""
+
+    number: int
+    times_s: NDArray[np.float64]
+    """(n,) ascending, the first 0."""
+    lps_from_camera: NDArray[np.float64]
+    """(n, 4, 4), mm."""
+
+    def pose_at(self, time_s: float) -> Pose:
+        """Where the tip was: the newest pose that is not later."""
+        n = int(np.searchsorted(self.times_s, time_s, side="right")) - 1
+        return Pose(self.lps_from_camera[max(n, 0)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +159,8 @@ class OpenCase:
     """Recordings of which not all is in the case file yet."""
     flights: tuple[RecordingFacts, ...] = ()
     """All its recordings in their order, with the one that is being made; the case file follows."""
+    flown_flight: FlownFlight | None = None
+    """The one that was flown again last."""
     removed_flights: frozenset[int] = frozenset()
     """The numbers of those that were deleted here."""
 
@@ -337,6 +359,7 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
         scope=tip.scope_state,
         scope_tip_mm=tip.scope_tip_mm,
         key_frames_s=case.last_move.key_frames_s,
+        flight=case.last_move.flight,
         by_device=case.last_move.by == "device",
     )
 

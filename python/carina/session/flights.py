@@ -6,19 +6,42 @@ in memory, at once; the case file follows it as it follows all else.
 
 from __future__ import annotations
 
+import io
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from carina import commands as c
 from carina.case.recordings import RecordingFacts
 from carina.errors import UsageError
-from carina.session.case import OpenCase
+from carina.navigate.recording import read_recording
+from carina.session.case import FlownFlight, OpenCase
+from carina.session.flying import place_pose
+from carina.session.jobs import Job
+from carina.session.snapshot import FlightPlace
 from carina.session.subject import Subject, does
+
+if TYPE_CHECKING:
+    from carina.session.core import SessionCore
 
 __all__ = ["Flights", "needed_flight", "running_flight"]
 
 
 class Flights(Subject):
-    """The list of the case's recorded flights."""
+    """The list of the case's recorded flights, and flying one again.
+
+    Parameters
+    ----------
+    core
+        Of the session.
+    text
+        The lines of a flight, by its number; it may wait for the disk.
+    """
+
+    def __init__(self, core: SessionCore, text: Callable[[int], str]) -> None:
+        super().__init__(core)
+        self._text = text
 
     @does(c.RenameFlight)
     def rename(self, command: c.RenameFlight) -> None:
@@ -58,6 +81,42 @@ class Flights(Subject):
             case.removed_flights |= {command.number}
             case.recorded = tuple(one for one in case.recorded if one.number != command.number)
             self._become(case, [one for one in case.flights if one is not flight])
+
+    @does(c.FlyFlight)
+    def fly(self, command: c.FlyFlight) -> str | None:
+        """As a job where it has to be read; a hand that moves the tip meanwhile is not thrown back."""
+        number, case = command.number, self.core.needed_case()
+        with self.core.lock:
+            flight = needed_flight(case, number)
+            at = case.last_move.flight
+            if command.goes_on and (at is None or at.number != number):
+                return None
+            if running_flight(case) == number:
+                raise UsageError(
+                    f"{flight.name} is still being recorded; stop the recording first", code="session.flights"
+                )
+            if case.flown_flight is not None and case.flown_flight.number == number:
+                self._fly(case, case.flown_flight, command.time_s)
+                return None
+            before = case.last_move
+
+        def work(job: Job) -> None:
+            recording = read_recording(io.StringIO(self._text(number)), Path(f"flight {number}"))
+            job.check()
+            flown = FlownFlight(number, *recording.recorded_poses())
+            with self.core.lock:
+                job.check()
+                case.flown_flight = flown
+                if case.last_move is before:
+                    self._fly(case, flown, command.time_s)
+
+        return self.core.jobs.start("flight", "reading the flight", work)
+
+    def _fly(self, case: OpenCase, flown: FlownFlight, time_s: float) -> None:
+        """With the session locked."""
+        place_s = min(time_s, needed_flight(case, flown.number).length_s)
+        self.core.fly(place_pose(flown.pose_at(place_s)))
+        case.last_move = replace(case.last_move, by="flight", flight=FlightPlace(flown.number, place_s))
 
     def _change(self, number: int, **values: str) -> None:
         case = self.core.needed_case()

@@ -479,14 +479,18 @@ class Saving(Subject):
     @answers(c.FlightToTakeAway)
     def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
         """Waits for the disk, so not with the session locked."""
+        return self.flight_text(question.number)
+
+    def flight_text(self, number: int) -> str:
+        """The same by its number."""
         case, kept = self.core.needed_case(), self._kept
         with self.core.lock:
-            needed_flight(case, question.number)
+            needed_flight(case, number)
         if kept is None or kept.case is not case:
             raise UsageError("this case is no longer open here", code="case.closed")
         if not kept.settle():
             raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
-        return kept.flight_text(question.number)
+        return kept.flight_text(number)
 
     # ------------------------------------------------------------ a place of its own
 

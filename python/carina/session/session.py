@@ -100,7 +100,8 @@ class Session:
         core.after_sight += [recording.note_view]
         looking = Looking(core)
         subjects = (
-            opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording, Flights(core),
+            opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording,
+            Flights(core, self._saving.flight_text),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             Following(core, finding, holding, self._saving),
         )  # fmt: skip

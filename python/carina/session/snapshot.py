@@ -28,6 +28,7 @@ __all__ = [
     "Changed",
     "DevicesInfo",
     "FlightInfo",
+    "FlightPlace",
     "KeyFramesInfo",
     "MaskQuestion",
     "NotEvident",
@@ -66,6 +67,13 @@ class CaseSnapshot:
     value_range: tuple[int, int]
 
 
+class FlightPlace(FrozenValue, frozen=True):
+    """A time of a recorded flight that is flown again."""
+
+    number: FlightNumber
+    time_s: float
+
+
 @one_line
 @dataclass(frozen=True, slots=True)
 class PoseInfo:
@@ -86,6 +94,8 @@ class PoseInfo:
     """Diameter of its tip."""
     key_frames_s: float | None = None
     """The time in the flight through key frames, while that is what moved the tip."""
+    flight: FlightPlace | None = None
+    """The time in a recorded flight, while that is what moved the tip."""
     by_device: bool = False
     """A device moved the tip last."""
 

@@ -1,7 +1,7 @@
 /** Recording: its switch, and the flights that were recorded into the case. */
 
 import { useState } from "react";
-import { Button, Input, TextArea, TextField } from "react-aria-components";
+import { Button, Input, Slider, SliderThumb, SliderTrack, TextArea, TextField } from "react-aria-components";
 import { clock as timeOfDay } from "../state/format";
 import { clock } from "../state/playing";
 import type { FlightInfo } from "../wire/messages";
@@ -61,11 +61,25 @@ interface RowProps {
 }
 
 function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
+  const station = useStation();
   const isRecording = flight.state === "recording";
+  const isOn = useApp((state) => state.flownFlight === flight.number && state.replaying.on);
   const when = flight.begun_s === null ? "" : timeOfDay(flight.begun_s, Date.now());
   return (
     <li className={isRecording ? "key here" : "key"} data-testid="flight">
       <div className="key-head flight-head">
+        <Act
+          kind="icon"
+          icon={isOn ? "pause" : "play"}
+          words={
+            isOn
+              ? `Pause ${flight.name}`
+              : `Fly ${flight.name} again, with the current view. Any movement you make stops it.`
+          }
+          disabled={isRecording || flight.length_s <= 0}
+          testId="flight-play"
+          onPress={() => station.playFlight(flight.number)}
+        />
         <span className="flight-words">
           <strong>{flight.name}</strong>
           <span className="quiet numbers">
@@ -84,12 +98,41 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
           </Button>
         </Tip>
       </div>
+      <Bar flight={flight} />
       {flight.words === "" || open ? null : <p className="flight-note quiet">{flight.words}</p>}
       {flight.state === "cut-off" ? (
         <p className="flight-note warning-text">Incomplete: Carina was stopped during this recording.</p>
       ) : null}
       {open ? <FlightTools flight={flight} first={first} last={last} /> : null}
     </li>
+  );
+}
+
+/** The time in a flight that is flown again: to be seen, and moved. */
+function Bar({ flight }: { flight: FlightInfo }) {
+  const station = useStation();
+  const atS = useApp((state) => (state.flownFlight === flight.number ? state.replaying.atS : null));
+  // Off the flight the bar stands where it was left, and says so.
+  const on = useApp((state) => state.pose?.flight?.number === flight.number);
+  if (atS === null || flight.length_s <= 0) return null;
+  return (
+    <div className="flight-bar">
+      <Slider
+        className={on ? "path-slider" : "path-slider off-flight"}
+        aria-label={`Time in ${flight.name} (seconds)`}
+        minValue={0}
+        maxValue={flight.length_s}
+        step={0.01}
+        value={Math.min(atS, flight.length_s)}
+        onChange={(value) => station.replayer.seek(value)}
+      >
+        <SliderTrack className="path-track">
+          <div className="path-line" />
+          <div className="path-done" style={{ width: `${(100 * Math.min(atS / flight.length_s, 1)).toFixed(2)}%` }} />
+          <SliderThumb className="path-thumb" />
+        </SliderTrack>
+      </Slider>
+    </div>
   );
 }
 

@@ -111,7 +111,7 @@ const PLACE_MM = 40;
 /** Airway view and crosshair to a place of the airways, and all slices there, near enough to judge it. */
 export function showPlace(station: Workstation, lps: Vec3, branchId: number | null): void {
   station.flight.stopAuto();
-  station.player.pause();
+  station.pausePlaying();
   station.send({ type: "show_place", lps, branch_id: branchId });
   for (const view of FLAT_VIEWS) {
     const wanted = station.wall.find(view)?.wantedPixels ?? null;

@@ -1,7 +1,7 @@
 /** Wires the parts: stream, pictures, state, flight and keys. Panels call its methods; it knows no panel. */
 
 import { Flight } from "../input/flight";
-import { KeyPlayer } from "../input/key-player";
+import { KeyPlayer, keyFramesAround } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
@@ -31,6 +31,7 @@ import { Wall } from "../views/wall";
 import type {
   ClientMessage,
   Demo,
+  FlightInfo,
   Outline,
   PickedMessage,
   PictureHeader,
@@ -54,6 +55,9 @@ export class Workstation implements Station {
   readonly wall: Wall;
   readonly flight: Flight;
   readonly player: KeyPlayer;
+  /** Flies a recorded flight again. */
+  readonly replayer: KeyPlayer;
+  #flownFlight: number | null = null;
   readonly pointing: Pointing;
   readonly previewing: Previewing;
   readonly devices: BrowserDevices;
@@ -96,16 +100,26 @@ export class Workstation implements Station {
       pathMm: () => pathMm(this.state),
       speedMmS: () => this.state.ui.autoSpeedMmS,
       send: (message) => {
-        // At once, not with the answer: a hand takes over.
-        this.player.pause();
+        this.pausePlaying();
         this.send(message);
       },
       advancing: (on) => this.ui({ advancing: on }),
     });
-    this.player = new KeyPlayer({
-      keyFrames: () => this.state.keyFrames,
-      send: (message) => this.send(message),
-      changed: (playing) => this.store.dispatch({ kind: "playing", playing }),
+    this.player = new KeyPlayer(
+      keyFramesAround(
+        () => this.state.keyFrames,
+        (message) => this.send(message),
+        (playing) => this.store.dispatch({ kind: "playing", playing }),
+      ),
+    );
+    this.replayer = new KeyPlayer({
+      durationS: () => this.#flown()?.length_s ?? 0,
+      stops: () => [],
+      fly: (time_s, goes_on) =>
+        this.#flownFlight !== null && this.send({ type: "fly_flight", number: this.#flownFlight, time_s, goes_on }),
+      timeOf: ({ flight }) => (flight !== null && flight.number === this.#flownFlight ? flight.time_s : null),
+      waits: true,
+      changed: (replaying) => this.store.dispatch({ kind: "replaying", flownFlight: this.#flownFlight, replaying }),
     });
     this.previewing = new Previewing(this);
     this.pointing = new Pointing(this, this.previewing);
@@ -119,7 +133,9 @@ export class Workstation implements Station {
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message });
           if (message.type === "pose") this.#posed(message);
-          if (message.type === "key_frames") this.player.reset(message);
+          if (message.type === "key_frames") this.player.reset(message.duration_s);
+          if (message.type === "flights") this.replayer.reset(this.#flown()?.length_s ?? 0);
+          if (message.type === "error") this.replayer.refused();
           if (message.type === "picked") this.#picked(message);
           if (message.type === "route") this.#warnOfDoubts();
           if (message.type === "live_path") this.pointing.receive(message);
@@ -334,13 +350,36 @@ export class Workstation implements Station {
   /** The flight through the key frames plays, or stands where it is. */
   playKeys(): void {
     this.flight.stopAuto();
+    this.replayer.pause();
     this.player.toggle();
+  }
+
+  /** A recorded flight is flown again from where it is, or stands there. */
+  playFlight(number: number): void {
+    this.flight.stopAuto();
+    this.player.pause();
+    if (this.#flownFlight !== number) {
+      this.#flownFlight = number;
+      this.replayer.begin();
+    }
+    this.replayer.toggle();
+  }
+
+  #flown(): FlightInfo | null {
+    return this.state.flights.find((flight) => flight.number === this.#flownFlight) ?? null;
+  }
+
+  /** At once, not with the answer: a hand takes over. */
+  pausePlaying(): void {
+    this.player.pause();
+    this.replayer.pause();
   }
 
   #posed(pose: PoseMessage): void {
     const tip = tipLps(this.state);
     if (tip !== null) this.#speed.poseArrived(tip, performance.now());
     this.player.poseArrived(pose);
+    this.replayer.poseArrived(pose);
     // A device in the hand takes over.
     if (pose.by_device) this.flight.stopAuto();
   }
@@ -560,7 +599,7 @@ export class Workstation implements Station {
     leave: () => {
       if (this.putAway()) return;
       this.flight.stopAuto();
-      this.player.pause();
+      this.pausePlaying();
       if (this.state.ui.full !== null) this.ui({ full: null });
       else this.store.dispatch({ kind: "picks", picks: [] });
     },
@@ -619,6 +658,7 @@ export class Workstation implements Station {
     }
     this.flight.tick(elapsedS);
     this.player.tick(elapsedS);
+    this.replayer.tick(elapsedS);
     this.devices.tick();
     if (this.#soon.size === 0) return;
     const messages = [...this.#soon.values()];
@@ -642,7 +682,7 @@ export class Workstation implements Station {
     this.store.dispatch({ kind: "connection", connection: asConnection(status) });
     if (status.status !== "open") {
       this.flight.stopAuto();
-      this.player.pause();
+      this.pausePlaying();
       this.#autoWanted = false;
       return;
     }

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { NOT_PLAYING, type Playing } from "../state/playing";
 import type { ClientMessage, KeyFramesMessage, PoseMessage } from "../wire/messages";
-import { KeyPlayer } from "./key-player";
+import { KeyPlayer, keyFramesAround } from "./key-player";
 
 const KEYS: KeyFramesMessage = {
   type: "key_frames",
@@ -25,22 +25,25 @@ const pose = (key_frames_s: number | null): PoseMessage => ({
   inside: true,
   scope: null,
   key_frames_s,
+  flight: null,
   by_device: false,
 });
 
 function player(keys: KeyFramesMessage | null = KEYS) {
   const sent: ClientMessage[] = [];
   const around = { keys, playing: NOT_PLAYING as Playing, open: true };
-  const made = new KeyPlayer({
-    keyFrames: () => around.keys,
-    send: (message) => {
-      if (around.open) sent.push(message);
-      return around.open;
-    },
-    changed: (playing) => {
-      around.playing = playing;
-    },
-  });
+  const made = new KeyPlayer(
+    keyFramesAround(
+      () => around.keys,
+      (message) => {
+        if (around.open) sent.push(message);
+        return around.open;
+      },
+      (playing) => {
+        around.playing = playing;
+      },
+    ),
+  );
   return { made, sent, around };
 }
 
@@ -157,7 +160,47 @@ describe("the player of key frames", () => {
     const { made, around } = player();
     made.seek(3.5);
     made.play();
-    made.reset({ ...KEYS, duration_s: 2 });
+    made.reset(2);
     expect(around.playing).toMatchObject({ on: false, atS: 2 });
+  });
+});
+
+describe("the player of a recorded flight", () => {
+  it("begins its clock with the first answer, since the flight may be read first", () => {
+    const asked: [number, boolean][] = [];
+    let playing: Playing = NOT_PLAYING;
+    const made = new KeyPlayer({
+      durationS: () => 4,
+      stops: () => [],
+      fly: (timeS, goesOn) => asked.push([timeS, goesOn]) > 0,
+      timeOf: (one) => one.flight?.time_s ?? null,
+      waits: true,
+      changed: (now) => {
+        playing = now;
+      },
+    });
+    const flown = (time_s: number | null) => ({
+      ...pose(null),
+      flight: time_s === null ? null : { number: 2, time_s },
+    });
+    made.play();
+    made.tick(0.1);
+    made.poseArrived(flown(null));
+    made.tick(0.1);
+    expect(asked).toEqual([[0, false]]);
+    made.poseArrived(flown(0));
+    made.tick(0.1);
+    expect(asked).toEqual([
+      [0, false],
+      [0.1, true],
+    ]);
+    // A hand takes over.
+    made.poseArrived(flown(null));
+    expect(playing).toMatchObject({ on: false, atS: 0.1 });
+    made.play();
+    made.refused();
+    expect(playing.on).toBe(false);
+    made.begin();
+    expect(playing).toMatchObject({ on: false, atS: 0 });
   });
 });

@@ -86,6 +86,7 @@ function pose(poseId: number, pathMillimetres: number | null = null): PoseMessag
     inside: true,
     scope: null,
     key_frames_s: null,
+    flight: null,
     by_device: false,
   };
 }

@@ -179,6 +179,10 @@ export interface AppState {
   readonly history: HistoryMessage | null;
   /** The flight through them, as it is played here. */
   readonly playing: Playing;
+  /** The recorded flight that is flown again here, or was last; null: none was. */
+  readonly flownFlight: number | null;
+  /** The same, as it is played. */
+  readonly replaying: Playing;
   /** How fast the tip moves, mm/s; null at rest. */
   readonly speedMmS: number | null;
   readonly ui: Ui;
@@ -224,6 +228,8 @@ export const INITIAL_STATE: AppState = {
   flights: [],
   history: null,
   playing: NOT_PLAYING,
+  flownFlight: null,
+  replaying: NOT_PLAYING,
   speedMmS: null,
   ui: {
     step: "open",
@@ -276,6 +282,7 @@ export type AppEvent =
   | { kind: "pace"; pace: Pace }
   | { kind: "speed"; speedMmS: number | null }
   | { kind: "playing"; playing: Playing }
+  | { kind: "replaying"; flownFlight: number | null; replaying: Playing }
   | { kind: "upload"; upload: Upload | null }
   | { kind: "say"; message: Omit<Message, "id"> }
   | { kind: "dismiss"; id: number }
@@ -324,6 +331,8 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return state.speedMmS === event.speedMmS ? state : { ...state, speedMmS: event.speedMmS };
     case "playing":
       return { ...state, playing: event.playing };
+    case "replaying":
+      return { ...state, flownFlight: event.flownFlight, replaying: event.replaying };
     case "upload":
       return { ...state, upload: event.upload };
     case "say":

@@ -206,6 +206,14 @@ export interface MoveFlightMessage {
   readonly by: number;
 }
 
+/** Tip to where it was at a time of a recorded flight; free mode afterwards. A job where it is read first. */
+export interface FlyFlightMessage {
+  readonly type: "fly_flight";
+  readonly number: number;
+  readonly time_s: number;
+  readonly goes_on?: boolean;
+}
+
 /** Delete a recorded flight. It is no step of the history: undo does not bring it back. */
 export interface RemoveFlightMessage {
   readonly type: "remove_flight";
@@ -1022,6 +1030,12 @@ export interface HeldScope {
   readonly contact_s: number;
 }
 
+/** A time of a recorded flight that is flown again. */
+export interface FlightPlace {
+  readonly number: number;
+  readonly time_s: number;
+}
+
 /** The newest pose; pictures name the one they answer. */
 export interface PoseMessage {
   readonly type: "pose";
@@ -1036,6 +1050,7 @@ export interface PoseMessage {
   readonly inside: boolean;
   readonly scope: HeldScope | null;
   readonly key_frames_s: number | null;
+  readonly flight: FlightPlace | null;
   readonly by_device: boolean;
 }
 
@@ -1574,6 +1589,7 @@ export type ClientMessage =
   | RenameFlightMessage
   | DescribeFlightMessage
   | MoveFlightMessage
+  | FlyFlightMessage
   | RemoveFlightMessage
   | SteerMessage
   | SetModeMessage
