@@ -148,7 +148,11 @@ def test_a_case_is_continued_from_the_list_begun_anew_forgotten_and_brought_back
     recent.get_by_role("button").click()
     workstation.wait_ready()
     assert shown(workstation)["steps"] == steps
-    assert "1 change" in page.get_by_test_id("continued").inner_text()
+    continued = page.get_by_test_id("continued")
+    assert "1 change" in continued.inner_text()
+    assert "this work stays in the list" in continued.inner_text()
+    assert continued.evaluate("(card) => card.scrollWidth <= card.clientWidth"), "all of it can be read"
+    workstation.picture("continued-or-new")
     page.get_by_test_id("begin-anew").click()
     workstation.wait_for("window.__carina.state.session.saving.continued_s === null")
     page.get_by_test_id("continued").wait_for(state="detached")

@@ -1,4 +1,4 @@
-/** A case that was kept is continued without a question; here it is said, and another can be begun. */
+/** A case that was kept is continued, which loses nothing; here it is said, and another can be begun (decision 0051). */
 
 import { continuedWords } from "../state/case-list";
 import { useApp, useStation } from "./context";
@@ -13,7 +13,9 @@ export function ContinuedBar() {
   if (words === null) return null;
   return (
     <section className="continued" aria-label="Continued case" data-testid="continued">
-      <p role="status">{words}</p>
+      <p role="status">
+        {words} <span className="quiet">New case starts over; this work stays in the list of recent cases.</span>
+      </p>
       <div className="row">
         <Act
           kind="primary"
