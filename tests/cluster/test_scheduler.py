@@ -46,7 +46,7 @@ def test_heights_follow_the_shares():
 def test_no_lane_and_no_row_are_refused():
     with pytest.raises(UsageError, match="0 renderers"):
         cut_rows(5, {}, min_rows=1)
-    with pytest.raises(UsageError, match="0 rows"):
+    with pytest.raises(UsageError, match="0 image rows"):
         cut_rows(0, {"a": 1.0}, min_rows=1)
 
 
