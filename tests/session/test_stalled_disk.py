@@ -37,7 +37,17 @@ class StalledFile(MemoryFile):
 
 
 class StallingDesk(Desk):
-    """Its case was saved once."""
+    """Its case was saved once; its disk counts as silent only where a test holds it up, however slow the machine is."""
+
+    def be_silent(self, has_begun, do):
+        """What is written now is written to a disk that does not respond."""
+        has_begun.clear()
+        keeping.SLOW_S = 0.01
+        do()
+        with self.kept._wake:
+            self.kept._wake.notify_all()
+        assert has_begun.wait(WAIT_S)
+        keeping.SLOW_S = WAIT_S
 
     def kept_files(self, files):
         def create(path, _volume, digest):
@@ -64,20 +74,20 @@ class StallingDesk(Desk):
 
     def stall(self):
         """A change is on its way to a disk that does not take it."""
-        self.file.saves.clear()
         self.file.lets_save.clear()
-        self.session.do(c.SetFov(90.0))
-        self.clock.advance(1.0)
-        with self.kept._wake:
-            self.kept._wake.notify_all()
-        assert self.file.saves.wait(WAIT_S)
+
+        def change():
+            self.session.do(c.SetFov(90.0))
+            self.clock.advance(1.0)
+
+        self.be_silent(self.file.saves, change)
+        self.until(lambda: self.saving().problem is not None)
 
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """Where a disk is slow after a twentieth of a second."""
     MemoryFile.kept.clear()
-    monkeypatch.setattr(keeping, "SLOW_S", 0.05)
+    monkeypatch.setattr(keeping, "SLOW_S", WAIT_S)
     desk = StallingDesk(tmp_path)
     desk.start()
     desk.open()
@@ -91,12 +101,11 @@ def desk(tmp_path, monkeypatch):
 
 
 def test_a_disk_that_is_silent_is_told_of_within_three_seconds():
-    assert keeping.DECIDED_WITHIN_S + keeping.SLOW_S < 3.0
+    assert keeping.DECIDED_WITHIN_S + keeping.SLOW_S < 3.0  # no desk here: as in the product
 
 
 def test_work_goes_on_while_a_disk_is_silent_and_is_on_it_when_it_answers(desk):
     desk.stall()
-    desk.until(lambda: desk.saving().problem is not None)
     assert "another folder" in desk.saving().problem
     desk.session.do(c.SetFov(80.0))
     desk.session.do(c.EditKeyFrames(c.KeyFrameAdd()))
@@ -114,6 +123,7 @@ def test_a_case_is_named_while_its_disk_is_silent(desk):
     desk.session.do(c.RenameCase(case_id, "Nodule in RB4"))
     assert desk.saving().title == "Nodule in RB4"
     desk.file.lets_save.set()
+    desk.until(lambda: desk.saving().problem is None)
     desk.saved()
     assert desk.session._saving.records.find(case_id).alias == "Nodule in RB4"
 
@@ -148,14 +158,10 @@ def test_a_share_that_is_silent_holds_up_its_copy_alone(desk, tmp_path):
     share = tmp_path / "share.carina"
     desk.session.do(c.SaveCase(str(share)))
     desk.background.run_all()
-    desk.file.copies.clear()
     desk.file.lets_copy.clear()
     desk.session.do(c.SetFov(90.0))
     desk.saved()
-    desk.clock.advance(61.0)
-    with desk.kept._wake:
-        desk.kept._wake.notify_all()
-    assert desk.file.copies.wait(WAIT_S)
+    desk.be_silent(desk.file.copies, lambda: desk.clock.advance(61.0))
     desk.until(lambda: desk.saving().copy_problem is not None)
     desk.session.do(c.SetFov(80.0))
     desk.saved()
