@@ -58,6 +58,10 @@ def test_any_sequence_reopened_before_each_of_its_steps_is_that_of_a_case_that_s
     worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
+def test_a_branch_that_was_only_renamed_has_the_same_paths_when_it_was_put_away(tmp_path):
+    worked_on([("rename", 3401), ("add", 1974794), ("root", 0), ("fold", 0)], tmp_path / "one.carina")
+
+
 @pytest.mark.soak
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(acts=sequences)

@@ -54,11 +54,23 @@ class PackedAirways(FoldedAirways):
     shape_zyx: tuple[int, int, int]
     uncertain: tuple[Uncertainty, ...]
     bridges: tuple[NDArray[np.float64], ...]
-    packed: bytes
-    """The lumen's box, one bit per voxel, deflated."""
+    packed: bytes | None
+    """The lumen's box, one bit per voxel, deflated; None where lumen and paths are the base's, as after new names."""
 
     def unfold(self, volume: Volume) -> Airways:
         """The airways again; their paths are calculated when they are first needed."""
+        if self.packed is None:
+            # The search told its tracker the nodes of each branch, which centrelines tell a voxel or two otherwise.
+            return dataclasses.replace(
+                self.base,
+                tree=dataclasses.replace(self.base.tree, branches=self.branches),
+                notes=self.notes,
+                base=self.base,
+                edits=self.edits,
+                next_id=self.next_id,
+                uncertain=self.uncertain,
+                bridges=self.bridges,
+            )
         count = int(np.prod(self.shape_zyx))
         bits = np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8)
         i, j, k = self.first_ijk
@@ -96,7 +108,10 @@ def fold_airways(volume: Volume, airways: Airways) -> PackedAirways:
         raise UsageError("only edited airways can be folded; expected airways with at least one edit")
     lumen = EditedLumen(volume, airways.tracker.core)
     first, shape = _box(airways.lumen_zyx)
-    states = lumen_states(lumen.core, first, shape)
+    packed = None
+    if airways.tracker is not airways.base.tracker:
+        states = lumen_states(lumen.core, first, shape)
+        packed = zlib.compress(np.packbits(states != 0).tobytes(), 1)
     return PackedAirways(
         base=airways.base,
         branches=airways.tree.branches,
@@ -108,7 +123,7 @@ def fold_airways(volume: Volume, airways: Airways) -> PackedAirways:
         root_ijk=lumen.root_ijk,
         first_ijk=first,
         shape_zyx=(shape[2], shape[1], shape[0]),
-        packed=zlib.compress(np.packbits(states != 0).tobytes(), 1),
+        packed=packed,
     )
 
 
