@@ -121,6 +121,30 @@ class AwaitedScope:
 
 
 @dataclass(slots=True)
+class ScopeInLumen:
+    """The scope that is held, or waits to be."""
+
+    laid: str | None = None
+    """The one that was laid last."""
+    awaited: AwaitedScope | None = None
+    """It is laid as soon as the wall is known."""
+
+
+@dataclass(slots=True)
+class CaseFlights:
+    """The recorded flights of a case; its file follows."""
+
+    listed: tuple[RecordingFacts, ...] = ()
+    """In their order, with the one that is being recorded."""
+    unwritten: tuple[RecordingWriter, ...] = ()
+    """Recordings of which not all is in the file yet."""
+    removed: frozenset[int] = frozenset()
+    """The numbers of those that were deleted here."""
+    flown: FlownFlight | None = None
+    """The one that was flown again last."""
+
+
+@dataclass(slots=True)
 class OpenCase:
     """All of it is guarded by the session's lock."""
 
@@ -145,9 +169,7 @@ class OpenCase:
     sights: Sights
     search: AirwaySearch = AirwaySearch()
     last_move: LastMove = LastMove()
-    laid_scope: str | None = None
-    """The scope that was last laid in the lumen."""
-    awaited_scope: AwaitedScope | None = None
+    scope: ScopeInLumen = field(default_factory=ScopeInLumen)
     flown_route: ChosenRoute | None = None
     """The route whose path the pilot was last given."""
     asked_mask: AskedMask | None = None
@@ -155,14 +177,7 @@ class OpenCase:
     """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
     numbers: dict[str, int] = field(default_factory=dict)
     """The last number that was given, by what was numbered: targets and key frames count from 1 in each case."""
-    recorded: tuple[RecordingWriter, ...] = ()
-    """Recordings of which not all is in the case file yet."""
-    flights: tuple[RecordingFacts, ...] = ()
-    """All its recordings in their order, with the one that is being made; the case file follows."""
-    flown_flight: FlownFlight | None = None
-    """The one that was flown again last."""
-    removed_flights: frozenset[int] = frozenset()
-    """The numbers of those that were deleted here."""
+    flights: CaseFlights = field(default_factory=CaseFlights)
 
     def next_number(self, what: str) -> int:
         """A number that nothing of its kind had; with the session locked."""
@@ -306,12 +321,12 @@ def restore(case: OpenCase, kept: Moment) -> None:
     case.numbers = dict(kept.numbers)
     if kept.scope is not None and document.airways is not None and document.route is not None:
         tip = case.navigator
-        case.awaited_scope = AwaitedScope(kept.scope, document.airways, tip.mode, tip.pose)
+        case.scope.awaited = AwaitedScope(kept.scope, document.airways, tip.mode, tip.pose)
 
 
 def moment_of(case: OpenCase) -> Moment:
     """All of a case that is kept; with the session locked. It shares what is immutable."""
-    history, held, awaited = case.history, case.navigator.scope_state, case.awaited_scope
+    history, held, awaited = case.history, case.navigator.scope_state, case.scope.awaited
     scope = None if held is None else LaidScope(held.insertion_mm, held.roll_rad, held.flexion_rad)
     if scope is None and awaited is not None and awaited.is_due(case):
         # A Carina that is killed before the wall is known has not forgotten it.

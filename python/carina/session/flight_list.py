@@ -13,7 +13,7 @@ MAX_SHOWN_CHARS = 4000
 
 def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
     """In their order; with the session locked."""
-    running = {recording.number for recording in case.recorded if not recording.closed}
+    running = {recording.number for recording in case.flights.unwritten if not recording.closed}
     return tuple(
         FlightInfo(
             number=one.recording_id,
@@ -23,5 +23,5 @@ def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
             length_s=one.length_s,
             state="recording" if one.recording_id in running else "complete" if one.complete else "cut-off",
         )
-        for one in case.flights
+        for one in case.flights.listed
     )

@@ -61,7 +61,7 @@ class Flights(Subject):
         """Nothing beyond the ends of the list."""
         case = self.core.needed_case()
         with self.core.lock:
-            flights = list(case.flights)
+            flights = list(case.flights.listed)
             at = flights.index(needed_flight(case, command.number))
             to = min(max(at + command.by, 0), len(flights) - 1)
             if to != at:
@@ -78,9 +78,9 @@ class Flights(Subject):
                 raise UsageError(
                     f"{flight.name} is still being recorded; stop the recording first", code="session.flights"
                 )
-            case.removed_flights |= {command.number}
-            case.recorded = tuple(one for one in case.recorded if one.number != command.number)
-            self._become(case, [one for one in case.flights if one is not flight])
+            case.flights.removed |= {command.number}
+            case.flights.unwritten = tuple(one for one in case.flights.unwritten if one.number != command.number)
+            self._become(case, [one for one in case.flights.listed if one is not flight])
 
     @does(c.FlyFlight)
     def fly(self, command: c.FlyFlight) -> str | None:
@@ -95,8 +95,8 @@ class Flights(Subject):
                 raise UsageError(
                     f"{flight.name} is still being recorded; stop the recording first", code="session.flights"
                 )
-            if case.flown_flight is not None and case.flown_flight.number == number:
-                self._fly(case, case.flown_flight, command.time_s)
+            if case.flights.flown is not None and case.flights.flown.number == number:
+                self._fly(case, case.flights.flown, command.time_s)
                 return None
             before = case.last_move
 
@@ -106,7 +106,7 @@ class Flights(Subject):
             flown = FlownFlight(number, *recording.recorded_poses())
             with self.core.lock:
                 job.check()
-                case.flown_flight = flown
+                case.flights.flown = flown
                 if case.last_move is before:
                     self._fly(case, flown, command.time_s)
 
@@ -124,10 +124,10 @@ class Flights(Subject):
             flight = needed_flight(case, number)
             changed = replace(flight, **values)  # type: ignore[arg-type]
             if changed != flight:
-                self._become(case, [changed if one is flight else one for one in case.flights])
+                self._become(case, [changed if one is flight else one for one in case.flights.listed])
 
     def _become(self, case: OpenCase, flights: list[RecordingFacts]) -> None:
-        case.flights = tuple(flights)
+        case.flights.listed = tuple(flights)
         self.core.changed("flights")
 
 
@@ -139,7 +139,7 @@ def needed_flight(case: OpenCase, number: int) -> RecordingFacts:
     UsageError
         ``session.flights``: if there is none.
     """
-    for flight in case.flights:
+    for flight in case.flights.listed:
         if flight.recording_id == number:
             return flight
     raise UsageError("this flight has been removed", code="session.flights")
@@ -147,4 +147,4 @@ def needed_flight(case: OpenCase, number: int) -> RecordingFacts:
 
 def running_flight(case: OpenCase) -> int | None:
     """The number of the flight that is being recorded into the case; with the session locked."""
-    return next((one.number for one in case.recorded if not one.closed), None)
+    return next((one.number for one in case.flights.unwritten if not one.closed), None)

@@ -65,7 +65,7 @@ class Following(Subject):
         before, mode = case.navigator.pose, case.navigator.mode
         case.history = moment.history()
         case.measured.take(moment.measures)
-        case.awaited_scope = None
+        case.scope.awaited = None
         restore(case, moment)
         self.core.follow(case)
         if case.navigator.mode != mode or not np.array_equal(

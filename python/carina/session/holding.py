@@ -36,7 +36,7 @@ class ScopeHolding(Subject):
         """Hold the scope as it was held when the case was closed, once the wall is known."""
 
         def lay(_wall: object) -> None:
-            awaited, case.awaited_scope = case.awaited_scope, None
+            awaited, case.scope.awaited = case.scope.awaited, None
             if awaited is not None and self.core.case is case and awaited.is_due(case):
                 scope = awaited.scope
                 self.lay(case, scope.insertion_mm)
@@ -45,8 +45,8 @@ class ScopeHolding(Subject):
                 self.core.changed("state", "pose", "views")
 
         with self.core.lock:
-            if case.awaited_scope is not None:
-                case.wall.want(case.awaited_scope.airways, then=lay)
+            if case.scope.awaited is not None:
+                case.wall.want(case.scope.awaited.airways, then=lay)
 
     def _lay_in(self, case: OpenCase, airways: Airways) -> None:
         """The wall is known; with the session locked."""
@@ -66,7 +66,7 @@ class ScopeHolding(Subject):
         name = case.document.look.scope or DEFAULT_SCOPE
         points = tuple(as_point(point) for point in route.points_lps)
         self.core.fly(LayScope(name, points, float(insertion_mm)))
-        case.laid_scope = name
+        case.scope.laid = name
 
     def follow(self, case: OpenCase) -> None:
         """After a change of the document: another scope is laid where the old one was; another lumen ends it."""
@@ -76,5 +76,5 @@ class ScopeHolding(Subject):
         if case.wall.of(case.document.airways) is None:
             self.core.fly(c.SetMode("free"))
             self.core.emit(Said("the airways have changed: reinsert the scope to use the updated airways"))
-        elif (case.document.look.scope or DEFAULT_SCOPE) != case.laid_scope:
+        elif (case.document.look.scope or DEFAULT_SCOPE) != case.scope.laid:
             self.lay(case, state.insertion_mm)

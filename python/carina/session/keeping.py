@@ -139,7 +139,7 @@ class Keeper:
 
     def changed(self, topics: frozenset[Topic]) -> None:
         """Something of the case has changed."""
-        moved_s = RECORDED_WITHIN_S if self.case.recorded else MOVED_WITHIN_S
+        moved_s = RECORDED_WITHIN_S if self.case.flights.unwritten else MOVED_WITHIN_S
         within_s = moved_s if topics <= {"pose", "views"} else DECIDED_WITHIN_S
         with self._wake:
             self._is_elsewhere = False
@@ -326,8 +326,8 @@ class Keeper:
                 # All that was done until now is on the disk when it is said.
                 now_s = self._records.now_s()
                 moment = moment_of(self.case)
-                flights = self.case.flights
-                recorded, removed = self.case.recorded, self.case.removed_flights
+                flights = self.case.flights.listed
+                recorded, removed = self.case.flights.unwritten, self.case.flights.removed
             self.file.save(moment)
             for recording in recorded:
                 self.file.keep_recording(recording)
@@ -335,7 +335,7 @@ class Keeper:
                 self.file.set_recordings(flights, removed=removed)
                 self._flights_kept = flights
             with self._core.lock:
-                self.case.recorded = tuple(one for one in self.case.recorded if not one.is_complete)
+                self.case.flights.unwritten = tuple(one for one in self.case.flights.unwritten if not one.is_complete)
             told["saved_s"] = now_s
             place = self.place or self.held.record.place
             notes = {"used_s": now_s, "place": place, "num_changes": moment.position} | notes

@@ -55,7 +55,7 @@ class FlightRecording(Subject):
         case, into = self._recorded_case, self._into
         if case is None or into is None:
             return None
-        return next((one for one in case.flights if one.recording_id == into.number), None)
+        return next((one for one in case.flights.listed if one.recording_id == into.number), None)
 
     @does(c.RecordFlight)
     def start(self, command: c.RecordFlight) -> None:
@@ -109,9 +109,9 @@ class FlightRecording(Subject):
             self._path, self._name, self._recorded_case, self._into = path, name, case, into
             if into is not None:
                 assert into.number is not None
-                case.recorded = (*case.recorded, into)
+                case.flights.unwritten = (*case.flights.unwritten, into)
                 begun = RecordingFacts(into.number, name, "", into.begun_s, 0.0, complete=False)
-                case.flights = (*case.flights, begun)
+                case.flights.listed = (*case.flights.listed, begun)
             if case.navigator.scope_state is not None:
                 # A replay begins with the scope laid anew, so that it can begin at all.
                 self._holding.lay(case, case.navigator.scope_state.insertion_mm)
@@ -119,7 +119,7 @@ class FlightRecording(Subject):
 
     def _new_flight(self, case: OpenCase) -> tuple[str, RecordingWriter]:
         """With the session locked."""
-        known = {one.recording_id for one in case.flights}
+        known = {one.recording_id for one in case.flights.listed}
         number = case.next_number("flight")
         while number in known:
             # A file whose numbers were lost: it was salvaged, or another program wrote it.
@@ -153,7 +153,9 @@ class FlightRecording(Subject):
     def _end(self, flight: RecordingFacts, length_s: float) -> None:
         assert self._recorded_case is not None
         ended = replace(flight, length_s=round(length_s, 6), complete=True)
-        self._recorded_case.flights = tuple(ended if one is flight else one for one in self._recorded_case.flights)
+        self._recorded_case.flights.listed = tuple(
+            ended if one is flight else one for one in self._recorded_case.flights.listed
+        )
 
     def _ended(self, trouble: OSError) -> None:
         """The file cannot be written any more, with the session locked; the flight goes on."""

@@ -137,9 +137,9 @@ class Between:
     def attach(self, case: OpenCase, place: str | None) -> None:
         """From now on this case is kept; with the session locked."""
         reopened, self._reopened = self._reopened, None
-        if reopened is not None and not case.flights:
+        if reopened is not None and not case.flights.listed:
             # Else it is the case that was open before: its file may be behind.
-            case.flights = tuple(one for one in reopened.flights if one.recording_id not in case.removed_flights)
+            case.flights.listed = tuple(one for one in reopened.flights if one.recording_id not in case.flights.removed)
         if self._digest is not None:
             self._saving.attach(case, place, self._digest, reopened)
 
