@@ -158,7 +158,17 @@ class PhonePage:
         if not started.wait(STARTS_WITHIN_S):
             server.should_exit = True
             raise CarinaError("the phone page did not start", code="phone.not-started")
-        info = wire.PhoneInfo(url, address, certificate.sha256, qr_rows(url), False, 0.0, 0, "", 0)
+        info = wire.PhoneInfo(
+            url=url,
+            address=address,
+            sha256=certificate.sha256,
+            num_refused=0,
+            qr=qr_rows(url),
+            connected=False,
+            rate_hz=0.0,
+            num_bad=0,
+            bad_words="",
+        )
         return _Open(server, thread, tokens, info)
 
     # ------------------------------------------------------------ what it answers

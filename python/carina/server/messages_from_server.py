@@ -24,6 +24,7 @@ from carina.commands.fields import (
 )
 from carina.commands.look import Look
 from carina.render import ClusterState, Processor, Sight
+from carina.server.messages_of_devices import NetworkPage
 from carina.server.wire_codec import ServerMessage
 from carina.session.snapshot import FlightPlace, SavingInfo
 from carina.track import DrawnPart
@@ -367,17 +368,10 @@ class Watcher(FrozenValue, frozen=True):
     """Seconds since 1970."""
 
 
-class WatchPage(FrozenValue, frozen=True):
-    """The page by which others of the local network watch, while it is open."""
+class WatchPage(NetworkPage, frozen=True, kw_only=True):
+    """The page by which others of the local network watch, while it is open: they see the patient's pictures."""
 
-    url: Words
-    """With the token: whoever has it sees the patient's pictures."""
-    address: Words
-    sha256: Words
-    """Of the certificate, as browsers show it."""
     watchers: tuple[Watcher, ...]
-    num_refused: Count
-    """Connections with a wrong token."""
 
 
 class Watching(ServerMessage, frozen=True):

@@ -121,22 +121,27 @@ class DeviceSource(FrozenValue, frozen=True):
     num_bad: Count
 
 
-class PhoneInfo(FrozenValue, frozen=True):
-    """The page for a phone while it is open to the network."""
+class NetworkPage(FrozenValue, frozen=True, kw_only=True):
+    """A page that is open to the local network."""
 
     url: Words
-    """With the token: whoever has it may move the tip."""
+    """With the token: whoever has it may do what the page is for."""
     address: Words
     sha256: Words
     """Of the certificate, as browsers show it."""
+    num_refused: Count
+    """Connections with a wrong token."""
+
+
+class PhoneInfo(NetworkPage, frozen=True, kw_only=True):
+    """The page for a phone while it is open to the network; it moves the tip."""
+
     qr: Annotated[tuple[Words, ...], Meta(max_length=200)]
     """The link as a QR code: rows of 0 (light) and 1 (dark)."""
     connected: bool
     rate_hz: float
     num_bad: Count
     bad_words: Words
-    num_refused: Count
-    """Connections with a wrong token."""
 
 
 class Devices(ServerMessage, frozen=True):

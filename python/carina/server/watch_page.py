@@ -62,7 +62,13 @@ class _Open:
         # Behind the #: a browser sends it nowhere and keeps it out of every Referer; the page hands it over by itself.
         url = f"https://{shown}:{self.port}/#{self.tokens.token}"
         watchers = tuple(watcher for _, watcher in self.watchers.values())
-        return wire.WatchPage(url, self.address, self.sha256, watchers, self.tokens.num_refused)
+        return wire.WatchPage(
+            url=url,
+            address=self.address,
+            sha256=self.sha256,
+            num_refused=self.tokens.num_refused,
+            watchers=watchers,
+        )
 
 
 class WatchPage:

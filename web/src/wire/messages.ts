@@ -722,6 +722,87 @@ export interface OpenKeyFramesMessage {
   readonly upload_id: string;
 }
 
+/** A flight that was recorded into the case. */
+export interface FlightInfo {
+  readonly number: number;
+  readonly name: string;
+  readonly words: string;
+  readonly begun_s: number | null;
+  readonly length_s: number;
+  readonly state: "complete" | "cut-off" | "recording";
+}
+
+/** What was recorded into the case, in its order; when it changed. */
+export interface FlightsMessage {
+  readonly type: "flights";
+  readonly flights: readonly FlightInfo[];
+}
+
+/** A device that said something; its position is filtered. */
+export interface DeviceInfo {
+  readonly device: string;
+  readonly position_mm: readonly [number, number, number] | null;
+  readonly orientation_wxyz: readonly [number, number, number, number] | null;
+  readonly buttons: number;
+  readonly holds: boolean;
+  readonly registered: boolean;
+  readonly residual_mm: number | null;
+  readonly latency_ms: number;
+  readonly num_used: number;
+  readonly num_ignored: number;
+  readonly ignored_words: string;
+  readonly axes: readonly number[];
+}
+
+/** A connection of this machine to a device. */
+export interface DeviceSource {
+  readonly address: string;
+  readonly title: string;
+  readonly state: "connecting" | "live" | "lost" | "stopped";
+  readonly words: string;
+  readonly rate_hz: number;
+  readonly num_bad: number;
+}
+
+/** The page for a phone while it is open to the network; it moves the tip. */
+export interface PhoneInfo {
+  readonly url: string;
+  readonly address: string;
+  readonly sha256: string;
+  readonly num_refused: number;
+  readonly qr: readonly string[];
+  readonly connected: boolean;
+  readonly rate_hz: number;
+  readonly num_bad: number;
+  readonly bad_words: string;
+}
+
+/** Input devices, how they move the tip, and what is recorded. */
+export interface DevicesMessage {
+  readonly type: "devices";
+  readonly control: "absolute" | "path" | "relative";
+  readonly filter_latency_ms: number;
+  readonly controls: DeviceControls;
+  readonly devices: readonly DeviceInfo[];
+  readonly sources: readonly DeviceSource[];
+  readonly serial_ports: readonly string[];
+  readonly serial_problem: string | null;
+  readonly published_port: number | null;
+  readonly recording: string | null;
+  readonly phone: PhoneInfo | null;
+  readonly phone_problem: string | null;
+}
+
+/** The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed. */
+export interface PenMessage {
+  readonly type: "pen";
+  readonly device: string | null;
+  readonly tracked: boolean;
+  readonly lps: readonly [number, number, number] | null;
+  readonly off_mm: number | null;
+  readonly off_deg: number | null;
+}
+
 /** Answer to the client's hello. */
 export interface ServerHelloMessage {
   readonly type: "hello";
@@ -1092,13 +1173,13 @@ export interface Watcher {
   readonly since_s: number;
 }
 
-/** The page by which others of the local network watch, while it is open. */
+/** The page by which others of the local network watch, while it is open: they see the patient's pictures. */
 export interface WatchPage {
   readonly url: string;
   readonly address: string;
   readonly sha256: string;
-  readonly watchers: readonly Watcher[];
   readonly num_refused: number;
+  readonly watchers: readonly Watcher[];
 }
 
 /** Who else may see the open case; never told to who watches. */
@@ -1166,87 +1247,6 @@ export interface ClusterMessage {
   readonly mixed: boolean;
   readonly fps: number;
   readonly frame_ms: number | null;
-}
-
-/** A flight that was recorded into the case. */
-export interface FlightInfo {
-  readonly number: number;
-  readonly name: string;
-  readonly words: string;
-  readonly begun_s: number | null;
-  readonly length_s: number;
-  readonly state: "complete" | "cut-off" | "recording";
-}
-
-/** What was recorded into the case, in its order; when it changed. */
-export interface FlightsMessage {
-  readonly type: "flights";
-  readonly flights: readonly FlightInfo[];
-}
-
-/** A device that said something; its position is filtered. */
-export interface DeviceInfo {
-  readonly device: string;
-  readonly position_mm: readonly [number, number, number] | null;
-  readonly orientation_wxyz: readonly [number, number, number, number] | null;
-  readonly buttons: number;
-  readonly holds: boolean;
-  readonly registered: boolean;
-  readonly residual_mm: number | null;
-  readonly latency_ms: number;
-  readonly num_used: number;
-  readonly num_ignored: number;
-  readonly ignored_words: string;
-  readonly axes: readonly number[];
-}
-
-/** A connection of this machine to a device. */
-export interface DeviceSource {
-  readonly address: string;
-  readonly title: string;
-  readonly state: "connecting" | "live" | "lost" | "stopped";
-  readonly words: string;
-  readonly rate_hz: number;
-  readonly num_bad: number;
-}
-
-/** The page for a phone while it is open to the network. */
-export interface PhoneInfo {
-  readonly url: string;
-  readonly address: string;
-  readonly sha256: string;
-  readonly qr: readonly string[];
-  readonly connected: boolean;
-  readonly rate_hz: number;
-  readonly num_bad: number;
-  readonly bad_words: string;
-  readonly num_refused: number;
-}
-
-/** Input devices, how they move the tip, and what is recorded. */
-export interface DevicesMessage {
-  readonly type: "devices";
-  readonly control: "absolute" | "path" | "relative";
-  readonly filter_latency_ms: number;
-  readonly controls: DeviceControls;
-  readonly devices: readonly DeviceInfo[];
-  readonly sources: readonly DeviceSource[];
-  readonly serial_ports: readonly string[];
-  readonly serial_problem: string | null;
-  readonly published_port: number | null;
-  readonly recording: string | null;
-  readonly phone: PhoneInfo | null;
-  readonly phone_problem: string | null;
-}
-
-/** The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed. */
-export interface PenMessage {
-  readonly type: "pen";
-  readonly device: string | null;
-  readonly tracked: boolean;
-  readonly lps: readonly [number, number, number] | null;
-  readonly off_mm: number | null;
-  readonly off_deg: number | null;
 }
 
 /** A line that an edit would draw, or was asked to draw. */
@@ -1653,6 +1653,9 @@ export type ClientMessage =
   | OpenKeyFramesMessage;
 
 export type ServerMessage =
+  | FlightsMessage
+  | DevicesMessage
+  | PenMessage
   | ServerHelloMessage
   | StartMessage
   | StateMessage
@@ -1669,9 +1672,6 @@ export type ServerMessage =
   | PickedMessage
   | StatusMessage
   | ClusterMessage
-  | FlightsMessage
-  | DevicesMessage
-  | PenMessage
   | EditPreviewMessage
   | NoEvidenceMessage
   | KeyFramesMessage
