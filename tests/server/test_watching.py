@@ -49,9 +49,12 @@ def page_of(window, wanted=lambda page: page is not None):
 
 
 @pytest.fixture
-def desk(tmp_path):
+def desk(tmp_path, monkeypatch):
     """A window of the person at the workstation, with a case and the page for watchers open."""
     from live_server import running
+
+    # Watchers here read why they are sent away, however busy the machine is.
+    monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
 
     web = tmp_path / "web"
     web.mkdir()
