@@ -87,7 +87,7 @@ def one_by_one(sections, lung, start):
                 for mm, radius in zip(sections.at_mm[:first], radii[:first], strict=True)
                 if mm > start.inside_mm - verdict.MOUTH_MM
             ]
-            wide = max([start.radius_mm, *mouth])
+            wide = max([start.branch_radius_mm, *mouth])
             gain += verdict.WIDER * between(radii[n] / wide - verdict.AS_WIDE, 0.0, verdict.MOST_WIDER)
         gain += verdict.BEND * sections.bend[n]
         gain += verdict.UNEVEN * np.std(radii[max(0, n - 5) : n + 6])

@@ -105,9 +105,9 @@ class Start:
 
     inside_mm: float
     """How far its beginning lies in the lumen: a section there cuts both, and is not asked for a wall."""
-    radius_mm: float
+    branch_radius_mm: float
     """Of the branch that it leaves."""
-    direction: NDArray[np.float64]
+    branch_direction: NDArray[np.float64]
     """(3,) LPS, of that branch, from the root outwards."""
 
 
@@ -143,7 +143,7 @@ def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None =
     gain += DROP * np.clip(drop / scale.span(DROP_HU), 0.0, MOST_DROP)
     if start is not None:
         mouth = ~mine & (sections.at_mm > start.inside_mm - MOUTH_MM)
-        left_mm = max(start.radius_mm, float(radius_mm[mouth].max(initial=0.0)), STEP_MM)
+        left_mm = max(start.branch_radius_mm, float(radius_mm[mouth].max(initial=0.0)), STEP_MM)
         gain += WIDER * np.clip(radius_mm / left_mm - AS_WIDE, 0.0, MOST_WIDER)
     gain += BEND * sections.bend
     gain += UNEVEN * _spread(radius_mm, UNEVEN_OVER)
@@ -156,8 +156,8 @@ def turns_back(points: Points, along: Values, start: Start) -> bool:
     """Whether a line, once it has left the lumen, runs back along the branch that it leaves."""
     reach_mm = min(start.inside_mm + TURN_OVER_MM, float(along[-1]))
     goes = points[min(int(np.searchsorted(along, reach_mm)), len(points) - 1)] - points[0]
-    length = float(np.linalg.norm(goes) * np.linalg.norm(start.direction))
-    return length > 0.0 and float(goes @ start.direction) < np.cos(np.radians(MOST_TURN_DEG)) * length
+    length = float(np.linalg.norm(goes) * np.linalg.norm(start.branch_direction))
+    return length > 0.0 and float(goes @ start.branch_direction) < np.cos(np.radians(MOST_TURN_DEG)) * length
 
 
 def along_mm(points: Points) -> Values:
