@@ -110,9 +110,9 @@ def test_a_machine_that_was_in_the_cluster_joins_again_however_long_the_link_is_
     assert len(made) == 8
     assert pauses_s == [1.0, 2.0, 5.0, 10.0, 10.0, 10.0, 10.0]
     told = capsys.readouterr()
-    assert told.out.count("joins the cluster") == 1
+    assert told.out.count("has joined the cluster") == 1
     assert told.err.count("no answer from 10.0.0.1:6379; trying again in") == 5
-    assert told.err.count("is in the cluster at 10.0.0.1:6379 again") == 2
+    assert told.err.count("has rejoined the cluster at 10.0.0.1:6379") == 2
     assert told.err.endswith("left the cluster\n")
 
 
@@ -139,7 +139,7 @@ def test_a_cluster_of_one_machine_says_that_its_ports_are_open_before_it_opens_t
     opened = cluster.opened_cluster("local", token=tmp_path / "token", mixed=False)
     with pytest.raises(ClusterError, match="enough"), opened:
         pass
-    assert "is listening on every address of this machine, not only on 127.0.0.2" in told
+    assert "Ray listens on every address of this machine, not only on 127.0.0.2" in told
     assert "docs/cluster.md" in told
 
 

@@ -57,7 +57,7 @@ def add_branches(
             row["error"] = error_json(error)
             say(f"branch {number} to {x:g},{y:g},{z:g}: {error}")
             if isinstance(error, NoEvidenceError):
-                say("  --even-without-evidence draws it anyway, labelled as drawn by hand")
+                say("  use --even-without-evidence to add it anyway, labelled as drawn by hand")
         except UsageError as error:
             raise UsageError(f"--add-branch {x:g},{y:g},{z:g}: {error}", code=error.code) from None
         else:

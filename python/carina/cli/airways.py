@@ -98,8 +98,8 @@ def find(
         )
         return exit_code
     print(
-        f"{len(airways.tree)} branches to generation {deepest}, {length_mm / 1000.0:.2f} m in total, "
-        f"lumen {lumen_ml:.1f} ml"
+        f"{len(airways.tree)} branches up to generation {deepest}, {length_mm / 1000.0:.2f} m in total, "
+        f"lumen volume {lumen_ml:.1f} ml"
     )
     for row in rows:
         name, kind = row["name"] or "-", kind_words(row["kind"])
@@ -147,7 +147,7 @@ def write(
         nowhere = [b.id for b in given.branches if not any(volume.contains_lps(point) for point in b.points)]
         if len(nowhere) == len(given):
             raise UsageError(
-                f"--tree: no branch in {tree} lies in the scan {path.name}; it may belong to another patient"
+                f"--tree: no branch of {tree} lies within the scan {path.name}; the tree may belong to another patient"
             )
         export_tree(output, given, badges=badges.notes)
     else:
@@ -163,7 +163,7 @@ def write(
 
 def _check_mask_options(from_mask: Path | None, label: int | None, resample: bool) -> None:
     if from_mask is None and (label is not None or resample):
-        raise UsageError("--label and --resample only apply to a segmentation; give one with --from-mask")
+        raise UsageError("--label and --resample only apply to an imported segmentation; specify one with --from-mask")
 
 
 def _airways(

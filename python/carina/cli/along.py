@@ -22,7 +22,7 @@ def check_destination(to: str | None, view: str) -> str:
     """Refuse a missing or broken ``--to`` before the work."""
     if to is None:
         raise UsageError(
-            f"the {view} view follows a route; name its end with --to (a branch name or id, or a point x,y,z)"
+            f"the {view} view follows a route; specify its end with --to (a branch name or id, or a point x,y,z)"
         )
     if "," in to:
         parse_point(to, "--to")
@@ -65,7 +65,7 @@ def _target_route(source: Opened, to: str) -> ChosenRoute | None:
     document = source.document
     target = None if document is None else next((one for one in document.targets if one.name == to), None)
     if target is not None and target.route is None:
-        raise NoResultError(f"--to: the target {to!r} has no path: {target.problem or 'the airways do not reach it'}")
+        raise NoResultError(f"--to: no path to the target {to!r}: {target.problem or 'the airways do not reach it'}")
     return None if target is None else target.route
 
 
@@ -83,4 +83,4 @@ def _branch_id(tree: AirwayTree, to: str) -> int:
         return tree.branch(int(to)).id
     names = [b.name for b in tree.branches if b.name]
     known = ", ".join(names[:MAX_NAMES_SAID]) + (", ..." if len(names) > MAX_NAMES_SAID else "")
-    raise UsageError(f"--to: no branch has the name {to!r}; named are: {known or 'none'}; each also has an id")
+    raise UsageError(f"--to: no branch is named {to!r}; named branches: {known or 'none'}; branch ids also work")

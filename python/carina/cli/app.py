@@ -35,13 +35,13 @@ HostOption = Annotated[
         help=("Address to listen on. Any address other than loopback makes the case reachable from the network.")
     ),
 ]
-BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")]
+BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the workstation in the browser.")]
 
 
 ClusterOption = Annotated[
     str | None,
     typer.Option(
-        "--cluster", help="Render on a cluster: HOST:PORT of its head node, or local to try one on this machine."
+        "--cluster", help="Render on a cluster: HOST:PORT of its head node, or local (a trial cluster on this machine)."
     ),
 ]
 MixedOption = Annotated[
@@ -57,8 +57,8 @@ PhoneOption = Annotated[
     typer.Option(
         "--phone",
         help=(
-            "Start with the phone page open to the local network. Anyone with its link can move the tip, but cannot "
-            "see the case."
+            "Start with the phone page available on the local network. Anyone with its link can move the tip, but "
+            "cannot see the case."
         ),
     ),
 ]
@@ -140,7 +140,7 @@ def root(
 ) -> None:
     """Virtual bronchoscopy: fly through the airways of a chest CT. Not a medical device.
 
-    Without a command: open the workstation's start page.
+    Without a command, open the workstation's start page.
     """
     if version:
         print(f"carina {carina.__version__}")
@@ -185,7 +185,7 @@ def open_(
 
 @app.command()
 def demo(
-    name: Annotated[str, typer.Argument(help="phantom or patient")] = "phantom",
+    name: Annotated[str, typer.Argument(help="Bundled case to open: phantom or patient.")] = "phantom",
     port: PortOption = 0,
     host: HostOption = "127.0.0.1",
     browser: BrowserOption = True,
@@ -242,13 +242,13 @@ def render(
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG file to write.")],
     view: Annotated[
         str,
-        typer.Option(help="View to render, such as airway, cut-plane, axial or tree; an unknown name lists them all."),
+        typer.Option(help="View to render: airway, cut-plane, axial, tree, ...; an invalid name lists all views."),
     ] = "airway",
     at: Annotated[
         str,
         typer.Option(
             help="Tip position x,y,z in mm (LPS), or auto for the top of the trachea "
-            "(default for a case: where the tip was left)."
+            "(default for a case: its last tip position)."
         ),
     ] = "auto",
     look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz in LPS (default: caudal).")] = None,
@@ -262,7 +262,7 @@ def render(
         ),
     ] = None,
     scope: Annotated[
-        str | None, typer.Option(help="Scope to look through: generic, standard, ultrathin, ebus, ... or none.")
+        str | None, typer.Option(help="Scope to simulate: generic, standard, ultrathin, ebus, ... or none.")
     ] = None,
     lens: Annotated[
         str | None, typer.Option(help="Lens: pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
@@ -282,7 +282,7 @@ def render(
     focus: Annotated[
         str | None,
         typer.Option(
-            help=("Depth of field: near,far in mm, or scope to use the scope's own; everything outside it is blurred.")
+            help=("Depth of field: near,far in mm, or scope for the scope's own range; anything outside is blurred.")
         ),
     ] = None,
     size: Annotated[str, typer.Option(help="Image size, WxH in pixels.")] = "512x512",
@@ -291,8 +291,7 @@ def render(
         typer.Option(
             help=(
                 "Ray method: leap skips empty space (fast), brute samples every step (for reference). Both give "
-                "the same "
-                "picture."
+                "the same image."
             )
         ),
     ] = "leap",
@@ -301,11 +300,13 @@ def render(
         str | None,
         typer.Option(help=("Transfer function: a preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")),
     ] = None,
-    shading: Annotated[str | None, typer.Option(help="on or off (default: on, or as in the case)")] = None,
+    shading: Annotated[
+        str | None, typer.Option(help="Shading of the airway wall: on or off (default: on, or as in the case).")
+    ] = None,
     texture: Annotated[
         str | None,
         typer.Option(
-            help="Fine wall texture, a decoration not taken from the CT: on or off (default: on, or as in the case)."
+            help="Fine wall texture (decorative, not from the CT): on or off (default: on, or as in the case)."
         ),
     ] = None,
     orbit: Annotated[
@@ -316,7 +317,7 @@ def render(
     ] = None,
     window: Annotated[
         str | None,
-        typer.Option(help="Window width,level in HU (default: 1500,-600 for planes, fitted for X-rays)."),
+        typer.Option(help="Window width,level in HU (default: 1500,-600 for planes; fitted to the image for X-rays)."),
     ] = None,
     surface: Annotated[
         Path | None,
@@ -340,17 +341,18 @@ def render(
     turn: Annotated[
         float,
         typer.Option(
-            help=("Rotation of the cutting plane about the path for the straightened and curved views, degrees.")
+            help=("Rotation of the cutting plane about the path in the straightened and curved views, in degrees.")
         ),
     ] = 0.0,
     carm_primary: Annotated[
         float,
         typer.Option(
-            help="C-arm angle of the simulated X-ray (drr), degrees: LAO positive, RAO negative; 90 is lateral."
+            help="C-arm angle of the simulated X-ray (drr) in degrees: LAO positive, RAO negative; 90 is lateral."
         ),
     ] = 0.0,
     carm_secondary: Annotated[
-        float, typer.Option(help="C-arm tilt of the simulated X-ray (drr), degrees: cranial positive, caudal negative.")
+        float,
+        typer.Option(help="C-arm tilt of the simulated X-ray (drr) in degrees: cranial positive, caudal negative."),
     ] = 0.0,
     tone: Annotated[
         str,
@@ -409,10 +411,10 @@ def render(
 
 @app.command()
 def phantom(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write the files to.")],
     seed: Annotated[int, typer.Option(help="Random seed; the same seed always gives the same case.", min=0)] = 0,
     spacing_mm: Annotated[float, typer.Option("--spacing-mm", help="Voxel spacing in mm.")] = 0.8,
-    generations: Annotated[int, typer.Option(help="Generations of the airway tree (trachea is 0).")] = 6,
+    generations: Annotated[int, typer.Option(help="Deepest airway generation (the trachea is 0).")] = 6,
     stenosis: Annotated[bool, typer.Option("--stenosis", help="Add a stenosis to one bronchus.")] = False,
     nodule: Annotated[bool, typer.Option("--nodule", help="Add a nodule.")] = False,
     as_json: JsonOption = False,
@@ -477,9 +479,8 @@ def fly(
         Path | None,
         typer.Option(
             help=(
-                "Fly through key frames saved in the window (a carina-keys JSON file); for a "
-                "case, all or the names of its "
-                "key frames, separated by commas."
+                "Key frames to fly through: a carina-keys JSON file saved in the window; for a case, all or their "
+                "names, separated by commas."
             )
         ),
     ] = None,
@@ -489,7 +490,7 @@ def fly(
         float, typer.Option(help=("Speed along the route in mm/s; key frames have their own speeds."))
     ] = 20.0,
     pause: Annotated[float, typer.Option(help="Pause at each fork and at the end, in seconds.")] = 1.0,
-    scope: Annotated[str | None, typer.Option(help="Scope to look through, or none; a recording uses its own.")] = None,
+    scope: Annotated[str | None, typer.Option(help="Scope to simulate, or none; a recording uses its own.")] = None,
     step_vox: Annotated[float, typer.Option(help="Ray step, in multiples of the smallest voxel spacing.")] = 0.5,
     keep: Annotated[
         Path | None,
@@ -572,7 +573,7 @@ app.add_typer(cluster, name="cluster")
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )
 def bench(context: typer.Context) -> None:
-    """Benchmark Carina against other installed software in the same run. Needs a checkout of Carina's source."""
+    """Benchmark Carina against other installed software in the same run. Needs a checkout of the source code."""
     from carina.cli.bench import run_benchmarks
 
     run_benchmarks(context.args)

@@ -34,7 +34,9 @@ def airways(
     path: PathArgument,
     seed: Annotated[
         str | None,
-        typer.Option("--seed", help=("Point in the trachea, x,y,z in mm (LPS), if it is not found automatically.")),
+        typer.Option(
+            "--seed", help=("Point in the trachea, x,y,z in mm (LPS), if the trachea is not found automatically.")
+        ),
     ] = None,
     from_mask: FromMaskOption = None,
     label: LabelOption = None,
@@ -51,7 +53,7 @@ def airways(
         bool,
         typer.Option(
             "--even-without-evidence",
-            help="Draw added branches even where the CT shows no airway wall; they are labelled as drawn by hand.",
+            help="Add branches even where the CT shows no airway; such branches are labelled as drawn by hand.",
         ),
     ] = False,
     series: SeriesOption = None,
@@ -60,10 +62,10 @@ def airways(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Airway tree file to write: .json.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Airway lumen and tree, with names, generations and lengths.
+    """Find the airway lumen and tree, with names, generations and lengths.
 
-    A branch that is to be added where the CT shows no wall along its way is not: exit code 4, and the other results are
-    still written.
+    A branch is not added where the CT shows no airway; the exit code is then 4, and the other results are still
+    written.
 
     Example: carina airways ~/scans/thorax --mask lumen.nii.gz -o tree.json
     """
@@ -101,7 +103,7 @@ def export(
     path: PathArgument,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help="File to write. Its suffix sets the format; --formats lists them."),
+        typer.Option("-o", "--output", help="File to write; its suffix selects the format (--formats lists all)."),
     ],
     tree: Annotated[
         Path | None, typer.Option("--tree", help="Airway tree file written by carina (default: segment the scan).")
@@ -117,7 +119,7 @@ def export(
         bool, typer.Option("--formats", callback=_list_formats, is_eager=True, help="List the formats and exit.")
     ] = False,
 ) -> None:
-    """The airways as a file for another program, in LPS millimetres.
+    """Write the airways to a file for other software, in LPS millimetres.
 
     Example: carina export ~/scans/thorax -o airways.stl
     """
@@ -154,14 +156,13 @@ def track(
     ] = "voxel",
     series: SeriesOption = None,
     ct: CtOption = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Path tree file to write.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Path tree file to write: .json.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Least-cost airway paths from the root to each target (the Intelligent Path Tracker, paper 6).
+    """Find the least-cost airway path from the start to each target (Intelligent Path Tracker, section 6 of the paper).
 
-    A target outside the lumen is snapped to it when within 5 mm; a target without a path is exit code 4, and the other
-    targets are still written. With --cost paper every voxel can be walked on: what of a path lies outside the lumen is
-    reported.
+    A target outside the lumen is snapped to it if it is within 5 mm. If a target has no path, the exit code is 4; the
+    other targets are still written. With --cost paper, paths may leave the lumen; the part outside is reported.
 
     Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
     """

@@ -36,7 +36,7 @@ def case_info(path: FileArgument, as_json: JsonOption = False) -> None:
 
 @case.command("history")
 def case_history(path: FileArgument, as_json: JsonOption = False) -> None:
-    """List the changes made in a case, with the time since it was started.
+    """List the changes made in a case, each with the time since the case was started.
 
     Example: carina case history NAME.carina
     """
@@ -62,12 +62,12 @@ def case_list(as_json: JsonOption = False) -> None:
 def case_forget(
     name: Annotated[
         str,
-        typer.Argument(help="Case id (`carina case list`), or the file it was saved as.", show_default=False),
+        typer.Argument(help="Case id (see `carina case list`), or the file it was saved as.", show_default=False),
     ],
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove a case from this machine: record, live file and cached scan. Files saved elsewhere are not deleted.
+    """Remove a case from this machine, with its working file and cached scan. Files saved elsewhere are not deleted.
 
     Example: carina case forget 3f9a1c
     """
@@ -104,8 +104,10 @@ def case_migrate(path: FileArgument, output: CaseOutput, as_json: JsonOption = F
 @case.command("recording")
 def case_recording(
     path: FileArgument,
-    name: Annotated[str, typer.Argument(help="Name or number of the recording (`carina case info`).")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="New file (.jsonl).")],
+    name: Annotated[str, typer.Argument(help="Name or number of the recording (see `carina case info`).")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Recording file to write (.jsonl); it must not exist yet.")
+    ],
     as_json: JsonOption = False,
 ) -> None:
     """Write a recorded flight of a case to a separate file, for `carina fly --recording`.

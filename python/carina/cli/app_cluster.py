@@ -13,7 +13,7 @@ from carina.errors import UsageError
 __all__ = ["cluster"]
 
 cluster = typer.Typer(
-    help="Render one image on several machines (docs/cluster.md). Needs Linux and the extra `cluster`.",
+    help="Render each image on several machines (docs/cluster.md). Needs Linux and the extra `cluster`.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -29,7 +29,8 @@ DedicatedOption = Annotated[
 @cluster.command("start")
 def cluster_start(
     head: Annotated[
-        bool, typer.Option("--head", help="Start the head node (the first machine), ideally the machine you work on.")
+        bool,
+        typer.Option("--head", help="Start the head node (the first machine), ideally on the machine you work on."),
     ] = False,
     port: Annotated[int, typer.Option(help="Port of the head node.", min=1024, max=65535)] = 6379,
     ip: IpOption = None,
@@ -38,7 +39,7 @@ def cluster_start(
     token_file: TokenOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Start a cluster on this machine and run until Ctrl-C; prints the commands for the other machines.
+    """Start a cluster on this machine, print the commands for the other machines, and run until Ctrl-C.
 
     Example: carina cluster start --head --ip 10.0.0.5
     """
@@ -65,7 +66,7 @@ def cluster_join(
     token_file: TokenOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Render for a cluster until Ctrl-C; reconnects automatically after a lost connection.
+    """Render for a cluster until Ctrl-C, reconnecting automatically if the connection is lost.
 
     Example: carina cluster join 10.0.0.5:6379 --token-file ~/cluster.token
     """

@@ -73,7 +73,8 @@ def case_lines(path: Path) -> list[str]:
     nz, ny, nx = source["shape_zyx"]
     where = "packed with the case" if source["packed"] else source["path"] or "location unknown"
     lines = [
-        f"{path.name}: {say_size(found['bytes'])}, saved by Carina {found['saved_by'] or '(nothing saved yet)'}",
+        f"{path.name}: {say_size(found['bytes'])}, "
+        + (f"saved by Carina {found['saved_by']}" if found["saved_by"] else "not saved yet"),
         f"  scan: {nx} x {ny} x {nz} voxels, {where}, digest {source['digest'][:12]}",
         "  airways: none"
         if found["num_branches"] is None
@@ -162,7 +163,7 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
         say(f"This removes the case ({words}) from this machine permanently.")
         if record.copy_path is not None:
             say(f"The file {record.copy_path} will not be deleted.")
-        print("Forget it? [y/N] ", end="", file=sys.stderr, flush=True)
+        print("Remove it? [y/N] ", end="", file=sys.stderr, flush=True)
         if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
             say("nothing was removed")
             return 0
@@ -178,7 +179,7 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
     if as_json:
         print_json({"id": record.case_id, "bytes": size, "cache_bytes": freed, "copy": record.copy_path})
     else:
-        say(f"forgotten: {words}; {say_size(size + freed)} freed")
+        say(f"removed: {words}; {say_size(size + freed)} freed")
         if record.copy_path is not None:
             say(f"the file {record.copy_path} was not deleted")
     return 0
@@ -236,13 +237,13 @@ def recording_in(case: CaseFile, wanted: str) -> RecordingFacts:
         return found[0]
     if found:
         raise UsageError(
-            f"{len(found)} recordings of this case have the name {wanted!r}; give one of their numbers "
+            f"{len(found)} recordings of this case have the name {wanted!r}; use one of their numbers "
             f"({', '.join(str(one.recording_id) for one in found)})",
             code="case.recording",
         )
     names = ", ".join(f"{one.name} ({one.recording_id})" for one in all_recordings)
     raise UsageError(
-        f"this case has no recording {wanted!r}; it has " + (names or "none"),
+        f"this case has no recording {wanted!r}; its recordings: " + (names or "none"),
         code="case.recording",
     )
 
@@ -286,8 +287,8 @@ def _named(records: CaseRecords, wanted: str) -> CaseRecord:
         found = [one for one in all_records if wanted and one.case_id.startswith(wanted.lower())]
     if len(found) == 1:
         return found[0]
-    what = "no case" if not found else f"{len(found)} cases"
-    raise UsageError(f"{what} of this machine: {wanted}; `carina case list` shows the ids", code="case.unknown")
+    what = "no case on this machine matches" if not found else f"{len(found)} cases on this machine match"
+    raise UsageError(f"{what} {wanted}; `carina case list` shows the ids", code="case.unknown")
 
 
 def _short_ids(records: tuple[CaseRecord, ...]) -> dict[str, str]:

@@ -33,10 +33,9 @@ __all__ = ["OpenCluster", "join", "opened_cluster", "start", "status"]
 LOCAL_IP = "127.0.0.2"
 AGAIN_S = (1.0, 2.0, 5.0, 10.0)
 _OPEN_PORTS_WARNING = (
-    "Ray is listening on every address of this machine, not only on {ip}: everyone on its networks can reach its "
-    "ports, and anyone who has the token, which is sent unencrypted, can run programs on it. Use a private "
-    "network or a "
-    "firewall (docs/cluster.md), or omit --cluster: a single machine is as fast without it."
+    "Ray listens on every address of this machine, not only on {ip}, so anyone on its networks can reach its ports. "
+    "The cluster token is sent unencrypted, and anyone who has it can run programs on this machine. Use a private "
+    "network or a firewall (docs/cluster.md), or omit --cluster: a single machine is just as fast without it."
 )
 
 
@@ -85,10 +84,11 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
                 print_json({"address": node.address, "token_file": str(_token(token))})
             else:
                 print(
-                    f"The cluster is at {node.address}. On each additional machine, with a copy of the token file\n"
-                    f"{_token(token)}\n  carina cluster join {node.address}\nand here, in another window\n"
-                    f"  carina open PATH --cluster {node.address}\n"
-                    "Traffic is not encrypted: keep it on a private network (docs/cluster.md). Ctrl-C ends it.",
+                    f"The cluster is at {node.address}. Copy the token file {_token(token)}\n"
+                    f"to each additional machine, and run there\n  carina cluster join {node.address}\n"
+                    f"and here, in another terminal\n  carina open PATH --cluster {node.address}\n"
+                    "Traffic is not encrypted: use a private network (docs/cluster.md).\n"
+                    "Press Ctrl-C to stop the cluster.",
                     flush=True,
                 )
             while node.running:
@@ -113,21 +113,22 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
                 node.wait_ready()
                 began_s = time.monotonic()
                 if has_joined:
-                    say(f"this machine is in the cluster at {address} again")
+                    say(f"this machine has rejoined the cluster at {address}")
                 else:
                     has_joined = True
                     if as_json:
                         print_json({"address": node.address, "ip": node.ip})
                     else:
                         print(
-                            f"This machine ({node.ip}) joins the cluster at {node.address}. Ctrl-C leaves it.",
+                            f"This machine ({node.ip}) has joined the cluster at {node.address}. "
+                            "Press Ctrl-C to leave it.",
                             flush=True,
                         )
                 while node.running:
                     time.sleep(0.2)
                 # A machine that was cut off is declared dead and its process ends: it has to join anew.
                 attempts = 1 if time.monotonic() - began_s > 60.0 else attempts + 1
-                words = f"this machine has been dropped from the cluster at {address}; joining again"
+                words = f"this machine was dropped from the cluster at {address}; rejoining"
             except ClusterError as trouble:
                 if not has_joined:
                     raise
@@ -156,7 +157,7 @@ def status(address: str | None, *, token: Path | None, as_json: bool) -> int:
     print(f"{host}:{port}: {num} renderer{'s' if num != 1 else ''}")
     for member in members:
         state = "busy" if member["busy"] else "free"
-        state = ("no renderer" if not member["renderers"] else state) if member["alive"] else "gone"
+        state = ("no renderer" if not member["renderers"] else state) if member["alive"] else "offline"
         print(f"  {member['ip']:<16} {state:<12} {member['store_bytes'] / 2**30:.1f} GiB for volumes")
     return 0
 
@@ -179,7 +180,7 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
     if address is None:
         for option, is_given in (("--mixed", mixed), ("--token-file", token is not None)):
             if is_given:
-                raise UsageError(f"{option} only applies to a cluster; give --cluster ADDRESS")
+                raise UsageError(f"{option} only applies to a cluster; add --cluster ADDRESS")
         yield None
         return
     check_available()

@@ -102,7 +102,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         fail(as_json, error.code, str(error), error.exit_code)
     except OSError as error:
         if is_disk_trouble(error):
-            doing = "cannot read or write" if error.filename else "a file could not be read or written"
+            doing = "cannot read or write" if error.filename else "cannot read or write a file"
             told = disk_trouble(error, doing, error.filename)
             say(f"carina: {told}")
             fail(as_json, told.code, str(told), told.exit_code)
@@ -119,8 +119,8 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         # BaseException: a panic of the compiled module is no Exception.
         logging.getLogger("carina").debug("command failed", exc_info=True)
         message = (
-            f"internal error in Carina ({type(error).__name__}: {error}); CARINA_LOG_LEVEL=DEBUG shows where. "
-            "Please report it"
+            f"internal error in Carina ({type(error).__name__}: {error}); please report it "
+            "(CARINA_LOG_LEVEL=DEBUG shows where it occurred)"
         )
         say(f"carina: {message}")
         fail(as_json, "carina.fault", message, 1)

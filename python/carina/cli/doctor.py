@@ -23,11 +23,11 @@ OPTIONAL = {
     "pyserial": ("serial pens and handles", "pip install 'carina[devices]'"),
     "cryptography": ("the phone page", "pip install 'carina[phone]'"),
     "segno": ("the phone page", "pip install 'carina[phone]'"),
-    "av": ("videos of flights (carina fly)", "pip install 'carina[video]'"),
-    "vtk": ("reference renderer for benchmarks", "pip install 'carina[bench]'"),
-    "numba": ("baseline for benchmarks", "pip install 'carina[bench]'"),
+    "av": ("fly-through videos (carina fly)", "pip install 'carina[video]'"),
+    "vtk": ("the reference renderer in benchmarks", "pip install 'carina[bench]'"),
+    "numba": ("a baseline in benchmarks", "pip install 'carina[bench]'"),
     "ray": ("rendering on several machines (Linux)", "pip install 'carina[cluster]'"),
-    "scipy": ("reference distance transform for benchmarks", "pip install 'carina[bench]'"),
+    "scipy": ("the reference distance transform in benchmarks", "pip install 'carina[bench]'"),
 }
 NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")
 
@@ -71,7 +71,7 @@ def report(*, as_json: bool) -> int:
     missing = [name for name, version in facts["packages"].items() if version is None]
     cached = None if missing else _cached_cts(settings)
     facts["cached_cts"] = cached
-    problems = [f"{name} is missing: pip install {name}" for name in missing]
+    problems = [f"{name} is missing; run pip install {name}" for name in missing]
     if not web_ui:
         problems.append("the web UI is not built: run `make setup` in the checkout (needs Node 20 or newer)")
     if core["profile"] != "release":
@@ -84,14 +84,14 @@ def report(*, as_json: bool) -> int:
     print(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
     for line in gpu_lines(gpu):
         print(f"  {line}")
-    print(f"  web UI: {'built' if web_ui else 'missing'}; browser found: {browser or 'none on PATH'}")
+    print(f"  web UI: {'built' if web_ui else 'missing'}; browser: {browser or 'none found on PATH'}")
     for name, version in facts["packages"].items():
         print(f"  {name} {version or 'MISSING'}")
     for name, (use, how) in OPTIONAL.items():
         version = facts["optional"][name]
-        print(f"  {name} {version}" if version else f"  {name}: not installed ({use}; {how})")
+        print(f"  {name} {version}" if version else f"  {name}: not installed; for {use}: {how}")
     if cached is not None:
-        off = "" if cached["on"] else " (off)"
+        off = "" if cached["on"] else " (cache off)"
         print(f"  cached CTs: {cached['num']}, {say_size(cached['num_bytes'])}{off}")
     for problem in problems:
         print(f"  problem: {problem}")

@@ -45,14 +45,14 @@ def _choice(backend: Backend, adapter: Adapter, measured: list[Verdict]) -> tupl
         return False, "CARINA_BACKEND=cpu"
     if backend.mode == "gpu":
         first = backend.adapters()[0] == adapter
-        return first, "CARINA_BACKEND=gpu" if first else "CARINA_BACKEND=gpu uses the first adapter"
+        return first, "CARINA_BACKEND=gpu" if first else "CARINA_BACKEND=gpu uses only the first adapter"
     if adapter.is_software:
         return (
             False,
-            "software renderer on the CPU's own cores, no faster than the CPU; for tests only (CARINA_BACKEND=gpu)",
+            "a software renderer that runs on the CPU and is no faster; for tests only (CARINA_BACKEND=gpu)",
         )
     if not measured:
-        return False, "not measured yet; measured during the first flight through a case"
+        return False, "not measured yet; will be measured during the first flight through a case"
     sizes = "; ".join(f"{_size(v)}: {v.why}" for v in measured)
     return any(v.chosen for v in measured), sizes
 
@@ -65,7 +65,7 @@ def _size(verdict: Verdict) -> str:
 def gpu_lines(facts: dict[str, Any]) -> list[str]:
     """The same for a person."""
     if not facts["in_build"]:
-        return ["GPU: not included in this build (the published wheels include it); rendering on the CPU"]
+        return ["GPU: not supported by this build (the published wheels support it); rendering on the CPU"]
     if not facts["adapters"]:
         return ["GPU: no adapter found; rendering on the CPU"]
     lines = []

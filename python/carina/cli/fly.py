@@ -75,9 +75,9 @@ def report(
     if output.suffix.lower() not in VIDEO_SUFFIXES:
         raise UsageError(f"-o: expected a file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {output.name!r}")
     if (to is not None) + (recording is not None) + (keys is not None) != 1:
-        raise UsageError("choose one flight: --to (a branch or point), --recording or --keys")
+        raise UsageError("choose exactly one flight: --to (a branch or point), --recording or --keys")
     if tree is not None and to is None:
-        raise UsageError("--tree only applies to --to")
+        raise UsageError("--tree only applies together with --to")
     check_case_options(path, ct, tree=tree)
     named = None if scope in {None, "none"} else scope_preset(str(scope)).name
     shown = _Shown(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
@@ -173,8 +173,8 @@ def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[
         raise NoResultError("the recording contains no poses")
     if different:
         say(
-            f"note: {different} of {len(moments)} poses differ from the recorded ones; the recording was made "
-            "with another build of Carina"
+            f"note: {different} of {len(moments)} poses differ from the recorded ones; the recording was probably "
+            "made with another build of Carina"
         )
     if not recorded.complete:
         say("note: the recording is incomplete; the replay stops where it ends")
@@ -212,9 +212,9 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
                 known[digest] = made
                 return made
         raise VolumeImportError(
-            "the airways that guided the scope in this recording differ from the airways found here: they came "
-            "from an imported segmentation or from another build of Carina; replay the recording where it was "
-            "made",
+            "the airways that guided the scope in this recording differ from those found here, probably because they "
+            "came from an imported segmentation or from another build of Carina; replay the recording with the "
+            "segmentation and the build that it was made with",
             code="navigate.recording",
         )
 

@@ -44,8 +44,8 @@ class KeptFrames:
             write_whole(folder / JOB, document.encode(), what="the file that describes the frames")
         elif found != job:
             raise UsageError(
-                f"--keep: the frames in {folder} belong to another flight, case, size or version of Carina; "
-                "choose another folder, or delete this one"
+                f"--keep: the frames in {folder} belong to another flight or case, or were rendered at another size or "
+                "by another version of Carina; choose another folder, or delete this one"
             )
         self.num = next(n for n in range(10_000_000) if not self._file(n).exists())
         """How many pictures are here, from the first on."""
@@ -84,9 +84,11 @@ class KeptFrames:
         try:
             rgb = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
         except RuntimeError as trouble:
-            msg = f"{file}: this frame cannot be read; delete it and all later ones, and start again"
+            msg = f"{file}: this frame cannot be read; delete it and all later frames, then start again"
             raise VolumeImportError(msg, code="fly.kept") from trouble
         if rgb.shape != (size[1], size[0], 3) or rgb.dtype != np.uint8:
-            msg = f"{file}: expected an image of {size[0]} x {size[1]}; found {rgb.shape}; delete the folder"
+            msg = (
+                f"{file}: expected an image of {size[0]} x {size[1]} pixels; found shape {rgb.shape}; delete the folder"
+            )
             raise VolumeImportError(msg, code="fly.kept")
         return np.asarray(rgb, np.uint8)

@@ -61,7 +61,8 @@ class Opened:
                 self._airways = carina.find_airways(self.volume, progress=progress)
             elif document.airways is None:
                 raise NoResultError(
-                    "this case has no airways yet: open it in the window to find them, or give the scan",
+                    "this case has no airways yet; open it in the window to segment them, or give the scan instead of "
+                    "the case",
                     code="track.no-airways",
                 )
             else:
@@ -167,8 +168,8 @@ def opened(
     if strict and found.badges.notes:
         codes = ", ".join(note.code for note in found.badges.notes)
         msg = (
-            f"reading {path.name}: --strict: the check of the scan found problems ({codes}); correct them, or omit "
-            "--strict"
+            f"reading {path.name}: the check of the scan found problems ({codes}), which --strict does not allow; "
+            "correct them, or omit --strict"
         )
         raise VolumeImportError(msg, code="import.strict")
     return found

@@ -37,7 +37,7 @@ class SeenThrough:
         """
         given = {name: getattr(self, name) for name in self.__slots__ if getattr(self, name) is not None}
         if given and view != LEAD_VIEW:
-            raise UsageError(f"--{next(iter(given))}: only applies to the airway view; found the view {view!r}")
+            raise UsageError(f"--{next(iter(given))} only applies to the airway view; found the view {view!r}")
         scope = None if self.scope in {None, "none"} else scope_preset(str(self.scope))
         if self.outline is not None and self.outline not in OUTLINES:
             raise UsageError(f"--outline: expected {', '.join(OUTLINES)}; found {self.outline!r}")
@@ -71,7 +71,7 @@ class SeenThrough:
             return None
         if self.focus == "scope":
             if own is None:
-                raise UsageError("--focus scope: needs --scope with a scope whose depth of field is known")
+                raise UsageError("--focus scope requires --scope with a scope whose depth of field is known")
             return own
         try:
             near_mm, far_mm = (float(part) for part in self.focus.split(","))

@@ -17,11 +17,13 @@ TokenOption = Annotated[
 PathArgument = Annotated[
     Path,
     typer.Argument(
-        help="Scan to open: a DICOM folder or file, NIfTI, NRRD or MetaImage; or a case: NAME.carina.",
+        help="Scan to open (DICOM folder or file, NIfTI, NRRD or MetaImage), or a case file (NAME.carina).",
         show_default=False,
     ),
 ]
-CtOption = Annotated[Path | None, typer.Option("--ct", help="Current location of the case's scan, if it is not found.")]
+CtOption = Annotated[
+    Path | None, typer.Option("--ct", help="Current location of the case's scan, if it is not found automatically.")
+]
 SeriesOption = Annotated[
     str | None, typer.Option("--series", help="Key of the series to open; `carina info` lists the keys.")
 ]
