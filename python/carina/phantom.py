@@ -122,7 +122,7 @@ def generate_phantom(
         raise UsageError(f"seed: expected a whole number from 0 to 2^64 - 1; found {seed}", code="phantom.option")
     if generations < 0:
         raise UsageError(
-            f"generations: expected a whole number from 3 to 9, found {generations}", code="phantom.option"
+            f"generations: expected a whole number from 3 to 9; found {generations}", code="phantom.option"
         )
     box = None
     if box_lps is not None:

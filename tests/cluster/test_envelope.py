@@ -82,7 +82,7 @@ def test_a_picture_that_cannot_be_unpacked_is_told_as_no_answer(pickled):
 
 def test_what_is_in_a_pictures_place_and_is_none_is_told_as_such():
     other = {"view": "airway"}
-    with pytest.raises(ClusterError, match="a dict instead of an image"):
+    with pytest.raises(ClusterError, match="expected an image, found a dict"):
         open_answer(pack_answer((1, 1, 0, 3, 0.0, "leap", COUNTS, other, np.zeros((3, 8, 3), np.uint8))))
 
 

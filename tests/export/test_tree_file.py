@@ -53,7 +53,7 @@ def test_a_missing_folder_is_named(tree, tmp_path):
         (b"", "not JSON"),
         (b"\xff\xfe\x00", "not JSON"),
         (b"[" * 100_000, "not JSON"),
-        (b'{"format": "carina-tree", "version": NaN}', "cannot be written as a JSON number"),
+        (b'{"format": "carina-tree", "version": NaN}', "is not a number in JSON"),
         (b'{"format": "carina-transfer", "version": 1}', "format"),
     ],
 )

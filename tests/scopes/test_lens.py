@@ -103,8 +103,8 @@ def test_the_fit_meets_the_published_figures_as_far_as_they_agree():
     # They contradict each other: one pupil cannot give x9.55 at 10 mm and x40 at 3 mm, nor two distortions.
     assert relative["magnification at 10 mm, relative to 100 mm"] == pytest.approx(0.092, abs=1e-3)
     assert relative["magnification at 3 mm, relative to 100 mm"] == pytest.approx(-0.022, abs=1e-3)
-    assert relative["magnification, centre over edge, at 15 mm"] == pytest.approx(0.014, abs=1e-3)
-    assert relative["magnification, edge over ideal, at 3 mm (1 - distortion)"] == pytest.approx(0.014, abs=1e-3)
+    assert relative["magnification at 15 mm, centre relative to edge"] == pytest.approx(0.014, abs=1e-3)
+    assert relative["magnification at 3 mm, edge relative to ideal (1 - distortion)"] == pytest.approx(0.014, abs=1e-3)
     # A least-squares fit: no other pupil does better.
     logs = [math.log(1 + r) for what, r in relative.items() if what.startswith("magnification")]
     for face_mm in (fit.face_mm - 0.05, fit.face_mm + 0.05):
@@ -128,4 +128,4 @@ def test_the_fitted_lens_shows_what_the_fit_says():
         assert found == pytest.approx(by_what[f"magnification at {d:g} mm, relative to 100 mm"].fitted, rel=1e-4)
     edge_mm = (15.0 + fit.face_mm) * math.tan(math.radians(60.0))
     ratio = size_px(15.0, 0.0) / size_px(15.0, edge_mm)
-    assert ratio == pytest.approx(by_what["magnification, centre over edge, at 15 mm"].fitted, rel=1e-4)
+    assert ratio == pytest.approx(by_what["magnification at 15 mm, centre relative to edge"].fitted, rel=1e-4)

@@ -107,7 +107,7 @@ impl LumenSurface {
     ) -> PyResult<Option<T>> {
         let flat = || GridError::Transform {
             what: "lps_from_pixel",
-            reason: "it flattens space".to_owned(),
+            reason: "its determinant is 0".to_owned(),
         };
         let place = arrays::affine("lps_from_pixel", lps_from_pixel)?;
         let pixel_from_lps = place.inverse().ok_or_else(flat).map_err(IntoPy::into_py)?;

@@ -48,7 +48,7 @@ impl Affine {
         }
         let affine = Self::from_rows([matrix[0], matrix[1], matrix[2]]);
         if affine.inverse().is_none() {
-            return refuse("it flattens space (its determinant is 0)");
+            return refuse("its determinant is 0");
         }
         Ok(affine)
     }

@@ -38,7 +38,7 @@ impl Grid {
         }
         let ijk_from_lps = lps_from_ijk.inverse().ok_or_else(|| GridError::Transform {
             what: "lps_from_ijk",
-            reason: "it flattens space (its determinant is 0)".to_owned(),
+            reason: "its determinant is 0".to_owned(),
         })?;
         Ok(Self {
             shape_ijk: ijk_from_zyx(shape_zyx),

@@ -14,10 +14,10 @@ pub enum IsoRegionError {
         found: usize,
     },
     /// A table of colours that covers no value.
-    #[error("the table of colours is empty: it must cover every value of the volume")]
+    #[error("the colour table is empty; it must cover every value of the volume")]
     EmptyTable,
     /// The caller asked to stop.
-    #[error("stopped while building the region map")]
+    #[error("stopped while building the IsoRegion map")]
     Cancelled,
 }
 

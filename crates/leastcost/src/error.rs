@@ -19,7 +19,8 @@ pub enum TrackError {
     },
     /// Edge costs span more than the integer queue can count.
     #[error(
-        "the range of the path costs is too wide: the most expensive edge costs {ratio:.3e} times the cheapest; narrow the range of the cost"
+        "the range of the path costs is too wide: the most expensive edge costs {ratio:.3e} times as much as the \
+         cheapest; narrow the range of the costs"
     )]
     CostRange {
         /// Dearest over cheapest edge.
@@ -27,8 +28,8 @@ pub enum TrackError {
     },
     /// A path costs more than the tracker can count.
     #[error(
-        "a path costs more than {most:.3e}, the most that the path search can represent to within 0.5 %; search a smaller \
-         region, or narrow the range of the weights"
+        "a path costs more than {most:.3e}, the highest cost that the path search can represent to within 0.5 %; \
+         search a smaller region, or narrow the range of the weights"
     )]
     CostOverflow {
         /// Greatest cost that can be counted.

@@ -55,7 +55,7 @@ impl FlightCurve {
             });
         }
         if points.iter().flatten().any(|v| !v.is_finite()) {
-            return refuse("it holds coordinates that are not finite".to_owned());
+            return refuse("it contains coordinates that are not finite".to_owned());
         }
         let mut line: Vec<[f64; 3]> = Vec::with_capacity(points.len());
         let mut cumulative: Vec<f64> = Vec::with_capacity(points.len());
@@ -107,7 +107,7 @@ impl FlightCurve {
         let gazes = gaze(&knots, GAZE_AHEAD_MM, GAZE_SIGMA_MM, step_mm);
         let up = match up {
             Some(up) => unit(up).ok_or(ScopeError::Up {
-                reason: "has no length",
+                reason: "has zero length",
             })?,
             // 0.99: within 8 degrees of the anterior axis "anterior up" is meaningless.
             None if gazes[0][1].abs() < 0.99 => [0.0, -1.0, 0.0],
@@ -115,11 +115,11 @@ impl FlightCurve {
         };
         if length(cross(up, gazes[0])) < 1e-3 {
             return Err(ScopeError::Up {
-                reason: "lies along the start of the path",
+                reason: "is parallel to the start of the path",
             });
         }
         let frames = frames_along(&knots, &gazes, up, step_mm).ok_or(ScopeError::Up {
-            reason: "lies along the start of the path",
+            reason: "is parallel to the start of the path",
         })?;
         Ok(Self {
             step_mm,

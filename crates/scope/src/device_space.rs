@@ -29,8 +29,8 @@ impl DeviceSpace {
         // More than 4 would make every tremor a jump; the felt stiffness grows with the scale.
         if !(is_even && is_square && (0.05..=1.0).contains(&scale)) {
             return Err(ScopeError::Force {
-                reason: "the device's space must be turned, shifted and scaled alike on all axes, by 0.05 to 1 mm of \
-                         the lumen per mm of the hand"
+                reason: "the device's space may only be rotated, shifted and scaled equally on all axes, by 0.05 to \
+                         1 mm in the lumen per mm of hand movement"
                     .to_owned(),
             });
         }

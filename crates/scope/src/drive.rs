@@ -134,7 +134,7 @@ impl ScopeDrive {
         let behind = line[at.min(line.len() - 2)];
         let Some(into) = unit(sub(ahead, behind)) else {
             return Err(ScopeError::Scope {
-                reason: "its path does not lead anywhere".to_owned(),
+                reason: "the start of its path has no direction".to_owned(),
             });
         };
         let first_up = match up {
@@ -145,7 +145,7 @@ impl ScopeDrive {
         };
         let Some(first_up) = unit(along(first_up, -dot(first_up, into), into)) else {
             return Err(ScopeError::Up {
-                reason: "lies along the start of the path",
+                reason: "is parallel to the start of the path",
             });
         };
         let entry = Entry { at: line[at], into };
@@ -536,7 +536,7 @@ const MOST_PATH_MM: f64 = 5_000.0;
 fn evenly(path: &[Point]) -> Result<Vec<Point>, ScopeError> {
     if path.iter().flatten().any(|v| !v.is_finite()) {
         return Err(ScopeError::Scope {
-            reason: "its path holds coordinates that are not finite".to_owned(),
+            reason: "its path contains coordinates that are not finite".to_owned(),
         });
     }
     let path_mm: f64 = path.windows(2).map(|w| distance(w[0], w[1])).sum();

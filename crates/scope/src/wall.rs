@@ -122,7 +122,7 @@ impl WallField {
         }
         if samples.is_empty() {
             return Err(ScopeError::Wall {
-                reason: "no wall lies in it".to_owned(),
+                reason: "it contains no wall".to_owned(),
             });
         }
         let spacing = [0, 1, 2].map(|a| carina_grid::length(lps_from_lattice.column(a)));

@@ -529,7 +529,7 @@ def _whatever_happens(step: Callable[[], object]) -> None:
     try:
         step()
     except Exception:
-        logger.exception("the console could not render one image")
+        logger.exception("the console could not render an image")
 
 
 def _nothing() -> None:

@@ -78,7 +78,7 @@ def open_answer(answer: bytes) -> Strip:
         name = answer[_ANSWER.size : at].decode()
         picture = pickle.loads(answer[at : at + num_bare]) if num_bare else None
         if picture is not None and not isinstance(picture, Picture):
-            raise ValueError(f"a {type(picture).__name__} instead of an image")
+            raise ValueError(f"expected an image, found a {type(picture).__name__}")
         rgb = np.frombuffer(answer, np.uint8, offset=at + num_bare).reshape(shape)
     except Exception as nonsense:
         # Whatever it is: bytes that are no pickle raise nearly everything.

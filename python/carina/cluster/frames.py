@@ -105,7 +105,7 @@ def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
     if order.rows is not None and order.rows[0] > 0 and answer.picture is None:
         pass
     elif not isinstance(answer.picture, Picture):
-        return "a first strip without the data of its image"
+        return "a first strip without the image's metadata"
     if answer.rgb.shape != expected:
         return f"a strip of shape {answer.rgb.shape} instead of {expected}"
     return None

@@ -55,7 +55,7 @@ def check_available() -> None:
         ``cluster.missing`` without Ray; ``cluster.platform`` where Ray has no clusters.
     """
     if not sys.platform.startswith("linux"):
-        msg = "a cluster needs Linux, because Ray supports clusters only there. Carina renders on this machine alone"
+        msg = "a cluster needs Linux, the only system on which Ray supports clusters; render on this machine alone"
         raise ClusterError(msg, code="cluster.platform")
     if importlib.util.find_spec("ray") is None:
         msg = f"rendering on several machines needs Ray, which is not installed; {HOW_TO_GET}"
@@ -85,18 +85,18 @@ def check_token(path: Path) -> Path:
     """
     if not path.is_file():
         msg = (
-            f"no token file at {path}: joining a cluster needs one. `carina cluster start --head` creates it; "
-            "copy that file from the head node to this machine, or pass its path as --token-file"
+            f"no token file at {path}; `carina cluster start --head` creates one on the head node: copy it to this "
+            "machine, or give its path with --token-file"
         )
         raise ClusterError(msg, code="cluster.token")
     if path.stat().st_mode & 0o077:
         msg = (
-            f"other users of this machine can read the token {path}, and anyone who has it can run programs on "
-            f"this machine; run chmod 600 {path}"
+            f"other users of this machine can read the token file {path}, and anyone who has the token can run "
+            f"programs on this machine; run chmod 600 {path}"
         )
         raise ClusterError(msg, code="cluster.token")
     if len(path.read_text(encoding="ascii", errors="replace").strip()) < 16:
-        raise ClusterError(f"the token {path} is too short: expected 16 characters or more", code="cluster.token")
+        raise ClusterError(f"the token in {path} is too short: expected 16 characters or more", code="cluster.token")
     return path
 
 

@@ -50,5 +50,5 @@ class ClusterSettings:
                 f"cluster: a strip must have at least one row; found {self.min_rows}", code="usage.cluster"
             )
         if self.late_factor < 1.0 or self.late_floor_s <= 0.0 or self.first_answer_s <= 0.0:
-            msg = "cluster: the late factor must be at least 1, and the deadlines must be above 0 s"
+            msg = "cluster: the late factor must be at least 1, and the deadlines must be longer than 0 s"
             raise UsageError(msg, code="usage.cluster")

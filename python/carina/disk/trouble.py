@@ -96,7 +96,7 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
             # "No space left on device" is what people search for.
             return _Reason("disk.full", f"the disk is full{numbers}", f"free some space{or_elsewhere}")
         case errno.EDQUOT:
-            return _Reason("disk.full", "your quota on this disk is used up", f"delete files{or_elsewhere}")
+            return _Reason("disk.full", "your quota on this disk is exhausted", f"delete files{or_elsewhere}")
         case errno.EFBIG:
             return _Reason("disk.full", "the file would exceed the size limit of this disk or account", elsewhere)
         case errno.EROFS:
@@ -109,7 +109,7 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
             return _Reason("disk.missing", "part of this path is a file, not a folder", elsewhere)
         case errno.EISDIR | errno.EEXIST | errno.ENOTEMPTY:
             return _Reason(
-                "disk.in-the-way", "something with this name already exists", "move it, or choose another name"
+                "disk.in-the-way", "an item with this name already exists", "move it, or choose another name"
             )
         case errno.ENAMETOOLONG:
             return _Reason("disk.failed", "the name is too long for this disk", "choose a shorter one")

@@ -50,7 +50,7 @@ class Film:
         """The film itself, in a notebook."""
         width, height = self.size_px
         words = [
-            f"{self.num_frames} frames of {width} × {height}, {self.duration_s:.1f} s at {self.rate_hz:g} per second"
+            f"{self.num_frames} frames of {width} × {height}, {self.duration_s:.1f} s at {self.rate_hz:g} frames/s"
         ]
         if not self.path.is_file() or self.path.stat().st_size > MAX_EMBEDDED_BYTES:
             return figure(f"<div>{escaped(self.name)}</div>", caption(words))

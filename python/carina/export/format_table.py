@@ -50,15 +50,15 @@ EXPORT_FORMATS: tuple[ExportFormat, ...] = (
     ExportFormat(".ply", "surface", "For MeshLab and Blender", write_mesh),
     ExportFormat(".obj", "surface", "For 3D modelling programs", write_mesh),
     ExportFormat(".glb", "surface", "For web and phone viewers", write_mesh),
-    ExportFormat(".nii.gz", "lumen", "NIfTI: 3D Slicer, ITK-SNAP, Python", write_mask),
-    ExportFormat(".nii", "lumen", "NIfTI, not compressed", write_mask),
-    ExportFormat(".nrrd", "lumen", "NRRD: 3D Slicer", write_mask),
-    ExportFormat(".mha", "lumen", "MetaImage: ITK", write_mask),
+    ExportFormat(".nii.gz", "lumen", "NIfTI for 3D Slicer, ITK-SNAP, Python", write_mask),
+    ExportFormat(".nii", "lumen", "NIfTI, uncompressed", write_mask),
+    ExportFormat(".nrrd", "lumen", "NRRD for 3D Slicer", write_mask),
+    ExportFormat(".mha", "lumen", "MetaImage for ITK", write_mask),
     # ".mrk.json" is asked for before ".json", which it ends in: the longest suffix counts.
     ExportFormat(".json", "tree", "The complete tree: names, radii, confidence", write_tree),
     ExportFormat(".vtp", "tree", "For ParaView and VTK", write_vtp),
     ExportFormat(".mrk.json", "tree", "Curves for 3D Slicer", write_markups),
-    ExportFormat(".swc", "tree", "For software that analyses tree shapes", write_swc),
+    ExportFormat(".swc", "tree", "For software that analyses tree morphology", write_swc),
 )
 EXPORT_SUFFIXES = tuple(row.suffix for row in EXPORT_FORMATS)
 """Suffixes that :func:`carina.export_airways` knows."""

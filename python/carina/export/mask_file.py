@@ -51,7 +51,7 @@ def write_mask(
         If it cannot be written; what was there before stays.
     """
     if not Path(path).name.lower().endswith(MASK_SUFFIXES):
-        msg = f"a mask must be written as {', '.join(MASK_SUFFIXES)}; found {Path(path).name!r}"
+        msg = f"saving a mask: expected a file name that ends in {', '.join(MASK_SUFFIXES)}; found {Path(path).name!r}"
         raise UsageError(msg)
     if mask_zyx.shape != volume.shape_zyx:
         msg = f"the mask must be on the volume's grid: expected shape {volume.shape_zyx}, found {mask_zyx.shape}"

@@ -51,7 +51,8 @@ def write_mesh(path: Path | str, mesh: Mesh, *, note: str | None = None, badges:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _WRITERS:
-        msg = f"a surface must be written as {', '.join(MESH_SUFFIXES)}; found {Path(path).name!r}"
+        known = ", ".join(MESH_SUFFIXES)
+        msg = f"saving a surface: expected a file name that ends in {known}; found {Path(path).name!r}"
         raise UsageError(msg)
     return write_whole(path, _WRITERS[suffix](mesh, note, badge_lines(badges)), what="the surface")
 

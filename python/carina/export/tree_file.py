@@ -87,7 +87,7 @@ def _read(path: Path | str) -> AirwayTree:
         msg = f"{source}: cannot be read: {error.strerror or error}"
         raise VolumeImportError(msg, code="track.tree-format") from error
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        msg = f"{source}: is not JSON ({error}); expected a file that carina wrote with -o tree.json"
+        msg = f"{source}: not JSON ({error}); expected an airway tree file written by carina"
         raise VolumeImportError(msg, code="track.tree-format") from error
     except (TrackingError, ValueError, KeyError, TypeError, OverflowError) as error:
         msg = f"{source}: {error}"
@@ -95,5 +95,5 @@ def _read(path: Path | str) -> AirwayTree:
 
 
 def _no_nan(name: str) -> None:
-    msg = f"{name} cannot be written as a JSON number"
+    msg = f"{name} is not a number in JSON"
     raise ValueError(msg)

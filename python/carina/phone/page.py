@@ -181,7 +181,7 @@ class PhonePage:
             found = asset_path(self._web, f"assets/{request.path_params['name']}")
             # The workstation's own script holds nothing secret either, but has nothing to do here.
             if found is None or not found.name.startswith("phone"):
-                return page("Nothing here", "This page does not exist.", 404)
+                return page("Page not found", "This page does not exist.", 404)
             return FileResponse(found, headers={"cache-control": "no-cache"})
 
         async def socket(websocket: WebSocket) -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MISSING", "PhoneSwitch"]
 
-MISSING = "the phone page needs two more libraries: pip install 'carina[phone]'"
+MISSING = "the phone page needs two more libraries; install them with: pip install 'carina[phone]'"
 LIBRARIES = ("cryptography", "segno")
 
 

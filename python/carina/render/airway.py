@@ -125,7 +125,7 @@ class AirwayCaster:
         """The first wall at one pixel."""
         if column < 0 or row < 0:
             raise RenderError(
-                f"expected a pixel counted from 0; found column {column}, row {row}", code="render.setting"
+                f"expected a pixel column and row of 0 or more; found column {column}, row {row}", code="render.setting"
             )
         depth, position, normal = self._first_walls(scene, view, pixel=(column, row))
         if np.isnan(depth[0, 0]):

@@ -40,7 +40,8 @@ class Light:
         whole = isinstance(self.shininess_log2, int) and 0 <= self.shininess_log2 <= 10
         if not whole or not all(np.isfinite(v) and 0 <= v <= 10 for v in shares):
             raise RenderError(
-                f"the shares of a light and its shininess (log2, a whole number) must be between 0 and 10; found {self}"
+                "the ambient, diffuse and specular shares of a light, and its shininess (log2, a whole number), must "
+                f"be between 0 and 10; found {self}"
             )
         if self.reach_mm is not None and not self.reach_mm > 0:
             raise RenderError(f"the reach of a light must be above 0 mm; found {self.reach_mm}")
@@ -314,7 +315,7 @@ def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
     counts = np.bincount(volume.hu_zyx.ravel().astype(np.int32) - lo, minlength=hi - lo + 1).astype(np.float64)
     values = np.arange(lo, hi + 1, dtype=np.float64)
     if hi == lo:
-        msg = f"every voxel of this volume is {lo}, so there is nothing to distinguish"
+        msg = f"every voxel of this volume has the value {lo}, so there is nothing to distinguish"
         raise RenderError(msg, code="render.transfer")
     below = np.cumsum(counts)[:-1]
     above = counts.sum() - below

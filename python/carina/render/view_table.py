@@ -313,7 +313,7 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
         title=title,
         words=words,
         empty=(
-            "There is no route yet. Choose a branch in the list, or mark a target. The airway along the route "
+            "There is no route yet. Choose a branch in the list, or mark a target; the airway along the route then "
             "appears here."
         ),
         cell="cut-plane",
@@ -383,7 +383,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 name="drr",
                 title="X-ray",
                 short="DRR",
-                words="Radiograph from the C-arm: drag to turn it",
+                words="Simulated X-ray from the C-arm; drag to rotate the arm",
                 empty="The simulated X-ray with the scope tip appears here when a CT is open.",
                 cell="xray",
                 spec=_drr,

@@ -65,12 +65,12 @@ def _check_mm(what: str, value: float | None) -> None:
 
 def _check_point(what: str, point: tuple[float, float, float] | NDArray[np.float64]) -> None:
     if np.shape(point) != (3,) or not np.isfinite(point).all():
-        raise RenderError(f"{what} must be three finite numbers, mm LPS; found {point}", code="render.setting")
+        raise RenderError(f"{what} must be three finite numbers in mm (LPS); found {point}", code="render.setting")
 
 
 def _check_plane(name: str) -> None:
     if name not in PLANES:
-        raise RenderError(f"expected one of {', '.join(PLANES)}; found {name!r}", code="render.setting")
+        raise RenderError(f"expected one of the planes {', '.join(PLANES)}; found {name!r}", code="render.setting")
 
 
 @one_line
@@ -112,7 +112,7 @@ class AirwayView:
                 f"the ray step must be between 0.01 and 100 voxels; found {self.step_vox}", code="render.setting"
             )
         if self.method not in {"leap", "brute", "leap-always"}:
-            msg = f"expected method leap, brute or leap-always; found {self.method!r}"
+            msg = f"the ray method must be leap, brute or leap-always; found {self.method!r}"
             raise RenderError(msg, code="render.setting")
         if not 1 / 65536 <= self.stop_transparency <= 0.25:
             msg = f"the transparency at which rays stop must be between 1/65536 and 1/4; found {self.stop_transparency}"
@@ -298,7 +298,7 @@ class DrrView:
                 code="render.setting",
             )
         if self.tone not in {"radiograph", "fluoroscopy"}:
-            raise RenderError(f"expected radiograph or fluoroscopy; found {self.tone!r}", code="render.setting")
+            raise RenderError(f"the tone must be radiograph or fluoroscopy; found {self.tone!r}", code="render.setting")
 
 
 @one_line
@@ -330,7 +330,7 @@ class PathView(GreyView):
         GreyView.__post_init__(self)
         _check_mm("the size of a pixel", self.mm_per_px)
         if self.kind not in {"straightened", "curved"}:
-            raise RenderError(f"expected straightened or curved; found {self.kind!r}", code="render.setting")
+            raise RenderError(f"a path view must be straightened or curved; found {self.kind!r}", code="render.setting")
         if not (np.isfinite(self.turn_deg) and np.isfinite(self.centre_mm)):
             raise RenderError(
                 "the rotation and the position of a path view must be finite numbers", code="render.setting"

@@ -90,7 +90,7 @@ def lens_from_text(text: str) -> Lens:
         else:
             entries = _read_yaml(text)
     except RecursionError as error:
-        raise _refused("expected a camera calibration; found entries that are nested too deeply") from error
+        raise _refused("its entries are nested too deeply") from error
     return _lens({key.lower(): value for key, value in entries.items()})
 
 
@@ -105,7 +105,7 @@ def _read_json(text: str) -> Entries:
     try:
         value = json.loads(text)
     except ValueError as error:
-        raise _refused(f"expected JSON, found an error: {error}") from error
+        raise _refused(f"it is not valid JSON: {error}") from error
     if not isinstance(value, dict):
         raise _refused("expected one JSON object")
     return value
@@ -114,11 +114,11 @@ def _read_json(text: str) -> Entries:
 def _read_xml(text: str) -> Entries:
     # Entities can blow a small file up; OpenCV writes none.
     if "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL):
-        raise _refused("expected OpenCV's XML, found a document type or entities")
+        raise _refused("expected OpenCV's XML, found a document type declaration or entities")
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
-        raise _refused(f"expected XML, found an error: {error}") from error
+        raise _refused(f"it is not valid XML: {error}") from error
     return {child.tag: _xml_value(child) for child in root}
 
 
@@ -141,7 +141,7 @@ def _read_yaml(text: str) -> Entries:
             continue
         match = re.fullmatch(r"(\s*)([\w-]+)\s*:\s*(.*)", line)
         if match is None:
-            raise _refused(f"expected OpenCV's YAML, found on line {n}: {line.strip()[:60]!r}")
+            raise _refused(f"expected OpenCV's YAML, found {line.strip()[:60]!r} on line {n}")
         indent, key, value = match.groups()
         if value.startswith("["):
             # A list runs over as many lines as it needs.
@@ -220,7 +220,7 @@ def _lens(entries: Entries) -> Lens:
     if size is not None:
         sides = list(_finite("image_size", size))
     if len(sides) != 2 or None in sides:
-        raise _refused("it has no image_width and image_height, so the calibration cannot be scaled to an image")
+        raise _refused("it has no image_width or image_height, so the calibration cannot be scaled to an image")
     width, height = (_whole(name, side) for name, side in zip(("image_width", "image_height"), sides, strict=True))
     m = _finite("camera_matrix", matrix)
     if len(m) != 9:
@@ -232,7 +232,9 @@ def _lens(entries: Entries) -> Lens:
     # OpenCV counts from the centre of the first pixel.
     centre = (m[2] + 0.5, m[5] + 0.5)
     if not (0.0 <= centre[0] <= width and 0.0 <= centre[1] <= height):
-        raise _refused(f"camera_matrix: the principal point {m[2]:g}, {m[5]:g} lies outside {width} x {height} pixels")
+        raise _refused(
+            f"camera_matrix: the principal point {m[2]:g}, {m[5]:g} lies outside the image of {width} x {height} pixels"
+        )
     known = Calibration((m[0], m[4]), centre, (width, height))
     d = _finite("distortion_coefficients", coefficients)
     if _is_fisheye(entries):

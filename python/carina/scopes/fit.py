@@ -86,9 +86,9 @@ def fit_generic_optics(fov_deg: float = FOV_DEG) -> FittedOptics:
         Residual(f"magnification at {d:g} mm, relative to 100 mm", published, _magnification(d, face_mm))
         for d, published in MAGNIFICATION_AT
     ]
-    residuals.append(Residual("magnification, centre over edge, at 15 mm", CENTRE_TO_EDGE, 1.0 / fitted_edge))
+    residuals.append(Residual("magnification at 15 mm, centre relative to edge", CENTRE_TO_EDGE, 1.0 / fitted_edge))
     residuals.append(
-        Residual("magnification, edge over ideal, at 3 mm (1 - distortion)", 1.0 + DISTORTION, fitted_edge)
+        Residual("magnification at 3 mm, edge relative to ideal (1 - distortion)", 1.0 + DISTORTION, fitted_edge)
     )
     return FittedOptics(k1, face_mm, tuple(residuals))
 

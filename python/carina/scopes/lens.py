@@ -147,7 +147,9 @@ class ImageField:
 
     def __post_init__(self) -> None:
         if self.outline not in OUTLINES:
-            raise RenderError(f"outline must be {', '.join(OUTLINES)}; found {self.outline!r}", code="render.camera")
+            raise RenderError(
+                f"outline must be one of {', '.join(OUTLINES)}; found {self.outline!r}", code="render.camera"
+            )
         if not 0.0 <= self.edge_px <= 100.0:
             raise RenderError(
                 f"the width of a soft edge must be between 0 and 100 pixels; found {self.edge_px:g}",

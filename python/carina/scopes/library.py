@@ -297,7 +297,7 @@ _PRESETS = (
     ),
     ScopePreset(
         "ebus",
-        "EBUS (BF-UC180F), looks 35 degrees up",
+        "EBUS (BF-UC180F), 35-degree oblique view",
         "ebus",
         6.9,
         6.3,

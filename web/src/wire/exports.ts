@@ -14,10 +14,10 @@ export const EXPORTS = [
   {
     title: "Lumen mask on the CT grid",
     files: [
-      { suffix: ".nii.gz", words: "NIfTI: 3D Slicer, ITK-SNAP, Python" },
-      { suffix: ".nii", words: "NIfTI, not compressed" },
-      { suffix: ".nrrd", words: "NRRD: 3D Slicer" },
-      { suffix: ".mha", words: "MetaImage: ITK" },
+      { suffix: ".nii.gz", words: "NIfTI for 3D Slicer, ITK-SNAP, Python" },
+      { suffix: ".nii", words: "NIfTI, uncompressed" },
+      { suffix: ".nrrd", words: "NRRD for 3D Slicer" },
+      { suffix: ".mha", words: "MetaImage for ITK" },
     ],
   },
   {
@@ -26,7 +26,7 @@ export const EXPORTS = [
       { suffix: ".json", words: "The complete tree: names, radii, confidence" },
       { suffix: ".vtp", words: "For ParaView and VTK" },
       { suffix: ".mrk.json", words: "Curves for 3D Slicer" },
-      { suffix: ".swc", words: "For software that analyses tree shapes" },
+      { suffix: ".swc", words: "For software that analyses tree morphology" },
     ],
   },
 ] as const;
