@@ -22,7 +22,7 @@ pub enum ScopeError {
         found_mm: f64,
     },
     /// The wall's field cannot be made.
-    #[error("cannot compute the distance to this wall: {reason}")]
+    #[error("cannot compute the distances to the wall: {reason}")]
     Wall {
         /// Why.
         reason: String,

@@ -142,7 +142,7 @@ impl ForceModel {
     pub fn new(field: Arc<WallField>, law: ForceLaw, path: Vec<Point>) -> Result<Self, ScopeError> {
         if path.iter().flatten().any(|v| !v.is_finite()) {
             return Err(ScopeError::Force {
-                reason: "its path contains coordinates that are not finite".to_owned(),
+                reason: "the path contains coordinates that are not finite".to_owned(),
             });
         }
         Ok(Self {

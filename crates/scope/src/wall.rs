@@ -97,7 +97,7 @@ impl WallField {
     ) -> Result<Self, ScopeError> {
         let Some(lattice_from_lps) = lps_from_lattice.inverse() else {
             return Err(ScopeError::Wall {
-                reason: "the lattice is flat".to_owned(),
+                reason: "the lattice has no volume".to_owned(),
             });
         };
         if shape_ijk.iter().any(|&n| n < 2) {
@@ -122,7 +122,7 @@ impl WallField {
         }
         if samples.is_empty() {
             return Err(ScopeError::Wall {
-                reason: "it contains no wall".to_owned(),
+                reason: "the lattice contains no wall".to_owned(),
             });
         }
         let spacing = [0, 1, 2].map(|a| carina_grid::length(lps_from_lattice.column(a)));

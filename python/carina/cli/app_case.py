@@ -13,7 +13,7 @@ from carina.cli.options import CtOption, JsonOption
 __all__ = ["case"]
 
 case = typer.Typer(
-    help="Case files (NAME.carina), and the cases stored on this machine (docs/case-file.md).",
+    help="Manage case files (NAME.carina) and the cases stored on this machine (docs/case-file.md).",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -46,9 +46,9 @@ class ExportFormat:
 
 
 EXPORT_FORMATS: tuple[ExportFormat, ...] = (
-    ExportFormat(".stl", "surface", "For 3D printing and most programs", write_mesh),
+    ExportFormat(".stl", "surface", "For 3D printing and most 3D software", write_mesh),
     ExportFormat(".ply", "surface", "For MeshLab and Blender", write_mesh),
-    ExportFormat(".obj", "surface", "For 3D modelling programs", write_mesh),
+    ExportFormat(".obj", "surface", "For 3D modelling software", write_mesh),
     ExportFormat(".glb", "surface", "For web and phone viewers", write_mesh),
     ExportFormat(".nii.gz", "lumen", "NIfTI for 3D Slicer, ITK-SNAP, Python", write_mask),
     ExportFormat(".nii", "lumen", "NIfTI, uncompressed", write_mask),

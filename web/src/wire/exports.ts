@@ -5,9 +5,9 @@ export const EXPORTS = [
   {
     title: "Airway surface",
     files: [
-      { suffix: ".stl", words: "For 3D printing and most programs" },
+      { suffix: ".stl", words: "For 3D printing and most 3D software" },
       { suffix: ".ply", words: "For MeshLab and Blender" },
-      { suffix: ".obj", words: "For 3D modelling programs" },
+      { suffix: ".obj", words: "For 3D modelling software" },
       { suffix: ".glb", words: "For web and phone viewers" },
     ],
   },

@@ -148,7 +148,7 @@ export const VIEWS = {
     title: "Cut-plane",
     short: "",
     words: "cut-plane",
-    empty: "The plane through the tip, at right angles to the scope, appears here when a CT is open.",
+    empty: "The plane through the tip, perpendicular to the scope, appears here when a CT is open.",
     cell: "cut-plane",
     needs: [],
     overlay: "flat",
