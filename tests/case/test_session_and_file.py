@@ -340,7 +340,7 @@ def test_a_case_that_is_not_kept_holds_no_recording(tmp_path):
     session = Session(SmallRenderer, parts=small_parts(), submit=(background := Background()), clock=Clock())
     session.do(OpenPath("case"))
     background.run_all()
-    with pytest.raises(UsageError, match="not kept on this machine"):
+    with pytest.raises(UsageError, match="not stored on this machine"):
         session.do(RecordFlight())
     assert session.devices.recording_name is None
 

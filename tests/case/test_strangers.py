@@ -265,7 +265,7 @@ def test_a_spoilt_journal_loses_what_it_held_and_nothing_more(made, tmp_path):
         ("UPDATE value SET json = replace(json, '1', '1e999')", "value"),
         ("UPDATE route SET facts = ''", "route"),
         ("UPDATE document SET airways = 4000000", "document"),
-        ("UPDATE step SET document = 4000000", "document 4000000"),
+        ("UPDATE step SET document = 4000000", "row 4000000 of document"),
         ("UPDATE step SET n = n + 5 WHERE n = 3", "history: expected"),
         ("DELETE FROM step", "history: expected"),
         ("UPDATE step SET command = '[1]'", "step"),

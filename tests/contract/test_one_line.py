@@ -193,7 +193,7 @@ def test_what_works_says_in_one_line_how_it_does(shown: Shown, tmp_path: Path) -
             "AutoFlight(FlightPath(": AutoFlight(shown.path),
             "Draft('": draft,
             "ForceLoop(ForceLaw(": ForceLoop(shown.wall),
-            "History(0 changes, 0 of them done)": History("a document"),
+            "History(0 changes, 0 of them applied)": History("a document"),
             "KeyFrameFlight(3 key frames, ": KeyFrameFlight(poses),
             "LocalStore('very/": LocalStore(Path(name)),
             "Pilot(Navigator(mode='free', at_lps=(": pilot,

@@ -69,7 +69,7 @@ def test_somebody_watches_and_is_sent_away(server, workstation, watcher):
     picture_of(watcher.page, "watching-watcher")
 
     page.get_by_role("button", name="Send away").click()
-    watcher.page.get_by_text("ended your watching").wait_for()
+    watcher.page.get_by_text("has disconnected you").wait_for()
     assert watcher.shown_views() == []
     picture_of(watcher.page, "watching-sent-away")
     page.wait_for_function("(url) => document.querySelector('[data-testid=watch-url]').innerText !== url", arg=url)

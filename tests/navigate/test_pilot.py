@@ -90,7 +90,7 @@ def test_gain_scales_and_the_clutch_lifts_the_hand():
 def test_absolute_needs_a_registration_and_does_not_jump_but_comes_to_where_the_pen_is():
     hand = Hand()
     hand.pen((10.0, 0.0, 0.0))
-    with pytest.raises(UsageError, match="register it first"):
+    with pytest.raises(UsageError, match="register the pen first"):
         hand.pilot.apply(c.SetControl("absolute"))
     hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
     before = hand.pose

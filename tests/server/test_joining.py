@@ -266,7 +266,7 @@ def test_of_two_notebooks_one_owns_the_case_and_says_so(ct):
         window.do(c.OpenPath(str(ct)))
         one, other = carina.Case.open(ct), carina.Case.open(ct)
     for case in (one, other):
-        with pytest.warns(UserWarning, match="Carina that had this case open has ended"):
+        with pytest.warns(UserWarning, match="program that had this case open has ended"):
             case.do(c.SetFov(100.0))
     assert sorted(case.note is None for case in (one, other)) == [False, True]
     loser = next(case for case in (one, other) if case.note is not None)

@@ -149,7 +149,7 @@ def test_a_process_without_a_free_descriptor_ends_the_idle_and_serves_on(tmp_pat
         besieged(base, token, rounds=3)
     said = errors.read_text()
     assert "Traceback" not in said
-    assert "had no file descriptors left" in said
+    assert "had run out of file descriptors" in said
     assert len(said.splitlines()) <= 4, said
 
 

@@ -225,7 +225,7 @@ def test_switching_it_off_sends_all_away_and_frees_the_port(desk):
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
         window.send(wire.SetWatchPage(on=False))
-        assert watcher.close_code() == (4410, "the person at the workstation ended the watching")
+        assert watcher.close_code() == (4410, "the person at the workstation has stopped sharing the case")
     page_of(window, lambda page: page is None)
     with pytest.raises(ConnectionRefusedError), watching(page.url):
         pass
@@ -242,7 +242,7 @@ def test_one_who_is_sent_away_does_not_come_back_by_the_same_link(desk):
     with watching(page.url) as first, watching(page.url) as second:
         told = page_of(window, lambda page: page is not None and len(page.watchers) == 2)
         window.send(wire.SendAway(told.watchers[0].number))
-        assert first.close_code() == (4410, "the person at the workstation ended your watching")
+        assert first.close_code() == (4410, "the person at the workstation has disconnected you")
         left = page_of(window, lambda page: page is not None and len(page.watchers) == 1)
         assert left.url != page.url
         window.send(wire.SetFov(81.0))

@@ -172,7 +172,7 @@ def test_a_case_whose_ct_was_dropped_says_that_it_is_to_be_chosen_again(desk):
     desk.session.do(c.CloseCase())
     (dropped,) = desk.listed()
     assert not dropped.opens
-    with pytest.raises(UsageError, match="drop or choose it to continue"):
+    with pytest.raises(UsageError, match="drop the CT here or choose it to continue"):
         desk.session.do(c.OpenRecent(dropped.recent_id))
     desk.session.do(c.OpenFiles("dropped again"))
     desk.background.run_all()

@@ -104,7 +104,7 @@ def test_a_case_without_its_ct_waits_in_the_list_and_asks_for_it_once(desks, giv
     other = made_phantom(spacing_mm=3.0, generations=4).volume
     desk.events.clear()
     desk.do(c.OpenPath(str(write_ct(tmp_path / "other.nii.gz", other))))
-    assert "not the CT of the case dropped before" in desk.said()
+    assert "not the CT of the case that you dropped" in desk.said()
     assert desk.steps() == []
     # Dropped, too: it has no place either.
     desk.do(c.OpenFiles(str(write_ct(tmp_path / "their.nii.gz", chest))))

@@ -95,7 +95,7 @@ def test_every_change_of_the_list_is_one_step_of_undo(three):
     ids = [key.key_id for key in session.key_frames_info().frames]
     steps = [
         ("rename key frame 1", lambda: session.do(EditKeyFrames(KeyFrameRename(ids[0], "start")))),
-        ("set the speed to key frame 2", lambda: session.do(EditKeyFrames(KeyFrameSpeed(ids[1], 5.0)))),
+        ("set the speed up to key frame 2", lambda: session.do(EditKeyFrames(KeyFrameSpeed(ids[1], 5.0)))),
         ("move key frame 3 to 2", lambda: session.do(EditKeyFrames(KeyFrameMove(ids[2], -1)))),
         (
             "update key frame 1",

@@ -212,7 +212,7 @@ def test_several_steps_are_taken_back_at_once(desk):
     assert session.snapshot().redo_label == "field of view"
     session.do(c.GoToStep(3))
     assert session.snapshot().document.look.outline == "octagon"
-    with pytest.raises(UsageError, match="has 3 steps; found step 4"):
+    with pytest.raises(UsageError, match="has 3 steps; there is no step 4"):
         session.do(c.GoToStep(4))
     session.close()
 

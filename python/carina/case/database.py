@@ -154,7 +154,8 @@ def no_surprise() -> Iterator[None]:
     except CarinaError:
         raise
     except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as trouble:
-        raise damaged("content", "values as described in docs/case-file.md", type(trouble).__name__) from trouble
+        found = f"other content ({type(trouble).__name__})"
+        raise damaged("content", "values as described in docs/case-file.md", found) from trouble
 
 
 def needed_header(path: Path) -> None:
@@ -197,7 +198,9 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
         if [_stamp(part) for part in parts] == before:
             return folder / "case.carina"
     raise refused(
-        path, "another program keeps changing it; close it there, or try again in a moment", code="case.read-only"
+        path,
+        "another program keeps changing it; close the case in that program, or try again in a moment",
+        code="case.read-only",
     )
 
 

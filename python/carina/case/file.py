@@ -185,7 +185,7 @@ class CaseFile:
                 if not read_only:
                     raise refused(
                         place,
-                        "an older version of Carina saved it; migrate it with: carina case migrate",
+                        "an older version of Carina saved it; migrate it with `carina case migrate`",
                         code="case.older",
                     )
                 if scratch is None:
@@ -281,9 +281,9 @@ class CaseFile:
             if turn is None:
                 raise refused(
                     self.path,
-                    f"it belongs to another scan: expected {grid_words(source.shape_zyx)} voxels at the "
-                    f"position of that scan; found {grid_words(volume.shape_zyx)}; "
-                    "choose the scan that the case was made from",
+                    f"it belongs to another scan, whose grid ({grid_words(source.shape_zyx)} voxels) differs from this "
+                    f"one's ({grid_words(volume.shape_zyx)} voxels) in size or position; choose the scan that the case "
+                    "was made from",
                     code="case.other-scan",
                 )
             found = connection.execute("SELECT position, facts FROM moment").fetchone()
@@ -379,7 +379,7 @@ class CaseFile:
         """What was kept under this word (a plan, a report, scores), by its numbers."""
         with self._lock, told(self.path):
             rows = self._open().execute("SELECT json FROM extra WHERE kind = ? ORDER BY n", (kind,)).fetchall()
-            return tuple(from_json(said, f.decoders().extra, f"extra {kind}") for (said,) in rows)
+            return tuple(from_json(said, f.decoders().extra, f"extra data of kind {kind}") for (said,) in rows)
 
     def set_extra(self, kind: str, values: tuple[Any, ...]) -> None:
         """Keep plain JSON values under a word, in the place of those before."""

@@ -60,7 +60,11 @@ class CaseFollower:
         """
         with told(self.path), contextlib.closing(connected(self.path, "ro")) as connection:
             if check_schema(connection, self.path) != "ours":
-                raise refused(self.path, "another version of Carina has it open; use that one", code="case.newer")
+                raise refused(
+                    self.path,
+                    "another version of Carina has it open; work in that version, or close the case there first",
+                    code="case.newer",
+                )
             connection.execute("BEGIN")
             found = connection.execute("SELECT position, facts FROM moment").fetchone()
             if found is None:
@@ -80,9 +84,9 @@ class CaseFollower:
             if turn is None:
                 raise refused(
                     self.path,
-                    f"it belongs to another scan: expected {grid_words(source.shape_zyx)} voxels in the position of "
-                    f"that scan; found {grid_words(self._volume.shape_zyx)}; choose the scan that the case was made "
-                    "from",
+                    f"it belongs to another scan, whose grid ({grid_words(source.shape_zyx)} voxels) differs from this "
+                    f"one's ({grid_words(self._volume.shape_zyx)} voxels) in size or position; choose the scan that "
+                    "the case was made from",
                     code="case.other-scan",
                 )
             self._rows = all_content(connection)

@@ -54,7 +54,7 @@ class History(Generic[D]):
         self._gesture_s = float("-inf")
 
     def __repr__(self) -> str:
-        return f"History({len(self._steps)} changes, {self._position} of them done)"
+        return f"History({len(self._steps)} changes, {self._position} of them applied)"
 
     @property
     def first(self) -> D:
@@ -180,7 +180,7 @@ class History(Generic[D]):
             If there are not so many.
         """
         if not 0 <= position <= len(self._steps):
-            raise IndexError(f"the history has {len(self._steps)} steps; found position {position}")
+            raise IndexError(f"the history has {len(self._steps)} steps; there is no position {position}")
         self._position, self._gesture = position, None
 
     def _forget_oldest(self) -> None:

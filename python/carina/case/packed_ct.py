@@ -69,7 +69,9 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
         size = count * slice_bytes if isinstance(count, int) and count > 0 else -1
         if first != ahead or not 0 < size <= min(MAX_PIECE_BYTES, MOST_DEFLATED * length):
             raise damaged(
-                f"piece {n} of the scan", f"slices that start at {ahead} and lie inside the scan", f"{first}, {count}"
+                f"piece {n} of the scan",
+                f"slices inside the scan, from slice {ahead} on",
+                f"{count} slices from slice {first} on",
             )
         ahead += count
     if ahead != nz:
@@ -82,7 +84,7 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
         if digest_of(slices.astype("<i2").tobytes()) != digest:
             raise damaged(where, "content that matches its digest", "altered content")
         values[first : first + count] = slices
-    reason = None if source.is_hu else "it was not in Hounsfield units when the case was packed"
+    reason = None if source.is_hu else "the scan was not in Hounsfield units when the case was packed"
     return Volume(values, source.lps_from_ijk, source.is_hu, reason, VolumeSource(format="case", title="packed scan"))
 
 

@@ -59,14 +59,15 @@ def inflated(data: object, size: object, where: str) -> bytes:
         ``case.damaged``.
     """
     if not isinstance(data, bytes) or not isinstance(size, int):
-        raise damaged(where, "deflated bytes and their size", f"{type(data).__name__} and {type(size).__name__}")
-    if not 0 <= size <= min(MAX_PIECE_BYTES, MOST_DEFLATED * len(data)):
-        raise damaged(where, f"at most {MAX_PIECE_BYTES} bytes, inflated from {len(data)}", f"a size of {size}")
+        raise damaged(where, "compressed bytes and their size", f"{type(data).__name__} and {type(size).__name__}")
+    most = min(MAX_PIECE_BYTES, MOST_DEFLATED * len(data))
+    if not 0 <= size <= most:
+        raise damaged(where, f"a decompressed size of 0 to {most} bytes", f"{size}")
     inflater = zlib.decompressobj()
     try:
         content = inflater.decompress(data, size + 1)
     except zlib.error as trouble:
-        raise damaged(where, "deflated bytes", str(trouble)) from None
+        raise damaged(where, "valid compressed bytes", f"invalid ones ({trouble})") from None
     if len(content) != size or not inflater.eof or inflater.unused_data:
         raise damaged(where, f"{size} bytes", "a different size")
     return content
@@ -118,7 +119,8 @@ def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -
     try:
         return decoder.decode(content)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as trouble:
-        raise damaged(where, "values as described in docs/case-file.md", str(trouble)[:200]) from None
+        found = f"other content ({str(trouble)[:200]})"
+        raise damaged(where, "values as described in docs/case-file.md", found) from None
 
 
 def _plain(value: Any) -> Any:

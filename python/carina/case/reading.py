@@ -220,7 +220,7 @@ class CaseReader:
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
         """A row of ``value``, without the paths."""
         _, said = self.columns("value", row)
-        found: tuple[f.TargetFacts, ...] = from_json(said, self._decoders.targets, f"targets (value {row})")
+        found: tuple[f.TargetFacts, ...] = from_json(said, self._decoders.targets, f"targets in row {row} of value")
         return found
 
     def made_targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
@@ -299,7 +299,7 @@ class CaseReader:
 
     def _base(self, row: int) -> Airways:
         if self.columns("airways", row)[0] is not None:
-            raise damaged(f"airways {row}", "unedited airways as their base", "edited airways")
+            raise damaged(f"row {row} of airways", "unedited airways as their base", "edited airways")
         whole = self._whole.get(row)
         if whole is None:
             whole = self._whole[row] = self.airways(row)
@@ -313,7 +313,7 @@ class CaseReader:
 
     def _made_airways(self, row: int) -> Airways:
         base, lumen, tree, tracker, said = self.columns("airways", row)
-        facts: f.AirwaysFacts = from_json(said, self._decoders.airways, f"airways {row}")
+        facts: f.AirwaysFacts = from_json(said, self._decoders.airways, f"row {row} of airways")
         branches, notes = self._tree(tree)
         paths = self._tracker(tracker)
         whole_base = None if base is None else self._base(base)
@@ -339,7 +339,7 @@ class CaseReader:
         known = self._trackers.get(row)
         if known is not None:
             return known
-        where = f"tracker {row}"
+        where = f"row {row} of tracker"
         lumen, tree, i, j, k, said, nodes, num_nodes = self.columns("tracker", row)
         levels = from_json(said, self._decoders.levels, where)
         lumen_zyx = self._lumen(lumen)
@@ -347,7 +347,7 @@ class CaseReader:
         inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
         root = self._turn.voxel((i, j, k))
         if not inside or not lumen_zyx[root[::-1]]:
-            raise damaged(where, "a start point in the lumen", str((i, j, k)))
+            raise damaged(where, "a start point in the lumen", f"voxel {(i, j, k)}")
         make = edited_core if nodes is None else found_core
         volume = self.volume
         made = PathTracker(volume, lambda: make(volume, lumen_zyx, root, levels), root_ijk=root)
@@ -363,7 +363,9 @@ class CaseReader:
             num_voxels = self._num_voxels[lumen] if len(all_nodes) else 0
             if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= num_voxels:
                 raise damaged(
-                    where, "nodes in the lumen for each branch", f"{len(all_nodes)} nodes for {len(branches)} branches"
+                    where,
+                    f"nodes in the lumen for each of {len(branches)} branches",
+                    f"{len(all_nodes)} nodes that do not match them",
                 )
             made.set_branches(branches, np.split(all_nodes, ends[:-1]))
         self._trackers[row] = made
@@ -374,7 +376,7 @@ class CaseReader:
         known = self._trees.get(row)
         if known is not None:
             return known
-        where = f"tree {row}"
+        where = f"row {row} of tree"
         count, packed, size, data = self._rows_of("tree", row)
         if not 1 <= count <= f.MAX_BRANCHES:
             raise damaged(where, f"1 to {f.MAX_BRANCHES} branches", str(count))
@@ -390,7 +392,7 @@ class CaseReader:
             )
             AirwayTree(made[0])
         except CarinaError as trouble:
-            raise damaged(where, "a valid airway tree", str(trouble)) from None
+            raise damaged(where, "a valid airway tree", f"an invalid one ({trouble})") from None
         while len(self._trees) >= NO_TREES:
             del self._trees[next(iter(self._trees))]
         self._trees[row] = made
@@ -421,7 +423,7 @@ class CaseReader:
         known = self._lumens.get(row)
         if known is not None:
             return known
-        where = f"lumen {row}"
+        where = f"row {row} of lumen"
         nz, ny, nx, count, packed_places, packed_tiles = self._rows_of("lumen", row)
         shape = (nz, ny, nx)
         if shape != self._turn.shape_zyx:
@@ -444,7 +446,7 @@ class CaseReader:
 
     def _tile(self, row: int) -> bytes:
         (data,) = self._rows_of("tile", row)
-        bits = inflated(data, TILE_BYTES, f"tile {row}")
+        bits = inflated(data, TILE_BYTES, f"row {row} of tile")
         self._check("tile", row, digest_of("tile", bits))
         return bits
 
@@ -462,14 +464,14 @@ class CaseReader:
     def measures(self, row: int) -> TreeMeasures:
         """A row of ``measures``."""
         with self._lock:
-            where = f"measures {row}"
+            where = f"row {row} of measures"
             airways, packed, said = self.columns("measures", row)
             facts: f.MeasuresFacts = from_json(said, self._decoders.measures, where)
             branches, notes = self._tree(self.columns("airways", airways)[2])
             ids = unpacked_ints(packed, len(branches), where)
             found, forks = [], []
             for one, branch in zip(ids, branches, strict=True):
-                place = f"measured_branch {one}"
+                place = f"row {one} of measured_branch"
                 sections, flags, of_branch = self.columns("measured_branch", int(one))
                 told: f.MeasuredFacts = from_json(of_branch, self._decoders.measured, place)
                 if told.branch_id != branch.id:
@@ -495,11 +497,12 @@ class CaseReader:
 
     def _array(self, row: int, dtype: str, *, count: int | None = None, width: int = 0) -> NDArray[Any]:
         known = self._arrays.get(row)
-        where = f"array {row}"
+        where = f"row {row} of array"
         if known is None:
             kind, num, across, data = self._rows_of("array", row)
             if kind not in DTYPES or not 0 <= across <= 16 or not 0 <= num <= MAX_PIECE_BYTES:
-                raise damaged(where, f"type {', '.join(DTYPES)} and at most 16 columns", f"{kind} with {across}")
+                found_kind = f"type {kind} with {across} columns"
+                raise damaged(where, f"type {', '.join(DTYPES)} and at most 16 columns", found_kind)
             content = inflated(data, num * max(across, 1) * int(kind[1]), where)
             self._check("array", row, digest_of("array", kind, num, across, content))
             found = np.frombuffer(content, dtype=DTYPES[kind])
@@ -518,18 +521,18 @@ class CaseReader:
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
         if row in self._values:
             return self._values[row]
-        where = f"{kind} (value {row})"
+        where = f"{kind} in row {row} of value"
         found, said = self.columns("value", row)
         if found != kind:
-            raise damaged(where, kind, str(found)[:40])
+            raise damaged(where, f"the kind {kind}", f"the kind {str(found)[:40]}")
         try:
             made = make(from_json(said, decoder, where))
         except CarinaError as trouble:
             if str(getattr(trouble, "code", "")).startswith("case."):
                 raise
-            raise damaged(where, f"a valid {kind}", str(trouble)) from None
+            raise damaged(where, f"valid {kind} data", f"invalid data ({trouble})") from None
         except (TypeError, ValueError, KeyError, OverflowError) as trouble:
-            raise damaged(where, f"a valid {kind}", str(trouble)[:200]) from None
+            raise damaged(where, f"valid {kind} data", f"invalid data ({str(trouble)[:200]})") from None
         self._values[row] = made
         if kind != "edit":
             self._know(kind, made, row)
@@ -544,12 +547,12 @@ class CaseReader:
     def _rows_of(self, table: str, row: int) -> tuple[Any, ...]:
         found = self._rows[table].get(row)
         if found is None:
-            raise damaged(f"{table} {row}", "an entry", "none")
+            raise damaged(f"row {row} of {table}", "an entry", "none")
         return found[1:]
 
     def _check(self, table: str, row: int, digest: bytes) -> None:
         if self._rows[table][row][0] != digest:
-            raise damaged(f"{table} {row}", "content that matches its digest", "altered content")
+            raise damaged(f"row {row} of {table}", "content that matches its digest", "altered content")
 
 
 def _edit(row: dict[str, Any]) -> TreeEdit:

@@ -105,7 +105,7 @@ class RecordingTable:
         found = connection.execute("SELECT count(*) FROM recording WHERE id = ?", (recording_id,)).fetchone()[0]
         if not found:
             raise UsageError(
-                f"this case has no recording {recording_id}; choose one that it lists", code="case.recording"
+                f"this case has no recording {recording_id}; choose one from its list", code="case.recording"
             )
         count, size = connection.execute(
             "SELECT count(*), coalesce(sum(size), 0) FROM recording_chunk WHERE recording = ?", (recording_id,)
@@ -121,7 +121,7 @@ class RecordingTable:
         for place, (n, size, digest, data) in enumerate(rows):
             content = inflated(data, size, where)
             if n != place or digest_of(content) != digest:
-                raise damaged(where, f"piece {place} with its digest", "a different piece or altered content")
+                raise damaged(where, f"piece {place} with a matching digest", "a different piece or altered content")
             pieces.append(content)
         try:
             return b"".join(pieces).decode()
@@ -183,7 +183,7 @@ class RecordingTable:
             changed = connection.execute(sql, values).rowcount
         if not changed:
             raise UsageError(
-                f"this case has no recording {recording_id}; choose one that it lists", code="case.recording"
+                f"this case has no recording {recording_id}; choose one from its list", code="case.recording"
             )
 
 
@@ -226,7 +226,7 @@ class RecordingWriter(io.TextIOBase):
     def recording_id(self) -> int:
         """Its number in the file."""
         if self._recording_id is None:
-            raise UsageError("none of this recording has been saved in a case file yet", code="case.recording")
+            raise UsageError("no part of this recording has been saved in a case file yet", code="case.recording")
         return self._recording_id
 
     @property

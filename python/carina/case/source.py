@@ -57,7 +57,7 @@ def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
     nz, ny, nx = source.shape_zyx
     matrix = np.ascontiguousarray(source.lps_from_ijk, dtype="<f8")
     if matrix.shape != (4, 4):
-        raise UsageError(f"lps_from_ijk must be a 4x4 matrix; found {matrix.shape}")
+        raise UsageError(f"lps_from_ijk must be a 4x4 matrix; found shape {matrix.shape}")
     connection.execute(
         "INSERT OR REPLACE INTO source (id, digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices) "
         "VALUES (1, ?, ?, ?, ?, ?, ?, ?, ?)",
@@ -83,7 +83,8 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
     if not all(isinstance(n, int) and 1 <= n <= 65_535 for n in (nz, ny, nx)):
         raise damaged(where, "a shape of 1 to 65535 voxels along each axis", f"{(nz, ny, nx)}"[:80])
     if not isinstance(matrix, bytes) or len(matrix) != 128:
-        raise damaged(where, "a matrix of 128 bytes", str(type(matrix)))
+        found = f"{len(matrix)} bytes" if isinstance(matrix, bytes) else type(matrix).__name__
+        raise damaged(where, "a matrix of 128 bytes", found)
     places = np.frombuffer(matrix, dtype="<f8").reshape(4, 4)
     if not np.isfinite(places).all() or np.abs(places).max() > 1e6 or abs(np.linalg.det(places[:3, :3])) < 1e-12:
         raise damaged(where, "an invertible transform", "a matrix that is not invertible")
@@ -92,8 +93,8 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
     facts = from_json(choices, f.decoders().choices, where)
     try:
         return SourceFacts((nz, ny, nx), places, digest, bool(is_hu), path, facts)
-    except UsageError as trouble:
-        raise damaged(where, "a relative path", str(trouble)) from None
+    except UsageError:
+        raise damaged(where, "a relative path", "an absolute path") from None
 
 
 def _is_path(path: object) -> bool:

@@ -50,9 +50,9 @@ def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
             continue
         columns = rows[table].get(row)
         if columns is None:
-            raise damaged(f"{table} {row}", "an entry", "none")
+            raise damaged(f"row {row} of {table}", "an entry", "none")
         found[table].add(row)
-        where = f"{table} {row}"
+        where = f"row {row} of {table}"
         match table, columns[1:]:
             case "document", (airways, route, transfer, look, targets, keys, _):
                 waiting += [("airways", airways), ("route", route)]

@@ -444,7 +444,7 @@ class CaseWriter:
         known = self._found(kind, value)
         if known is not None:
             return known
-        said = as_checked_json(json_of(), getattr(self._decoders, kind), f"the {kind} of the case")
+        said = as_checked_json(json_of(), getattr(self._decoders, kind), f"a value of kind {kind}")
         return self._note(kind, value, self._put("value", {"kind": kind, "json": said}))
 
     def _put(self, table: str, values: dict[str, Any]) -> int:

@@ -64,7 +64,7 @@ class SetTransfer(Command, frozen=True):
     def choice_problem(self) -> str | None:
         """Exactly one."""
         if (self.preset is None) == (self.document is None):
-            return "set_transfer: expected either a preset or a document"
+            return "set_transfer: expected exactly one of preset and document"
         return None
 
 

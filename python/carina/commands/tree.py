@@ -117,7 +117,7 @@ class MoveRoot(TreeEdit, frozen=True):
 
     def __post_init__(self) -> None:
         """Three finite numbers."""
-        force_setattr(self, "lps", _point("the root", self.lps))
+        force_setattr(self, "lps", _point("the start", self.lps))
 
 
 class MoveFork(TreeEdit, frozen=True):
@@ -149,10 +149,10 @@ class PaintLumen(TreeEdit, frozen=True):
         if isinstance(points, str) or not 1 <= len(points) <= MAX_STROKE_POINTS:
             msg = f"stroke: expected 1 to {MAX_STROKE_POINTS} points, found {len(points)}"
             raise UsageError(msg)
-        force_setattr(self, "points_lps", tuple(_point("a stroke", point) for point in points))
+        force_setattr(self, "points_lps", tuple(_point("stroke", point) for point in points))
         force_setattr(self, "radius_mm", _number("brush radius in mm", self.radius_mm, 0.0, MAX_BRUSH_MM))
         if self.plane not in get_args(BrushPlane):
-            msg = f"brush plane: expected {', '.join(get_args(BrushPlane))}, found {self.plane!r}"
+            msg = f"brush plane: expected one of {', '.join(get_args(BrushPlane))}, found {self.plane!r}"
             raise UsageError(msg)
         if not isinstance(self.erase, bool):
             msg = f"erase: expected true or false, found {self.erase!r}"

@@ -93,6 +93,6 @@ def check_duration(duration_s: float) -> None:
     """Refuse a flight that nobody means: its frames need more memory than there is."""
     if not duration_s <= MAX_DURATION_S:
         raise UsageError(
-            f"a flight can last at most 24 hours ({MAX_DURATION_S:.0f} s); found {duration_s:g} s (times are in "
-            "seconds)"
+            f"a flight can last at most 24 hours ({MAX_DURATION_S:.0f} s); found {duration_s:g} s; check that the "
+            "times are in seconds"
         )

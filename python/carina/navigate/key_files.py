@@ -72,14 +72,14 @@ class KeyFrameFile:
         """
         if self.case is not None and self.case != case_key(volume):
             raise VolumeImportError(
-                "these key frames were made in another case: its scan has a different grid or different values; open "
-                "the scan they were made in",
+                "these key frames belong to another scan, with a different grid or different voxel values; open that "
+                "scan",
                 code="navigate.keys",
             )
         for number, frame in enumerate(self.frames, 1):
             if not volume.contains_lps(frame.pose.position_lps):
                 raise VolumeImportError(
-                    f"key frame {number} lies outside this scan; open the scan it was made in",
+                    f"key frame {number} lies outside this scan; open the scan that the key frames belong to",
                     code="navigate.keys",
                 )
 

@@ -153,7 +153,7 @@ class KeyFrameFlight:
         if timed:
             times = np.array(timed, dtype=np.float64)
             if not np.isfinite(times).all() or not (np.diff(times) > 0).all():
-                raise UsageError("the times of key frames must increase", code="navigate.keys")
+                raise UsageError("the times of the key frames must increase", code="navigate.keys")
             if any(frame.way is not None for frame in frames):
                 raise UsageError(
                     "key frames with times can only be flown through space, not along airways", code="navigate.keys"

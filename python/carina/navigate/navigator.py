@@ -378,7 +378,9 @@ class Navigator:
         shapes = [array.shape for array in arrays.values()]
         finite = all(np.isfinite(array).all() for array in arrays.values()) and all(map(math.isfinite, numbers))
         if shapes != [(3, 3), (3, 3), (3,)] or not finite or mode not in {"free", "path"}:
-            raise UsageError(f"not a valid navigator state: {mode!r}, {shapes}", code="navigate.recording")
+            raise UsageError(
+                f"not a valid navigator state: mode {mode!r}, arrays of shape {shapes}", code="navigate.recording"
+            )
         if mode == "path" and path is None:
             raise UsageError("path mode needs a path", code="navigate.recording")
         self._operator = _checked_operator(operator)

@@ -368,7 +368,9 @@ class Pilot:
 
     def _lay_scope(self, move: m.LayScope) -> None:
         if self.wall is None:
-            raise UsageError("a scope needs the airway wall, which is not ready yet", code="navigate.no-scope")
+            raise UsageError(
+                "inserting a scope needs the airway wall, which is not ready yet", code="navigate.no-scope"
+            )
         drive = ScopeDrive(self.wall, move.scope, move.points_lps, up_lps=move.up_lps)
         drive.place(move.points_lps, move.insertion_mm)
         self.navigator.enter_scope(drive)
@@ -429,7 +431,7 @@ class Pilot:
     def _set_control(self, control: Control) -> None:
         if control == "absolute" and not self._can_be_absolute():
             raise UsageError(
-                "absolute movement needs a tracked pen that is registered to the patient: register it first",
+                "absolute mode needs a tracked pen that is registered to the patient; register the pen first",
                 code="navigate.not-registered",
             )
         if control == "path":
@@ -443,7 +445,7 @@ class Pilot:
         holder = self._gate.holder
         if holder is None or self.pen_lps(holder) is None or self.control != "absolute":
             raise UsageError(
-                "the tip can move to a registered pen only in absolute movement: choose absolute first",
+                "the tip can follow a registered pen only in absolute mode; select absolute mode first",
                 code="navigate.not-absolute",
             )
         device = self._devices[holder]

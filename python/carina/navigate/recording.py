@@ -229,14 +229,14 @@ class Recording:
         made_by = self.header.get("carina")
         if made_by != carina:
             raise VolumeImportError(
-                f"this recording was made by Carina {made_by}; this is Carina {carina}, and its poses may differ very "
-                "slightly: replay it with the version that made it",
+                f"this recording was made by Carina {made_by}; this is Carina {carina}, whose poses may differ very "
+                f"slightly; replay it with Carina {made_by}",
                 code="navigate.recording",
             )
         if self.header.get("case") != case_key(volume):
             raise VolumeImportError(
-                "this recording was made in another case: its scan has a different grid or different values; open "
-                "the scan it was made in",
+                "this recording belongs to another scan, with a different grid or different voxel values; open that "
+                "scan",
                 code="navigate.recording",
             )
 
@@ -266,7 +266,7 @@ class Recording:
                 Pose(pose)
         except (KeyError, TypeError, ValueError, OverflowError) as trouble:
             raise VolumeImportError(
-                f"the recording cannot be flown again: {trouble}", code="navigate.recording"
+                f"the recording cannot be replayed: {trouble}", code="navigate.recording"
             ) from trouble
         return np.array([time_s for time_s, _ in moments]), poses
 
@@ -366,7 +366,7 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
         if not isinstance(at_s, int | float) or not math.isfinite(at_s) or at_s < last_s:
             raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier time than the line before")
         if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall")):
-            raise _refused(place, f"line {len(lines) + 2} contains an invalid movement, view or wall")
+            raise _refused(place, f"line {len(lines) + 2} contains an invalid movement, view or wall record")
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:

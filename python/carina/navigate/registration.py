@@ -73,14 +73,14 @@ def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registrat
             code="navigate.registration",
         )
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
-        raise UsageError("a calibration needs finite numbers", code="navigate.registration")
+        raise UsageError("the points of a calibration must be finite numbers", code="navigate.registration")
     for points, whose in ((source, "tracker"), (target, "patient")):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
         if spread[1] < MIN_SPREAD_MM:
             raise UsageError(
                 f"the points in {whose} space are too close together or almost in a straight line (expected a spread "
-                f"of at least {MIN_SPREAD_MM:g} mm beside the line through them; found {spread[1]:.1f} mm): choose "
-                "points that are farther apart and not in line",
+                f"of at least {MIN_SPREAD_MM:g} mm across the line through them, found {spread[1]:.1f} mm); choose "
+                "points that are farther apart and not in a line",
                 code="navigate.registration",
             )
     u, _, vt = np.linalg.svd((target - target.mean(axis=0)).T @ (source - source.mean(axis=0)))
@@ -102,7 +102,9 @@ def as_registration(matrix: Sequence[float]) -> Registration:
     """
     m = np.asarray(matrix, dtype=np.float64)
     if m.shape != (16,) or not np.isfinite(m).all():
-        raise UsageError("expected a calibration of 16 finite numbers, row by row", code="navigate.registration")
+        raise UsageError(
+            "a calibration must be a 4x4 matrix, given as 16 finite numbers row by row", code="navigate.registration"
+        )
     m = m.reshape(4, 4)
     r = m[:3, :3]
     rigid = np.abs(r.T @ r - np.eye(3)).max() < 1e-6 and np.linalg.det(r) > 0 and np.array_equal(m[3], [0, 0, 0, 1])

@@ -84,7 +84,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     async def asset(request: Request) -> Response:
         found = asset_path(web, request.path_params["path"])
         if found is None:
-            return page("Nothing here", "This page does not exist.", 404)
+            return page("Page not found", "This page does not exist.", 404)
         # The builder puts a hash of the content in the name of everything below assets/.
         lasting = found.parent.name == "assets"
         return FileResponse(
@@ -141,14 +141,14 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return _not_authorised()
         jpeg = await asyncio.to_thread(hub.session.cases.picture, request.path_params["case_id"])
         if jpeg is None:
-            return _error(CarinaError("this case has no picture", code="case.no-picture"), 404)
+            return _error(CarinaError("this case has no thumbnail", code="case.no-picture"), 404)
         # Of a patient: in memory only.
         return Response(jpeg, media_type="image/jpeg", headers={"cache-control": "no-store"})
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if not gate.authorised(websocket.headers):
-            reason = "Carina was restarted since this page was opened; open the link that it printed"
+            reason = "Carina has been restarted since this page was opened; open the new link that it printed"
             await close_socket(websocket, "protocol.not-authorised", reason)
             return
 
@@ -160,7 +160,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     async def joined(websocket: WebSocket) -> None:
         await websocket.accept()
         if not gate.authorised(websocket.headers):
-            await close_socket(websocket, "protocol.not-authorised", "this token does not belong to this Carina")
+            reason = "this token is not valid for this instance of Carina"
+            await close_socket(websocket, "protocol.not-authorised", reason)
             return
         await serve_program(websocket, hub.session)
 

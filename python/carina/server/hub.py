@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 MAX_WINDOWS = 8
 """Each renders its own pictures."""
-SWITCHED_OFF = "the person at the workstation ended the watching"
+SWITCHED_OFF = "the person at the workstation has stopped sharing the case"
 
 
 class Hub:
@@ -243,7 +243,7 @@ class Hub:
         try:
             self._watched_case = self.session.snapshot().case_number
             if self._watched_case == 0:
-                raise UsageError("open a case before others can watch it", code="session.no-case")
+                raise UsageError("open a case first; then others can watch it", code="session.no-case")
             await self._watch_page.start()
         except CarinaError as trouble:
             window.outbox.push(wire.Error(trouble.code, str(trouble), None))

@@ -121,7 +121,7 @@ class Pointing:
             raise UsageError("the view has changed since you moved the cursor; move it again", code="session.pick")
         hit = shown.wall_at(message.column, message.row)
         if hit is None:
-            raise UsageError("no wall here", code="session.pick")
+            raise UsageError("there is no airway wall under the cursor", code="session.pick")
         x, y, z = (float(v) for v in hit.position_lps)
         lens = shown.view.pose.position_lps
         return self._session.ask(LumenBeforeWall((x, y, z), (float(lens[0]), float(lens[1]), float(lens[2]))))

@@ -156,7 +156,7 @@ class Strangers:
         now_s = asyncio.get_running_loop().time()
         if now_s - self._told_s < TELL_EVERY_S or (self._num_untold < TELL_FROM and not self._no_descriptors):
             return
-        out = "; this process had no file descriptors left" if self._no_descriptors else ""
+        out = "; this process had run out of file descriptors" if self._no_descriptors else ""
         logger.warning("%d unidentified connections were closed%s", self._num_untold, out)
         self._told_s, self._num_untold, self._no_descriptors = now_s, 0, False
 

@@ -107,7 +107,7 @@ class WatchPage:
         if self._web is None:
             return "the window has not been built: run make setup"
         if importlib.util.find_spec("cryptography") is None:
-            return "watching needs one more library: pip install 'carina[phone]'"
+            return "watching needs another library; install it with: pip install 'carina[phone]'"
         return None
 
     @property
@@ -186,9 +186,9 @@ class WatchPage:
         """
         found = None if self._open is None else self._open.watchers.get(number)
         if self._open is None or found is None:
-            raise UsageError("this watcher has gone already", code="watch.gone")
+            raise UsageError("this watcher has already left", code="watch.gone")
         self._open.tokens.renew()
-        found[0].send_away("the person at the workstation ended your watching")
+        found[0].send_away("the person at the workstation has disconnected you")
         self._changed()
 
     # ------------------------------------------------------------ what it answers
@@ -227,7 +227,7 @@ class WatchPage:
         found = asset_path(self._web, name)
         # The page for a phone has nothing to do here.
         if found is None or found.name == "phone.html":
-            return page("Nothing here", "This page does not exist.", 404)
+            return page("Page not found", "This page does not exist.", 404)
         return FileResponse(found, headers={"cache-control": "no-store"})
 
     async def _admitted(self, hello: wire.ClientHello, tokens: TokenGate, address: str) -> WatchingWindow:
@@ -239,9 +239,10 @@ class WatchPage:
             raise ProtocolError(msg, code="protocol.not-authorised")
         opened = self._open
         if opened is None or opened.is_closing:
-            raise ProtocolError("nobody may watch any more", code="protocol.watching-ended")
+            msg = "this case is no longer shared; ask the person at the workstation for a new link"
+            raise ProtocolError(msg, code="protocol.watching-ended")
         if len(opened.watchers) >= MAX_WATCHERS:
-            msg = f"{MAX_WATCHERS} people are watching already; connect again when one of them has left"
+            msg = f"{MAX_WATCHERS} people are already watching; connect again when one of them has left"
             raise ProtocolError(msg, code="protocol.too-many-windows")
         try:
             window = self._attach()

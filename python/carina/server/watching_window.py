@@ -73,7 +73,9 @@ class WatchingWindow(Window):
 
     def _do(self, message: Any) -> None:
         if not isinstance(message, (Command, *READ_ONLY)):
-            raise UsageError("you are watching: this is for the person at the workstation", code="session.watching")
+            raise UsageError(
+                "you are watching; only the person at the workstation can do this", code="session.watching"
+            )
         super()._do(_smaller(message) if isinstance(message, wire.Layout) else message)
 
 

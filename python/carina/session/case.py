@@ -268,7 +268,7 @@ def new_case(
         why = volume.not_hu_reason or "this volume is not in HU"
         off = (
             FeatureOff("transfer functions and windows in HU", why),
-            FeatureOff("the check that the scan shows both lungs whole", why),
+            FeatureOff("the check that the scan covers both lungs", why),
             FeatureOff("a lumen threshold in HU (the threshold shown is in the file's own units)", why),
         )
     document = Document(transfer=transfer, lumen_threshold=threshold)

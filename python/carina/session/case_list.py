@@ -136,9 +136,9 @@ class CaseList(Subject):
             try:
                 gone = records.forget(record)
             except OSError as trouble:
-                raise disk_trouble(trouble, "the case cannot be forgotten", None) from trouble
+                raise disk_trouble(trouble, "cannot forget the case", None) from trouble
             if not gone:
-                raise UsageError("this case is open; close it before you forget it", code="case.open")
+                raise UsageError("this case is open; close it before forgetting it", code="case.open")
             place = record.place
             if self._saving.cache is not None and records.newest_of(record.digest) is None:
                 self._saving.cache.forget(record.digest)
@@ -153,7 +153,7 @@ class CaseList(Subject):
         try:
             restored = None if records is None else records.restore(command.recent_id)
         except OSError as trouble:
-            raise disk_trouble(trouble, "the case cannot be restored", None) from trouble
+            raise disk_trouble(trouble, "cannot restore the case", None) from trouble
         if restored is None:
             raise UsageError("this case has been permanently deleted", code="session.recent")
         self._tell()

@@ -161,7 +161,7 @@ class CaseScans:
         from carina.volume import open_volume
 
         if is_case_file(place):
-            raise UsageError(f"{place}: expected the CT of the case; this is a case file itself")
+            raise UsageError(f"{place}: expected the CT of the case, found a case file")
         if self._cache is None:
             return open_volume(place, series=series, progress=progress, cancel=cancel)
         return self._cache.open(place, series=series, progress=progress, cancel=cancel).volume

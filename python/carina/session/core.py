@@ -134,7 +134,7 @@ class SessionCore:
     def refuse_watcher(self, command: Command, window: int | None) -> None:
         """Refuse a window that only watches all but its own sight; with the session locked."""
         if window in self._watched and (self._seen_by(window) is None or command.sets not in Sight.__struct_fields__):
-            raise UsageError("you are watching: only your own slices, zoom and window can be changed", code=WATCHING)
+            raise UsageError("you are watching; you can change only your own slices, zoom and window", code=WATCHING)
 
     def _seen_by(self, window: int | None) -> OpenCase | None:
         """The open case; None for a window that was shown another one to watch."""
@@ -206,11 +206,15 @@ class SessionCore:
         with self.lock:
             num_steps = len(case.history.steps)
             if position > num_steps:
-                raise UsageError(f"the history has {num_steps} steps; found step {position}", code="session.history")
+                raise UsageError(
+                    f"the history has {num_steps} steps; there is no step {position}", code="session.history"
+                )
             if position == case.history.position:
                 return
             case.history.go_to(position)
-            self._moved_in_history(case, f"back to: {case.history.undo_label or 'before all changes'}")
+            label = case.history.undo_label
+            which = "before all changes" if label is None else f"after: {label}"
+            self._moved_in_history(case, f"restored the state {which}")
 
     def _step(self, move: Callable[[History[Document]], str | None], words: str) -> None:
         case = self.needed_case()

@@ -113,7 +113,7 @@ class Devices(Subject):
         with self.core.lock:
             case.pilot.set_registration(device, fit)
             self.core.changed("state")
-            self.core.emit(Said(f"{device} is registered, with an error of {fit.rms_mm or 0.0:.1f} mm (RMS)"))
+            self.core.emit(Said(f"{device} is registered with an RMS error of {fit.rms_mm or 0.0:.1f} mm"))
 
     @does(c.ArmPen)
     def arm_pen(self, command: c.ArmPen) -> None:

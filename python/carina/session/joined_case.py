@@ -119,7 +119,7 @@ class JoinedCase:
         # What is going on is waited for: the airways, where they are being found.
         saving = _saved(link.settle(all_jobs=True))
         cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
-        scans = CaseScans(cache, records, default_parts().open_demo, advice="give its location as ct=")
+        scans = CaseScans(cache, records, default_parts().open_demo, advice="give its location as ct=PATH")
         path = records.path_of(record)
         with CaseFile.open(path, read_only=True) as file:
             volume = scans.open(file, ct=ct).volume
@@ -163,7 +163,7 @@ class JoinedCase:
         """By the owner; what is only about how the case is looked at, here."""
         if isinstance(command, OTHER_CASES):
             raise UsageError(
-                f"{type(command).__name__} would close this case in the window; open the other one with "
+                f"{type(command).__name__} would close this case in the window; open the other case with "
                 "carina.Case.open",
                 code="case.joined",
             )
@@ -278,8 +278,8 @@ class JoinedCase:
                 self._session.do(c.TakeOver(self._case_id))
                 self._session.jobs.wait_idle(None)
                 self._unsaid = (
-                    "the Carina that had this case open has ended or closed it; this program has taken over and keeps "
-                    "saving the case"
+                    "the program that had this case open has ended or closed it; this program has taken over and "
+                    "continues to save the case"
                 )
                 return
             except (CarinaError, OSError) as trouble:
@@ -290,7 +290,7 @@ class JoinedCase:
             door = None if record is None else self._records.door_of(record)
             if door is not None and self._join_again(door):
                 self._unsaid = (
-                    "the Carina that had this case open has ended or closed it; another Carina has it open now, and "
+                    "the program that had this case open has ended or closed it; another program has opened it, and "
                     "this program has joined that one"
                 )
                 return
@@ -317,7 +317,7 @@ class JoinedCase:
         self._named = NamedCase()
         self._named.path = _copy_of(self._saving)
         self._named.note = self._unsaid = (
-            f"the Carina that had this case open has ended or closed it, and this program cannot take over: {why}. "
+            f"the program that had this case open has ended or closed it, and this one cannot take over: {why}. "
             "Changes made here can be saved under another name"
         )
 

@@ -55,7 +55,7 @@ class KeyFraming(Subject):
                 own = None if edit.name is None else edit.name.strip() or None
                 self._change_key(edit.key_id, "rename", name=own)
             case c.KeyFrameSpeed():
-                self._change_key(edit.key_id, "set the speed to", speed_mm_s=edit.speed_mm_s)
+                self._change_key(edit.key_id, "set the speed up to", speed_mm_s=edit.speed_mm_s)
             case c.KeyFrameRemove():
                 self._remove(edit.key_id)
         return None
@@ -65,7 +65,7 @@ class KeyFraming(Subject):
         with self.core.lock:
             keys = case.document.key_frames
             if len(keys.frames) >= MAX_KEYS:
-                raise UsageError(f"a flight has at most {MAX_KEYS} key frames; remove some first", code="session.keys")
+                raise UsageError(f"a flight can have at most {MAX_KEYS} key frames; remove some first", code="session.keys")
             key = ChosenKeyFrame(_new_key_id(case), case.navigator.pose)
             self._set_key_frames(case, f"add key frame {len(keys.frames) + 1}", (*keys.frames, key))
             return key.key_id

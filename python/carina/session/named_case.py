@@ -141,7 +141,9 @@ class NamedCase:
     def _target(self, path: str | Path | None, replace: bool) -> Path:
         if path is None:
             if self.path is None:
-                raise UsageError("this case has no file yet: name one, such as NAME.carina", code="case.no-place")
+                raise UsageError(
+                    "this case has not been saved to a file yet: give a path, such as NAME.carina", code="case.no-place"
+                )
             if self.note is not None:
                 raise UsageError(self.note, code="case.read-only")
             return self.path
@@ -171,7 +173,7 @@ def _found(case: CaseFile, ct: str | Path | None) -> FoundScan:
 
     settings = load_settings()
     cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
-    scans = CaseScans(cache, _records(), default_parts().open_demo, advice="give its location as ct=")
+    scans = CaseScans(cache, _records(), default_parts().open_demo, advice="give its location as ct=PATH")
     return scans.open(case, ct=ct)
 
 

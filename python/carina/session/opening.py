@@ -83,7 +83,7 @@ class Opening(Subject):
                 if case_id is None or Path(path).exists():
                     raise
                 raise UsageError(
-                    f"the CT of this case is not where it was ({path}): choose it where it is now to continue",
+                    f"the CT of this case is no longer at {path}: choose its current location to continue",
                     code="case.no-ct",
                 ) from trouble
 
@@ -94,7 +94,7 @@ class Opening(Subject):
         """A CT that is named is compared with the case's; another one is refused."""
         scans = self._saving.scans
         if scans is None:
-            raise UsageError("this session opens no case files", code="case.not-kept")
+            raise UsageError("this session cannot open case files", code="case.not-kept")
         return self._open_case_file(Path(command.path), scans, command.ct)
 
     def _open_case_file(self, path: Path, scans: CaseScans, ct: Path | None = None, *, dropped: bool = False) -> str:
@@ -136,8 +136,8 @@ class Opening(Subject):
             with self.core.lock:
                 self.core.changed("start")
         return UsageError(
-            "the CT of this case was not found on this computer: drop or choose it to continue"
-            + (". The case waits in the list of recent cases" if waits else ", then drop the case file again"),
+            "the CT of this case was not found on this computer: drop the CT here or choose it to continue"
+            + (". The case is kept in the list of recent cases" if waits else ", then drop the case file again"),
             code="case.no-ct",
         )
 
@@ -153,7 +153,7 @@ class Opening(Subject):
         """Its CT was dropped, or lies in a case file that was: it may be cached, in the case, or known by another."""
         scans, records = self._saving.scans, self._saving.records
         no_ct = UsageError(
-            "the location of the CT of this case is not known: drop or choose it to continue", code="case.no-ct"
+            "the location of this case's CT is not known: drop the CT here or choose it to continue", code="case.no-ct"
         )
         if scans is None or records is None:
             raise no_ct

@@ -118,13 +118,13 @@ class OwnerLink:
             for message in (*commands, Settle(self._num_settled, all_jobs)):
                 self._socket.send(_text(message))
         except (OSError, ConnectionClosed) as trouble:
-            raise LinkLostError("the owner of this case has gone") from trouble
+            raise LinkLostError("the program that had this case open has ended or closed it") from trouble
         while (settled := self._answers.get()) is not None:
             if settled.settle_id == self._num_settled:
                 if any(problem.code in CLOSED_CODES for problem in settled.problems):
                     break
                 return settled
-        raise LinkLostError("the owner of this case has gone")
+        raise LinkLostError("the program that had this case open has ended or closed it")
 
     def watch(self, lost: Callable[[OwnerLink], None]) -> None:
         """Have somebody told, from a thread of their own, when the owner has gone: also while nothing is asked."""
@@ -145,7 +145,7 @@ class OwnerLink:
             for text in self._socket:
                 self._answers.put(msgspec.json.decode(text, type=Settled))
         except (OSError, msgspec.MsgspecError) as trouble:
-            logger.warning("the owner of a case sent an invalid message: %s", type(trouble).__name__)
+            logger.warning("the program that has a case open sent an invalid message: %s", type(trouble).__name__)
         except Exception as trouble:  # of the library: the connection is at its end, however it came to it
             logger.debug("the owner of a case has gone: %s", type(trouble).__name__)
         finally:

@@ -79,7 +79,7 @@ class Case:
         """
         if not isinstance(source, str | Path | Volume):
             found = type(source).__name__
-            raise UsageError(f"Case.open: source: expected str, Path or Volume; found {found}; name a folder or a file")
+            raise UsageError(f"Case.open: source: expected str, Path or Volume; found {found}; give a folder or a file")
         if ct is not None and (isinstance(source, Volume) or not is_case_file(source)):
             raise UsageError("Case.open: ct: only applies to a case file (NAME.carina)")
         joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)

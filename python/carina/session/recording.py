@@ -74,7 +74,8 @@ class FlightRecording(Subject):
             raise UsageError("a recording is already running; stop it first", code="session.recording")
         if command.path is None and not self.core.saving().keeps:
             raise UsageError(
-                "this case is not kept on this machine: save the recording to a file instead", code="session.recording"
+                "this case is not stored on this machine: save the recording to a file instead",
+                code="session.recording",
             )
         key = case_key(case.info.volume)
         file: TextIO

@@ -89,7 +89,7 @@ class Between:
             if record is not None and record.digest != digest:
                 raise CarinaError(
                     "the CT at this location is not the one that this case was made from. Choose the case's own CT, "
-                    "or open this one to start a new case",
+                    "or open this CT to start a new case",
                     code="case.other-ct",
                 )
         self._reopened = None if record is None else self._saving.opened(record)
@@ -301,7 +301,7 @@ class Saving(Subject):
         awaited, self._awaited = self._awaited, None
         if awaited is not None and digest != awaited:
             self.core.emit(
-                Said("this is not the CT of the case dropped before, which waits in the list of recent cases")
+                Said("this is not the CT of the case that you dropped; that case stays in the list of recent cases")
             )
 
     def open_ct_of(self, case: CaseFile) -> FoundScan | None:
@@ -401,7 +401,7 @@ class Saving(Subject):
         if not kept.end(within_s):
             self._ending.append(kept)
             if within_s is not None:
-                logger.warning("Carina is closing before the latest changes of a case were written to the disk")
+                logger.warning("Carina is closing before the latest changes to a case have been written to disk")
         if self._kept is kept:
             self._kept = None
 
@@ -507,7 +507,7 @@ class Saving(Subject):
         self.core.needed_case()
         kept = self._kept
         if kept is None:
-            raise UsageError("this case is not stored on this machine, so it cannot be saved", code="case.not-kept")
+            raise UsageError("this session does not store the case, so it cannot save it", code="case.not-kept")
         known = kept.copy_path
         if command.path is None and known is None:
             raise UsageError(

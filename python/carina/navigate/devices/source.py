@@ -20,11 +20,11 @@ State = Literal["connecting", "live", "lost", "stopped"]
 
 WORDS = {
     errno.ENOENT: "no such port; check that the device is plugged in and switched on",
-    errno.EACCES: "no permission to open the port; on Linux, add your account to the group dialout",
+    errno.EACCES: "no permission to open the port; on Linux, add your account to the dialout group",
     errno.EBUSY: "another program is using the port",
     errno.ECONNREFUSED: "no response; start the tracker's software, and check the host and port",
-    errno.EHOSTUNREACH: "that machine cannot be reached; check the network and the address",
-    errno.ENETUNREACH: "that machine cannot be reached; check the network and the address",
+    errno.EHOSTUNREACH: "the machine cannot be reached; check the network and the address",
+    errno.ENETUNREACH: "the machine cannot be reached; check the network and the address",
 }
 """What systems say by a number."""
 
@@ -131,7 +131,7 @@ class Source(ABC):
             self._state = "connecting"
             try:
                 self._connect_and_read()
-                words = "the connection ended"
+                words = "the connection was closed"
             except (OSError, CarinaError) as trouble:
                 words = _words(trouble)
             except Exception as trouble:
@@ -147,7 +147,7 @@ class Source(ABC):
 def _words(trouble: Exception) -> str:
     """Why a connection is lost, for a person."""
     if isinstance(trouble, socket.gaierror):
-        return "no machine with this name was found"
+        return "no machine with this name was found; check the name"
     number = trouble.errno if isinstance(trouble, OSError) else None
     return WORDS.get(number or 0) or str(trouble) or "no response in time"
 
