@@ -141,7 +141,7 @@ def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(car
     document.write_text(json.dumps(other))
     ended = carina("fly", ct, "--keys", document, "-o", tmp_path / "other.mp4")
     assert ended.code == 3
-    assert "another case" in ended.err
+    assert "another scan" in ended.err
     assert not (tmp_path / "other.mp4").exists()
 
 
@@ -153,7 +153,7 @@ def test_a_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, t
     bench.session.do(StopRecording())
     ended = carina("fly", ct, "--recording", tmp_path / "r.jsonl", "-o", tmp_path / "r.mp4")
     assert ended.code == 3
-    assert "another case" in ended.err
+    assert "another scan" in ended.err
     assert not list(tmp_path.glob("*.mp4"))
 
 

@@ -118,7 +118,7 @@ def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(ser
     with page.expect_file_chooser() as choosing:
         page.get_by_test_id("open-keys").click()
     choosing.value.set_files(str(foreign))
-    page.get_by_text("another case").wait_for()
+    page.get_by_text("belong to another scan").wait_for()
     assert len(state("keyFrames.frames")) == 3
     assert workstation.faults == []
 

@@ -266,7 +266,7 @@ def test_key_frames_of_another_case_are_refused_by_name(tmp_path):
     frames = (KeyFrame(None, inside(volume, 16, 14, 30)), KeyFrame(None, inside(volume, 16, 14, 20)))
     file = open_key_frames(written(tmp_path / "k.json", KeyFrameFile(frames, case=case_key(volume))))
     file.check(volume)
-    with pytest.raises(VolumeImportError, match="another case"):
+    with pytest.raises(VolumeImportError, match="another scan"):
         file.check(other)
     far = KeyFrameFile((frames[0], KeyFrame(None, pose((9000, 0, 0)))))
     with pytest.raises(VolumeImportError, match="key frame 2 lies outside"):

@@ -168,7 +168,7 @@ def test_another_volume_or_version_is_refused(flown, tmp_path):
     other = small_volume()
     values = other.hu_zyx.copy()
     values[0, 0, 0] += 1
-    with pytest.raises(VolumeImportError, match="another case"):
+    with pytest.raises(VolumeImportError, match="another scan"):
         recording.check(replace(other, hu_zyx=values), carina="0.1.0")
     with pytest.raises(VolumeImportError, match=r"made by Carina 0\.1\.0"):
         recording.check(VOLUME, carina="0.2.0")

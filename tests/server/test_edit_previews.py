@@ -114,7 +114,7 @@ def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(poin
     ("place", "words"),
     [
         ({"frame_id": 99, "column": 1.0, "row": 1.0}, "view has changed"),
-        ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no wall"),
+        ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no airway wall"),
         ({"lps": (0.0, 0.0, 9000.0)}, "outside the scan"),
     ],
 )

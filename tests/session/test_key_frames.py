@@ -286,7 +286,7 @@ def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_pa
     other.session.do(TakeKeyFrameFile(path))
     other.background.run_all()
     (trouble,) = other.of_type(Trouble)
-    assert "another case" in trouble.message
+    assert "another scan" in trouble.message
     assert other.session.key_frames_info().frames == ()
 
 

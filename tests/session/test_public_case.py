@@ -75,7 +75,7 @@ def made_case(phantom, tmp_path_factory):
     folder = tmp_path_factory.mktemp("case")
     write_phantom(phantom, folder / "scan")
     with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
-        with pytest.raises(UsageError, match="no file yet"):
+        with pytest.raises(UsageError, match="not been saved to a file yet"):
             case.save()
         tip = case.airways.tree.tips()[0]
         case.do(c.EditTree(c.RenameBranch(tip.id, "here")))

@@ -65,7 +65,9 @@ class KeyFraming(Subject):
         with self.core.lock:
             keys = case.document.key_frames
             if len(keys.frames) >= MAX_KEYS:
-                raise UsageError(f"a flight can have at most {MAX_KEYS} key frames; remove some first", code="session.keys")
+                raise UsageError(
+                    f"a flight can have at most {MAX_KEYS} key frames; remove some first", code="session.keys"
+                )
             key = ChosenKeyFrame(_new_key_id(case), case.navigator.pose)
             self._set_key_frames(case, f"add key frame {len(keys.frames) + 1}", (*keys.frames, key))
             return key.key_id
