@@ -61,7 +61,10 @@ def test_edits_come_back_from_their_json_as_they_were(many):
         (lambda: CutBranch(2, -0.5), "at_mm: expected a number of at least 0"),
         (lambda: PaintLumen((), 2.0), "stroke: expected 1 to"),
         (lambda: PaintLumen(((0, 0, 0),), 31.0), "between 0 and 30"),
-        (lambda: PaintLumen(((0, 0, 0),), 2.0, "oblique"), "brush plane: expected one of axial, coronal, sagittal, ball"),
+        (
+            lambda: PaintLumen(((0, 0, 0),), 2.0, "oblique"),
+            "brush plane: expected one of axial, coronal, sagittal, ball",
+        ),
         (lambda: RenameBranch(1, "  "), "branch name: expected 1 to 80 characters"),
     ],
 )

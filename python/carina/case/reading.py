@@ -220,7 +220,7 @@ class CaseReader:
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
         """A row of ``value``, without the paths."""
         _, said = self.columns("value", row)
-        found: tuple[f.TargetFacts, ...] = from_json(said, self._decoders.targets, f"targets in row {row} of value")
+        found: tuple[f.TargetFacts, ...] = from_json(said, self._decoders.targets, f"row {row} of value, kind targets")
         return found
 
     def made_targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
@@ -521,10 +521,10 @@ class CaseReader:
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
         if row in self._values:
             return self._values[row]
-        where = f"{kind} in row {row} of value"
+        where = f"row {row} of value, kind {kind}"
         found, said = self.columns("value", row)
         if found != kind:
-            raise damaged(where, f"the kind {kind}", f"the kind {str(found)[:40]}")
+            raise damaged(where, "this kind", f"the kind {str(found)[:40]}")
         try:
             made = make(from_json(said, decoder, where))
         except CarinaError as trouble:
