@@ -156,7 +156,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     phone.let_go()
     phone.page.locator("#mode").tap()
     workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
-    phone.says("relative movement")
+    phone.says("relative mode")
 
     # Closed with its finger down, and opened again by the same link.
     phone.press("forward")

@@ -151,9 +151,9 @@ describe("a phone's link", () => {
 
 describe("its words", () => {
   it("say what the phone does", () => {
-    expect(stateWords(STATE)).toBe("This phone moves the tip: along the path.");
+    expect(stateWords(STATE)).toBe("This phone moves the tip: path mode.");
     expect(stateWords({ ...STATE, case_open: false })).toContain("Open a case");
-    expect(stateWords({ ...STATE, holds: false, scope_held: true })).toBe("Connected: a scope handle is in use.");
+    expect(stateWords({ ...STATE, holds: false, scope_held: true })).toBe("Connected: scope mode.");
     expect(stateWords({ ...STATE, words: "no path yet" })).toBe("no path yet");
   });
 });

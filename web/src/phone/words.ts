@@ -3,15 +3,15 @@
 import type { PhoneStateMessage } from "../wire/messages";
 
 const CONTROL_WORDS = {
-  absolute: "absolute movement",
-  relative: "relative movement",
-  path: "along the path",
+  absolute: "absolute mode",
+  relative: "relative mode",
+  path: "path mode",
 } as const;
 
 export function stateWords(state: PhoneStateMessage): string {
   if (state.words !== "") return state.words;
   if (!state.case_open) return "Connected. Open a case on the workstation.";
-  const how = state.scope_held ? "a scope handle is in use" : CONTROL_WORDS[state.control];
+  const how = state.scope_held ? "scope mode" : CONTROL_WORDS[state.control];
   return `${state.holds ? "This phone moves the tip" : "Connected"}: ${how}.`;
 }
 
