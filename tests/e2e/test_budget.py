@@ -40,7 +40,7 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     )
     workstation.picture("budget-flying")
     workstation.page.keyboard.up("w")
-    rate = int(re.search(r"frame (\d+)/s", while_flying)[1])
+    rate = int(re.search(r"frames (\d+)/s", while_flying)[1])
     # A hand's input comes 60 times a second; how near the pictures come to it is the machine's and its load's affair.
     assert 1 <= rate <= 70
     assert re.search(r"latency \d+ ms|updating", while_flying)

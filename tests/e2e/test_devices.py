@@ -195,7 +195,7 @@ def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(serve
     # Half a report, and a lever beyond its end: told once, and it flies on.
     hid_report(workstation, "handle", 1, b"\x00\x01")
     hid_report(workstation, "handle", 1, struct.pack("<Iiihb", next(clock), 21000, 0, 9000, 0))
-    page.get_by_text("does not match its own description").wait_for()
+    page.get_by_text("do not match its HID descriptor").wait_for()
     push_the_handle(210.0, 5.0)
     assert workstation.faults == []
 

@@ -93,7 +93,7 @@ def test_flights_are_recorded_named_there_again_taken_away_and_deleted(host, wor
         # It is asked before a flight goes for good.
         rows.nth(1).get_by_test_id("flight-more").click()
         page.get_by_test_id("flight-remove").click()
-        page.get_by_text("Undo does not bring it back").wait_for()
+        page.get_by_text("This cannot be undone").wait_for()
         workstation.picture("flights-asked")
         page.get_by_test_id("flight-delete").click()
         workstation.wait_for("window.__carina.state.flights.length === 1")

@@ -85,7 +85,7 @@ def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(r
     ready.wait_for(f"window.__carina.state.tree.byId.size > {branches}")
     page.get_by_role("button", name="Airways", exact=True).click()
     page.locator("details.part > summary").first.click()
-    expect(page.get_by_text("From another segmentation")).to_be_visible()
+    expect(page.get_by_text("Imported segmentation: compare it")).to_be_visible()
     ready.picture("mask-taken")
     page.keyboard.press("Control+z")
     ready.wait_for("window.__carina.state.airways_from === 'search'")

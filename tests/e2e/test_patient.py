@@ -65,7 +65,7 @@ def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server,
     workstation.page.keyboard.up("w")
     print(f"{seen_hz:.1f} pictures a second, {frame['width']} pixels wide; status: {status!r}")
     if frame["stands_for"] is None:
-        rate = int(re.search(r"frame (\d+)/s", status)[1])
+        rate = int(re.search(r"frames (\d+)/s", status)[1])
         # What the status says is what was seen; it looks back a second, and the machine's load may change meanwhile.
         assert 0.3 < rate / seen_hz < 3.0
         assert re.search(r"latency \d+ ms|updating", status)

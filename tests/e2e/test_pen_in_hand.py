@@ -63,8 +63,8 @@ def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the
     pen.hold(middle)
     page.keyboard.press("n")
     words = page.locator("[data-testid=pen-words]")
-    expect(words).to_have_text("The pen is not registered: its button marks the scope tip.")
-    expect(page.locator("[data-testid=tool-hint]")).to_contain_text("its button marks the scope tip")
+    expect(words).to_have_text("The pen is not registered: its button marks the position of the scope tip.")
+    expect(page.locator("[data-testid=tool-hint]")).to_contain_text("its button marks the position of the scope tip")
     workstation.picture("pen-not-registered")
 
     before = {view: workstation.overlay(view) for view in ("axial", "coronal", "sagittal", "tree")}

@@ -54,7 +54,7 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     for _ in range(8):
         ready.page.keyboard.press("]")
     # In all directions: in this slice alone the way would go round it.
-    ready.page.locator("[data-testid=in-hand]").get_by_text("Ball").click()
+    ready.page.locator("[data-testid=in-hand]").get_by_text("3D", exact=True).click()
     ready.page.evaluate("() => document.activeElement.blur()")
     x, y = place_in_slice(ready, "coronal", middle)
     ready.page.mouse.move(x, y)

@@ -34,7 +34,7 @@ def test_somebody_watches_and_is_sent_away(server, workstation, watcher):
     page.get_by_test_id("watch-switch").click()
     url = page.get_by_test_id("watch-url").inner_text()
     assert url.startswith("https://127.0.0.1:")
-    assert "pictures are on the network" in page.get_by_test_id("device-panel").inner_text()
+    assert "images are on the network" in page.get_by_test_id("device-panel").inner_text()
     assert page.get_by_test_id("on-network").inner_text() == "on the network"
 
     watcher.page.goto(url)
@@ -68,7 +68,7 @@ def test_somebody_watches_and_is_sent_away(server, workstation, watcher):
     assert watcher.page.get_by_test_id("open-devices").count() == 0
     picture_of(watcher.page, "watching-watcher")
 
-    page.get_by_role("button", name="Send away").click()
+    page.get_by_role("button", name="Disconnect").click()
     watcher.page.get_by_text("has disconnected you").wait_for()
     assert watcher.shown_views() == []
     picture_of(watcher.page, "watching-sent-away")

@@ -107,8 +107,8 @@ function scopeStop(scope: HeldScope): string | null {
       return scope.contact_mm === null ? null : "touching the wall";
     case "narrow":
       return scope.needs_mm === null
-        ? "too narrow"
-        : `too narrow: fits tips up to ${mm(scope.needs_mm)}${scope.tip_mm === null ? "" : `; this one is ${mm(scope.tip_mm)}`}`;
+        ? "lumen too narrow"
+        : `lumen too narrow: fits tips up to ${mm(scope.needs_mm)}${scope.tip_mm === null ? "" : `; this one is ${mm(scope.tip_mm)}`}`;
     case "wall":
       return "stopped by the wall";
     case "entry":
@@ -196,7 +196,7 @@ function AirwayTools() {
       />
       <Act
         icon="operator"
-        label={<span className="wide-only">{facing ? "Facing patient" : "At the head"}</span>}
+        label={<span className="wide-only">{facing ? "Facing patient" : "At head end"}</span>}
         words={
           facing
             ? "The operator is facing the patient. Click to stand at the head end."
@@ -264,7 +264,7 @@ function AirwayTools() {
 
 const TRANSFER_WORDS: Readonly<Record<string, string>> = {
   endoscopic: "Endoscopic",
-  paper: "Colours as in the paper",
+  paper: "Opaque tissue",
   "ct-grey": "CT greyscale",
   "see-through": "See-through",
   "from histogram": "Histogram",

@@ -61,7 +61,8 @@ export function BranchPanel() {
 function Chart({ node }: { node: BranchNode }) {
   const profile = useApp((state) => (state.detail?.branch_id === node.branch.id ? state.detail.profile : null));
   const points = profile === null ? centrelinePoints(node) : measuredPoints(profile);
-  const words = profile === null ? "Lumen diameter (mm), not yet measured" : "Lumen diameter (mm) along the branch";
+  const words =
+    profile === null ? "Lumen diameter (mm), estimated; not yet measured" : "Lumen diameter (mm) along the branch";
   return <ProfileChart points={points} title={`Lumen along ${node.label}`} words={words} />;
 }
 

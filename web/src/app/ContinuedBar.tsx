@@ -14,7 +14,8 @@ export function ContinuedBar() {
   return (
     <section className="continued" aria-label="Continued case" data-testid="continued">
       <p role="status">
-        {words} <span className="quiet">New case starts over; this work stays in the list of recent cases.</span>
+        {words}{" "}
+        <span className="quiet">To start over, choose New case; this work stays in the list of recent cases.</span>
       </p>
       <div className="row">
         <Act

@@ -18,7 +18,7 @@ import { WatchGroup } from "./WatchGroup";
 const CONTROLS = [
   ["absolute", "Absolute", "The tip follows the pen's position in the patient. Needs a calibration."],
   ["relative", "Relative", "The tip follows the hand's movement"],
-  ["path", "Path", "Moves forward and back along the path; turning the device turns the view"],
+  ["path", "Path", "The tip moves forward and back along the path; turning the device turns the view"],
 ] as const;
 const MIN_PAIRS = 3;
 
@@ -194,7 +194,7 @@ function Device({ device }: { device: DeviceInfo }) {
         {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
       </p>
       {device.holds ? (
-        <p>Moves the tip.</p>
+        <p>This device moves the tip.</p>
       ) : (
         <Act
           label="Use"
@@ -288,7 +288,7 @@ function Connections({ told }: { told: DevicesMessage }) {
         <p key={source.address} data-testid="source">
           {source.title}, {source.address}: {source.state}
           {source.state === "live" ? `, ${fixed(source.rate_hz)} Hz` : ""}
-          {source.num_bad === 0 ? "" : `, ${source.num_bad} invalid`} {source.words}
+          {source.num_bad === 0 ? "" : `, ${plural(source.num_bad, "invalid message")}`} {source.words}
           <Act
             kind="quiet"
             label="Disconnect"
@@ -323,7 +323,7 @@ function Connections({ told }: { told: DevicesMessage }) {
       {told.serial_ports.length === 0 ? null : <p className="quiet">Serial ports: {told.serial_ports.join(", ")}</p>}
       <SwitchKey
         words="Stream the tip pose to 3D Slicer over OpenIGTLink (port 18944 on this machine)"
-        label={told.published_port === null ? "Stream tip position" : `Streaming on port ${told.published_port}`}
+        label={told.published_port === null ? "Stream tip pose" : `Streaming on port ${told.published_port}`}
         on={told.published_port !== null}
         onChange={() => station.send({ type: "publish_tip", port: told.published_port === null ? 18944 : null })}
       />

@@ -16,10 +16,10 @@ export function NoticeDialog() {
           <Heading slot="title">Carina is not a medical device</Heading>
           <p>
             It is software for research, teaching and rehearsal. It has not been evaluated or approved for diagnosis or
-            treatment, and its automatic results can be wrong: airways may be missing or wrongly joined, and some may be
-            noise.
+            treatment, and its automatic results can be wrong: airways may be missing or wrongly joined, and noise may
+            appear as airways.
           </p>
-          <p>Decisions about a patient belong to a physician, from the original images.</p>
+          <p>Decisions about a patient must be made by a physician, from the original images.</p>
           <p className="quiet">
             Your images stay on this machine. Carina sends nothing to anyone and stores no patient names.
           </p>

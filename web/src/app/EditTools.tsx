@@ -93,7 +93,7 @@ export function ToolInHand() {
             onPress={() => station.ui({ brushMm: nextBrush(brushMm, 1) })}
           />
           <SwitchKey
-            label="Ball"
+            label="3D"
             words={
               ball
                 ? "The brush paints in 3D. Click to paint in this slice only."

@@ -18,7 +18,7 @@ export function RecordSwitch() {
       words={
         keeps
           ? "Record every movement of the tip. The flight is kept in this case."
-          : "Record to a file on this machine. Use carina fly to replay it exactly, as a video."
+          : "Record to a file on this machine. Use carina fly to render it as a video, exactly as flown."
       }
       label={recording === null ? "Record" : "Stop recording"}
       on={recording !== null}
@@ -74,7 +74,7 @@ function FlightRow({ flight, first, last, open, onOpen }: RowProps) {
           words={
             isOn
               ? `Pause ${flight.name}`
-              : `Fly ${flight.name} again, with the current view. Any movement you make stops it.`
+              : `Replay ${flight.name} with the current view settings. Any movement you make stops it.`
           }
           disabled={isRecording || flight.length_s <= 0}
           testId="flight-play"
@@ -164,7 +164,7 @@ function FlightTools({ flight, first, last }: { flight: FlightInfo; first: boole
           aria-label="Delete this flight?"
           ref={(shown) => shown?.scrollIntoView({ block: "nearest" })}
         >
-          <p>Delete this flight? Undo does not bring it back.</p>
+          <p>Delete this flight? This cannot be undone.</p>
           <div className="row">
             <Act
               label="Delete"

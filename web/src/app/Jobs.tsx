@@ -1,7 +1,7 @@
 /** Long work: a thin bar with what, how far, how long, and a way to stop it. */
 
 import { ProgressBar } from "react-aria-components";
-import { sentence, timeLeft } from "../state/format";
+import { plural, sentence, timeLeft } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -50,7 +50,7 @@ export function Jobs() {
       {upload === null ? null : (
         <ThinProgress
           title="Uploading the files"
-          what={`${upload.numFiles} files`}
+          what={plural(upload.numFiles, "file")}
           fraction={upload.totalBytes > 0 ? upload.sentBytes / upload.totalBytes : null}
           secondsLeft={null}
           onCancel={station.cancelUpload}

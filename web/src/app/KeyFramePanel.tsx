@@ -149,7 +149,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
         <>
           <p className="quiet numbers">
             {frame.leg_mm === null ? "" : `${mm(frame.leg_mm, 0)} `}
-            {frame.through_airways ? "through the airways" : "straight"}
+            {frame.through_airways ? "through the airways" : "direct"}
           </p>
           <Figure
             label="Speed to this key frame"
@@ -201,7 +201,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
         <Act
           kind="icon"
           icon="up"
-          words="Earlier"
+          words="Move earlier"
           disabled={first}
           testId="key-up"
           onPress={() => station.send({ type: "edit_key_frames", edit: { kind: "move", key_id, by: -1 } })}
@@ -209,7 +209,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
         <Act
           kind="icon"
           icon="down"
-          words="Later"
+          words="Move later"
           disabled={last}
           testId="key-down"
           onPress={() => station.send({ type: "edit_key_frames", edit: { kind: "move", key_id, by: 1 } })}
@@ -256,7 +256,7 @@ function Player({ told }: { told: KeyFramesMessage }) {
         />
         <span className="space" />
         <Choice
-          name="Speed of playing"
+          name="Playback speed"
           value={String(playing.rate)}
           choices={PLAY_RATES.map((rate) => ({
             value: String(rate),
@@ -308,15 +308,19 @@ function Flight({ told }: { told: KeyFramesMessage }) {
         onChange={(speed_mm_s) => station.send({ type: "set_key_frame_flight", speed_mm_s, through: null })}
       />
       <Choice<KeyFramesMessage["through"]>
-        name="Way between key frames"
+        name="Path between key frames"
         value={told.through}
         choices={[
           {
             value: "airways",
             label: "Through the airways",
-            words: "Along the airways if both key frames are inside them, otherwise straight",
+            words: "Along the airways if both key frames are inside them, otherwise direct",
           },
-          { value: "space", label: "Straight", words: "A smooth curve through space; it may pass through tissue" },
+          {
+            value: "space",
+            label: "Direct",
+            words: "A smooth curve directly from view to view; it may pass through tissue",
+          },
         ]}
         onChange={(through) => station.send({ type: "set_key_frame_flight", speed_mm_s: null, through })}
       />

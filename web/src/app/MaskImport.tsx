@@ -164,8 +164,8 @@ function Question({ question }: { question: MaskQuestion }) {
           {lost === null ? null : <p className="warning">{lost}</p>}
           <p>
             It can be resampled to the scan{"\u2019"}s grid: each voxel takes the value of the nearest voxel of the
-            segmentation, so the edge stays as coarse as the segmentation. Compare it with the slices afterwards, or
-            export it again on the scan{"\u2019"}s grid.
+            segmentation, so edges stay as coarse as in the original. Compare the result with the slices, or export the
+            segmentation again on the scan{"\u2019"}s grid.
           </p>
         </>
       )}

@@ -29,7 +29,7 @@ export function PathBar() {
         <p className="empty">
           {stage === "found"
             ? "No route yet. Choose a branch in the list, or mark a target (N, then click in a slice). The route to it appears here."
-            : "The route appears here: distance, forks and branch names, once the airways are found."}
+            : "The route appears here, with its length, forks and branch names, once the airways have been segmented."}
         </p>
       </section>
     );

@@ -64,7 +64,7 @@ export function CaseWords({ entry, all }: { entry: RecentCase; all: readonly Rec
       <span className="case-words">
         <span className="case-name">{entry.title}</span>
         <span className="numbers quiet">{caseFacts(entry, all, Date.now()).join(" \u00b7 ")}</span>
-        {entry.opens ? null : <span className="warning-text">Drop or choose its CT to continue.</span>}
+        {entry.opens ? null : <span className="warning-text">Open its CT to continue.</span>}
       </span>
     </>
   );

@@ -57,11 +57,11 @@ function Where({ saving }: { saving: SavingInfo }) {
       <p>
         Carina saves your work on this machine as you go. Here you can also save it as one file, to move it to another
         machine or to share it. The file contains the airways, targets, key frames and history, but not the CT, the
-        patient's name or any dates. It notes where the CT is relative to the file: before you share it, check that
-        those folders are not named after the patient.
+        patient's name or any dates. It also contains the path of the CT relative to the file: before you share it,
+        check that no folder name identifies the patient.
       </p>
       <TextField value={path} onChange={setPath} autoFocus>
-        <Label>Folder and name, on this machine</Label>
+        <Label>Folder and file name on this machine</Label>
         <Input spellCheck="false" autoComplete="off" data-testid="save-path" />
       </TextField>
       {saving.problem === null ? null : <p className="warning-text">{saving.problem}</p>}

@@ -163,7 +163,7 @@ function PaceWords() {
   return (
     <>
       <span className="pace" title="Frame rate of the airway view during the last movement">
-        frame {fps === null ? "\u2013" : `${fps}/s`} <AskedRate />
+        frames {fps === null ? "\u2013" : `${fps}/s`} <AskedRate />
       </span>
       {waitingMs > LATE_MS ? (
         <span className="warning-text">{"updating\u2026"}</span>

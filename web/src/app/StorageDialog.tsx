@@ -67,8 +67,8 @@ function Cases() {
         </ul>
       )}
       <p className="quiet">
-        Cases stay until you forget them. A forgotten case can be restored for {FORGOTTEN_FOR}. Forgetting a case never
-        deletes its CT or a file that you saved.
+        Cases are kept until you forget them. A forgotten case can be restored for {FORGOTTEN_FOR}. Forgetting a case
+        never deletes its CT or a file that you saved.
       </p>
     </section>
   );

@@ -35,7 +35,7 @@ export function TopBar() {
           </Tip>
         )}
         <span className="space" />
-        <strong data-testid="watching">Watching</strong>
+        <strong data-testid="watching">View only</strong>
         <KeyCardButton />
       </header>
     );
@@ -46,7 +46,7 @@ export function TopBar() {
       <p className="case-title">{title}</p>
       <SavedWords />
       {page === null ? null : (
-        <Tip words="Your patient's pictures are on the network. Open Devices to see who watches, and to end it.">
+        <Tip words="Your patient's images are on the network. Open Devices to see who is watching, or to end it.">
           <Button
             className="badge warning"
             data-testid="on-network"

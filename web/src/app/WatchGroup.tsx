@@ -1,6 +1,6 @@
 /** The page for watchers: switched on and off, its link, the certificate to compare, and who is there. */
 
-import { clock } from "../state/format";
+import { clock, plural } from "../state/format";
 import { fingerprintLines } from "../state/qr";
 import type { WatchPage } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -17,10 +17,10 @@ export function WatchGroup() {
       <SwitchKey
         words={
           page === null
-            ? "Opens a page on this network. Anyone with its link sees your patient's pictures, but can change nothing."
-            : "Closes the page and sends all watchers away; its link stops working"
+            ? "Opens a page on this network. Anyone with its link sees your patient's images, but can change nothing."
+            : "Closes the page and disconnects all watchers; its link stops working"
         }
-        label={page === null ? "Let others watch" : "End watching"}
+        label={page === null ? "Let others watch" : "Close the watch page"}
         on={page !== null}
         disabled={page === null && problem !== null}
         testId="watch-switch"
@@ -28,7 +28,7 @@ export function WatchGroup() {
       />
       {page === null ? (
         <p className="quiet">
-          {problem ?? "Others on this network follow the case in a browser. It ends with the case."}
+          {problem ?? "Others on this network can follow the case in a browser until you close the case."}
         </p>
       ) : (
         <Open page={page} />
@@ -41,8 +41,8 @@ function Open({ page }: { page: WatchPage }) {
   const station = useStation();
   return (
     <>
-      <p className="warning-text">Your patient's pictures are on the network.</p>
-      <p>Send this link to the people you want to watch:</p>
+      <p className="warning-text">Your patient's images are on the network.</p>
+      <p>Send this link to everyone who should watch:</p>
       <p className="quiet path" data-testid="watch-url">
         {page.url}
       </p>
@@ -66,15 +66,17 @@ function Open({ page }: { page: WatchPage }) {
               </span>
               <Act
                 kind="quiet"
-                label="Send away"
-                words="Ends this connection and changes the link, so that nobody comes back by it"
+                label="Disconnect"
+                words="Ends this connection and changes the link, so that nobody can reconnect with the old one"
                 onPress={() => station.send({ type: "send_away", number: watcher.number })}
               />
             </li>
           ))}
         </ul>
       )}
-      {page.num_refused === 0 ? null : <p className="quiet">Refused: {page.num_refused} with an invalid link.</p>}
+      {page.num_refused === 0 ? null : (
+        <p className="quiet">{plural(page.num_refused, "connection")} with an invalid link refused.</p>
+      )}
     </>
   );
 }

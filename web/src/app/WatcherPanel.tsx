@@ -2,11 +2,11 @@
 
 export function WatcherPanel() {
   return (
-    <section className="step-panel" aria-label="Watching" data-testid="watcher-panel">
-      <h2>Watching</h2>
+    <section className="step-panel" aria-label="You are watching" data-testid="watcher-panel">
+      <h2>You are watching</h2>
       <div className="step-body">
-        <p>The pictures follow the person at the workstation. You can change nothing in the case.</p>
-        <p className="quiet">Scroll, zoom and drag in the slices as you like: nobody else sees it.</p>
+        <p>The views follow the person at the workstation. You cannot change anything in the case.</p>
+        <p className="quiet">You can scroll, zoom and pan the slices freely: this changes only your own view.</p>
       </div>
     </section>
   );

@@ -67,7 +67,7 @@ export class BrowserDevices {
             (device) =>
               new Handle(device, send, nowS, () =>
                 station.notice(
-                  `${device.productName} sends data that does not match its own description, so its data is ignored.`,
+                  `${device.productName} sends reports that do not match its HID descriptor; they are ignored.`,
                 ),
               ),
             around,

@@ -157,7 +157,8 @@ export class Pointing {
     const at = this.#meant(viewport, clicked);
     const pointed = this.#under(viewport, at);
     if (armed !== null && !worksIn(armed, viewport.view)) {
-      station.notice(`${wordsOf(armed, false).label} does not work in this view. ${wordsOf(armed, false).hint}`);
+      const { label, hint } = wordsOf(armed, false);
+      station.notice(`\u201c${label}\u201d does not work in this view. ${hint}`);
       return true;
     }
     if (armed === null) {
@@ -311,7 +312,7 @@ export class Pointing {
     const station = this.#station;
     const { tree, ui } = station.state;
     if (tree === null || branchId === null) {
-      station.notice("No branch here. Click an airway in the tree.");
+      station.notice("No branch here. Click a segmented airway.");
       return;
     }
     if (ui.armed === "cut") {

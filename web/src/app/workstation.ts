@@ -87,7 +87,7 @@ export class Workstation implements Station {
       },
       acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
       failed: (header) =>
-        this.#sayError("picture", `An image (${header.view}) could not be read.`, "The next one replaces it."),
+        this.#sayError("picture", `An image (${header.view}) could not be read.`, "The next image replaces it."),
     });
     this.wall = new Wall({
       scene: () => sceneOf(this.store.get()),
@@ -607,7 +607,9 @@ export class Workstation implements Station {
 
   #setWindow(name: keyof typeof WINDOWS): void {
     if (this.state.session?.case?.is_hu === false) {
-      this.notice("Window presets are in HU, and this volume is not. Drag with the right button in a slice instead.");
+      this.notice(
+        "Window presets are in HU, but this volume is not. Drag with the right mouse button in a slice instead.",
+      );
     } else {
       this.send({ type: "set_window", ...WINDOWS[name] });
     }

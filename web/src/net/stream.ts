@@ -54,7 +54,7 @@ const NO_USE_TRYING = new Map<number, string>([
   [CLOSE_CODES["protocol.version"], "This page and Carina have different versions. Reload the page."],
   [
     CLOSE_CODES["protocol.too-many-windows"],
-    "Carina is already open in as many windows as it takes. Close one of them, then connect again.",
+    "Carina is already open in the maximum number of windows. Close one of them, then connect again.",
   ],
   [CLOSE_CODES["protocol.watching-ended"], "The case that you were watching was closed."],
 ]);

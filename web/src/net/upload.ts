@@ -31,18 +31,18 @@ const MAX_FILE_BYTES = 2 * 2 ** 30;
 export function uploadProblem(files: readonly { name: string; file: { size: number } }[]): UploadError | null {
   const giB = (bytes: number) => `${(bytes / 2 ** 30).toFixed(1)} GiB`;
   const wayOut = "Type the folder's path instead; the files are then not copied.";
-  if (files.length === 0) return new UploadError("upload.empty", "No files were dropped.", null);
+  if (files.length === 0) return new UploadError("upload.empty", "There are no files to open.", null);
   if (files.length > MAX_FILES) {
     return new UploadError(
       "upload.too-many",
-      `${files.length} files were dropped; at most ${MAX_FILES} can be opened at once.`,
+      `${files.length} files were chosen; at most ${MAX_FILES} can be opened at once.`,
       wayOut,
     );
   }
   const total = files.reduce((sum, entry) => sum + entry.file.size, 0);
   const big = files.find((entry) => entry.file.size > MAX_FILE_BYTES);
   if (total > MAX_BYTES || big !== undefined) {
-    const what = big === undefined ? "The files are" : `${big.name} is`;
+    const what = big === undefined ? "The files total" : `${big.name} is`;
     const size = giB(big === undefined ? total : big.file.size);
     return new UploadError("upload.too-large", `${what} ${size}, which is too large to upload.`, wayOut);
   }

@@ -55,7 +55,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
     const title = unnamed ? undefined : titles.get(branch.id);
     const node: BranchNode = {
       branch: unnamed ? { ...branch, name: null, name_from: null, name_confidence: null, variant: null } : branch,
-      label: (unnamed ? null : branch.name) ?? (branch.parent === null ? "Root branch" : `Branch ${branch.id}`),
+      label: (unnamed ? null : branch.name) ?? (branch.parent === null ? "First branch" : `Branch ${branch.id}`),
       side: "middle",
       lengthMm: lengthOf(branch),
       diameterMm: medianDiameter(branch),

@@ -105,7 +105,7 @@ describe("a branch in words", () => {
   it("has its long name, figures and doubts in the tooltip", () => {
     expect(tooltipOf(node(tree, 1))).toBe(
       `RB1, apical segment, RUL\ngeneration 1, 30${NBSP}mm long, lumen 6.1${NBSP}mm\n` +
-        "the confidence of the name is only 42 %\nuncommon anatomy: RB1 and RB2 share a stem",
+        "only 42 % confidence in this name\nuncommon anatomy: RB1 and RB2 share a stem",
     );
     expect(tooltipOf(node(tree, 3))).toContain("Bridge across an obstruction. The CT shows no airway here.");
   });
@@ -144,7 +144,7 @@ describe("a route over a bridge", () => {
       { kind: "bridge", from_mm: 30, to_mm: 38.5 },
     ] as const;
     expect(routeDoubts(spans)).toBe(
-      `8.5${NBSP}mm of this route is a bridge across an obstruction, from 30${NBSP}mm: the CT shows no airway there.`,
+      `8.5${NBSP}mm of this route is a bridge across an obstruction, starting at 30${NBSP}mm: the CT shows no airway there.`,
     );
     expect(routeDoubts(spans.slice(0, 1))).toBeNull();
   });
@@ -183,7 +183,7 @@ describe("a branch that a person drew", () => {
     expect(drawn.lobe).toBeNull();
     expect(nameWords(drawn)).toBeNull();
     expect(marksOf(drawn)).toEqual([]);
-    expect(drawnWords(drawn)).toBe(`Drawn by hand. The CT shows no wall along 21${NBSP}mm.`);
+    expect(drawnWords(drawn)).toBe(`Drawn by hand. The CT shows no wall along 21${NBSP}mm of it.`);
     expect(tooltipOf(drawn)).not.toContain("lumen");
     const facts = factsOf(drawn);
     expect(facts.map((fact) => fact.term)).toEqual(["Generation", "Length", "Lumen"]);

@@ -2,7 +2,7 @@
 
 import type { BranchMeasures, RouteSpan } from "../wire/messages";
 import type { BranchNode, BranchTree } from "./airways";
-import { fixed, mm, plural } from "./format";
+import { fixed, mm } from "./format";
 
 /** Below these the list marks a name, or a branch, as doubtful. */
 const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
@@ -19,7 +19,7 @@ export function marksOf(node: BranchNode): readonly Mark[] {
   const { branch } = node;
   const marks: Mark[] = [];
   if (branch.name_confidence !== null && branch.name_confidence < DOUBTFUL.name) {
-    marks.push({ sign: "?", words: `the confidence of the name is only ${percent(branch.name_confidence)}` });
+    marks.push({ sign: "?", words: `only ${percent(branch.name_confidence)} confidence in this name` });
   }
   if (branch.confidence !== null && branch.confidence < DOUBTFUL.airway) {
     marks.push({ sign: "~", words: `only ${percent(branch.confidence)} confidence that this is an airway` });
@@ -42,7 +42,7 @@ export function drawnWords(node: BranchNode): string | null {
   if (kind === "tracked") return null;
   if (kind === "bridge") return "Bridge across an obstruction. The CT shows no airway here.";
   const doubtful = node.branch.doubtful_mm;
-  return doubtful > 0 ? `Drawn by hand. The CT shows no wall along ${mm(doubtful, 0)}.` : "Drawn by hand.";
+  return doubtful > 0 ? `Drawn by hand. The CT shows no wall along ${mm(doubtful, 0)} of it.` : "Drawn by hand.";
 }
 
 /** The whole of it, for a tooltip. */
@@ -179,7 +179,7 @@ function bridgeWords(spans: Spans): string | null {
   if (bridges.length === 0) return null;
   const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
   const first = bridges[0];
-  return `${mm(total)} of this route ${bridges.length === 1 ? "is a bridge" : `are ${plural(bridges.length, "bridge")}`} across an obstruction${
-    first === undefined ? "" : `, from ${mm(first.from_mm, 0)}`
+  return `${mm(total)} of this route ${bridges.length === 1 ? "is a bridge across an obstruction" : `are ${bridges.length} bridges across obstructions`}${
+    first === undefined ? "" : `, starting at ${mm(first.from_mm, 0)}`
   }: the CT shows no airway there`;
 }

@@ -16,7 +16,7 @@ export function clusterWords(cluster: ClusterMessage): string {
 export function memberWords(member: MemberStatus): string {
   switch (member.state) {
     case "ready":
-      return "renders";
+      return "rendering";
     case "late":
       return "late: others render its part";
     case "away":

@@ -16,7 +16,9 @@ const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
 describe("what a pen's button marks", () => {
   it("is said: its own tip where it is registered, else the scope's, and why", () => {
     expect(penMarkWords(pen())).toContain("the pen tip");
-    expect(penMarkWords(pen({ lps: null }))).toBe("The pen is not registered: its button marks the scope tip.");
+    expect(penMarkWords(pen({ lps: null }))).toBe(
+      "The pen is not registered: its button marks the position of the scope tip.",
+    );
     expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("is not tracked");
   });
 

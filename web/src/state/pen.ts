@@ -10,8 +10,8 @@ export const marksByPen = (armed: Armed | null): armed is "root" | "target" => a
 export function penMarkWords(pen: PenMessage): string {
   if (pen.lps !== null) return "The pen\u2019s button marks the position of the pen tip.";
   return pen.tracked
-    ? "The pen is not registered: its button marks the scope tip."
-    : "The position of this device is not tracked: its button marks the scope tip.";
+    ? "The pen is not registered: its button marks the position of the scope tip."
+    : "The position of this device is not tracked: its button marks the position of the scope tip.";
 }
 
 /** Below this nothing is left: half of what is shown. */

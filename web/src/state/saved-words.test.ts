@@ -46,7 +46,7 @@ describe("what is saved", () => {
     expect(savedWords({ ...NOTHING, saved_s: NOW_S, problem: "the disk is full", ...elsewhere }, NOW_MS)).toMatchObject(
       {
         warns: true,
-        label: `not saving on this machine \u00b7 copy from ${clock(NOW_S + 60, NOW_MS)} in stick`,
+        label: `cannot save on this machine \u00b7 copy from ${clock(NOW_S + 60, NOW_MS)} in stick`,
       },
     );
     expect(savedWords({ ...NOTHING, keeps: false }, NOW_MS)).toMatchObject({ warns: true, label: "not saved" });

@@ -24,10 +24,10 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
   if (saving.problem !== null) {
     if (saving.copied_s !== null && saving.copied_s > (saving.saved_s ?? 0)) {
       const copied = `copy from ${clock(saving.copied_s, nowMs)} in ${folderOf(saving)}`;
-      return { label: `not saving on this machine \u00b7 ${copied}`, words: saving.problem, warns: true };
+      return { label: `cannot save on this machine \u00b7 ${copied}`, words: saving.problem, warns: true };
     }
-    const last = saving.saved_s === null ? "nothing is saved yet" : `last saved ${clock(saving.saved_s, nowMs)}`;
-    return { label: `not saving: ${last}`, words: saving.problem, warns: true };
+    const last = saving.saved_s === null ? "nothing saved yet" : `last saved ${clock(saving.saved_s, nowMs)}`;
+    return { label: `cannot save: ${last}`, words: saving.problem, warns: true };
   }
   if (saving.saved_s === null)
     return { label: "not changed", words: "Changes are saved as you make them.", warns: false };

@@ -21,31 +21,31 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   add: {
     label: "Add branch",
     short: "Add",
-    words: "Adds a branch: click the distal end of a missing airway",
+    words: "Add a branch: click the distal end of a missing airway",
     hint: "Click the distal end of the missing airway, in any view. The line shows the new branch, dashed where the CT shows no wall.",
   },
   bridge: {
     label: "Bridge",
     short: "Bridge",
-    words: "Bridges an obstruction: click in the airway distal to it. The bridge stays marked.",
+    words: "Bridge an obstruction: click in the airway distal to it. The bridge stays marked.",
     hint: "Click in the airway distal to the obstruction. The CT shows no lumen across the gap: the bridge stays amber and is labelled \u201cbridge\u201d.",
   },
   cut: {
     label: "Cut",
     short: "Cut",
-    words: "Removes the branch beyond this point and everything distal to it",
+    words: "Remove a branch from the point you click, and everything distal to it",
     hint: "Click a branch, in a view or in the list. The amber part will be removed.",
   },
   fork: {
     label: "Move fork",
     short: "Move fork",
-    words: "Click near a fork, then where it belongs",
-    hint: "Click near the fork to be moved, or click its branch in the list. The amber dot is the fork.",
+    words: "Move a fork: click near it, then where it belongs",
+    hint: "Click near the fork to be moved, or click its branch in the list. The amber dot marks the fork.",
   },
   smooth: {
     label: "Smooth",
     short: "Smooth",
-    words: "Smooths the centreline of a branch",
+    words: "Smooth the centreline of a branch",
     hint: "Click a branch, in a view or in the list. The amber centreline will be smoothed.",
   },
   paint: {
@@ -58,7 +58,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Erase",
     short: "Erase",
     words: "Erase lumen in a slice",
-    hint: "Draw in a slice where lumen is wrong.",
+    hint: "Draw in a slice over lumen that should be removed.",
   },
   reroot: {
     label: "Set start",

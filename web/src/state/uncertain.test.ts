@@ -23,8 +23,8 @@ describe("places that could not be followed", () => {
       null,
     ]);
     expect(groups[0]?.places.map(({ words }) => plain(words))).toEqual([
-      "the lumen ends at 4.1 mm",
-      "the lumen ends at 3.2 mm",
+      "the lumen ends where it is 4.1 mm wide",
+      "the lumen ends where it is 3.2 mm wide",
     ]);
     expect(plain(groups[1]?.places[0]?.words ?? "")).toBe(
       "lost where the lumen is 3.9 mm wide: its wall is too thin here, and the search would have leaked into the lung",
@@ -43,7 +43,7 @@ describe("places that could not be followed", () => {
       "the scan ends here, but the airway (6.0 mm wide) continues",
       "the scan ends here, but the airway (5.0 mm wide) continues",
       "its wall is barely visible (confidence 0.31): it may not be an airway",
-      "below 2.1 mm (the median of 41 ends), this CT (0.90 mm voxels) cannot show airways reliably: more and smaller ones exist",
+      "below 2.1 mm, the median width at the 41 thinnest branch ends, this CT (0.90 mm voxels) cannot show airways reliably: more and smaller ones exist",
     ]);
   });
 });

@@ -22,7 +22,7 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
       };
     case "blocked":
       return {
-        what: `the lumen ends at ${width}`,
+        what: `the lumen ends where it is ${width} wide`,
         why: "possibly mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
       };
     case "faint":
@@ -33,7 +33,7 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
     case "fine":
       return {
         what:
-          `below ${width} (the median of ${plural(place.num_ends ?? 0, "end")}), this CT ` +
+          `below ${width}, the median width at the ${plural(place.num_ends ?? 0, "thinnest branch end")}, this CT ` +
           `(${mm(place.voxel_mm ?? 0, 2)} voxels) cannot show airways reliably: more and smaller ones exist`,
         why: null,
       };

@@ -22,8 +22,8 @@ export function AirwaysStep() {
         <details className="part">
           <summary>{plural(count, "branch", "branches")} found</summary>
           <p>
-            {session.airways_from === "mask" ? "From another segmentation" : "Segmented automatically"}: compare it with
-            the slices before you rely on it.
+            {session.airways_from === "mask" ? "Imported" : "Automatic"} segmentation: compare it with the slices before
+            you rely on it.
           </p>
           {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
         </details>

@@ -69,7 +69,7 @@ export function CheckStep() {
       <h3>Window / level</h3>
       {info.is_hu ? (
         <Choice<PresetName | "own">
-          name="Grey window"
+          name="Window / level"
           value={chosen?.value ?? "own"}
           choices={PRESETS.map(({ value, label }) => ({
             value,
@@ -82,7 +82,7 @@ export function CheckStep() {
       ) : null}
       <p className="quiet numbers">
         {windowWords(width, level)}
-        {info.is_hu ? " HU" : ""}; drag with the right button in a slice to change it
+        {info.is_hu ? " HU" : ""}; drag with the right mouse button in a slice to change it
       </p>
       <h3>Slab thickness</h3>
       <Choice<SlabName>

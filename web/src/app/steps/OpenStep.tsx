@@ -57,7 +57,7 @@ export function OpenStep() {
       <Act
         icon="folder"
         label="Start page"
-        words="Close this case: recent cases and examples"
+        words="Close this case and go to recent cases and examples"
         onPress={() => station.send({ type: "close_case" })}
       />
     </>

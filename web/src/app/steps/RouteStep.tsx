@@ -57,7 +57,7 @@ export function RouteStep() {
         kind="primary"
         icon="play"
         label="Fly from the start"
-        words="To the start of this route"
+        words="Go to the start of this route"
         disabled={route === null}
         onPress={() => {
           station.send({ type: "set_mode", mode: "path" });

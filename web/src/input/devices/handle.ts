@@ -42,7 +42,7 @@ export class Handle extends FieldReader {
   get problem(): string | null {
     const usages = [...this.fields.values()].map((fields) => fields.map((field) => field.usage));
     const whole = usages.some((report) => [INSERTION, ROLL, LEVER].every((usage) => report.includes(usage)));
-    return whole ? null : "it does not report insertion, roll and lever together (docs/scope-handle.md)";
+    return whole ? null : "it does not send insertion, roll and lever in one report (see docs/scope-handle.md)";
   }
 
   tick(): void {

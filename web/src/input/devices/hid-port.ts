@@ -142,6 +142,6 @@ export class HidPort {
   #fail(trouble: unknown): void {
     // A DOMException is no Error everywhere.
     const why = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
-    this.#around.failed(`The device could not be opened: ${why.replace(/\.$/, "") || "the device refused access"}.`);
+    this.#around.failed(`The device could not be opened: ${why.replace(/\.$/, "") || "access was denied"}.`);
   }
 }

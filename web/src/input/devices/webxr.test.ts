@@ -333,7 +333,7 @@ describe("the headset", () => {
     whileOpening = () => void xr.session.end();
     await headset.enter();
     expect([headset.inside, closed, changes]).toEqual([false, 1, []]);
-    expect(said).toEqual(["The headset view could not be started: it was taken off meanwhile."]);
+    expect(said).toEqual(["The headset view could not be started: the headset was taken off meanwhile."]);
     whileOpening = () => undefined;
     xr.session = new FakeSession();
     xr.session.inputSources = [right];

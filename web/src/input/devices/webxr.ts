@@ -148,7 +148,7 @@ export class Headset {
       session.addEventListener("inputsourceschange", () => this.#forgetThoseGone(begun));
       this.#space = await session.requestReferenceSpace("local");
       await this.#around.screen.open(session);
-      if (isOver) throw new Error("it was taken off meanwhile");
+      if (isOver) throw new Error("the headset was taken off meanwhile");
       session.requestAnimationFrame(this.#frame);
       this.#session = session;
       this.#faultSaid = false;
