@@ -54,7 +54,7 @@ def test_info_says_the_doubt_and_strict_leaves_with_3(carina, doubted, ct):
     assert said["notes"][0]["badge"] is True
     assert said["notes"][0]["words"] in said["warnings"]
     assert [badge["code"] for badge in said["badges"]] == CODES
-    assert "finding: 3 voxels are not numbers" in carina("info", doubted).out
+    assert "finding: 3 voxels are not finite" in carina("info", doubted).out
     strict = carina("info", doubted, "--strict")
     assert strict.code == 3
     assert "import.not-numbers" in strict.err

@@ -11,7 +11,7 @@ from carina.phantom import demo_phantom
 
 pytestmark = pytest.mark.browser
 
-WORDS = "5 voxels are not numbers (NaN or infinite)"
+WORDS = "5 voxels are not finite (NaN or infinite)"
 
 
 @pytest.fixture

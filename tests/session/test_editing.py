@@ -270,7 +270,7 @@ def test_the_preview_of_an_edit_is_the_edit(lung_bench):
 
 def test_a_bridge_without_an_airway_beyond_it_is_said_and_not_asked_about():
     doubt = NoEvidenceError(
-        "the CT shows no airway wall beyond the bridge",
+        "the CT shows too little airway wall beyond the bridge",
         doubtful_mm=9.0,
         way_lps=np.zeros((2, 3)),
         doubtful=np.ones(1, dtype=bool),

@@ -76,11 +76,11 @@ def test_an_edit_that_means_nothing_is_refused_with_what_was_expected(make, word
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"version": 2}, "version: expected 1, found 2"),
+        ({"version": 2}, "version must be 1, found 2"),
         ({"edits": [{"kind": "explode"}]}, "edit 0: kind must be one of add-branch"),
         ({"edits": [{"kind": "cut-branch"}]}, "edit 0: .*branch_id"),
         ({"edits": [{"kind": "bridge", "lps": [0, 1]}]}, "edit 0: the point beyond the obstruction"),
-        ({"edits": "cut"}, "edits: expected a list"),
+        ({"edits": "cut"}, "edits must be a list"),
     ],
 )
 def test_a_list_of_edits_that_is_none_is_refused_with_the_place(change, words):
@@ -94,7 +94,7 @@ def test_words_name_the_branch_as_the_doctor_knows_it():
     airways = SimpleNamespace(tree=AirwayTree((trunk, child)))
     assert edit_words(CutBranch(7), airways) == "cut branch 7"
     assert edit_words(CutBranch(0, 3.0), airways) == "shorten Trachea"
-    assert edit_words(Bridge((12.0, 0, -9)), airways) == "bridge beyond branch 7"
+    assert edit_words(Bridge((12.0, 0, -9)), airways) == "add a bridge beyond branch 7"
     assert edit_words(AddBranch((0.0, 0, 3)), airways) == "add a branch beyond Trachea"
-    assert edit_words(RenameBranch(7, "RB3"), airways) == "rename branch 7 RB3"
+    assert edit_words(RenameBranch(7, "RB3"), airways) == "rename branch 7 to RB3"
     assert edit_words(PaintLumen(((0, 0, 0),), 2.0, erase=True), airways) == "erase lumen"

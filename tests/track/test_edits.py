@@ -130,12 +130,12 @@ def test_a_branch_inside_the_lumen_is_tracked_and_splits_the_one_that_it_leaves(
 
 
 def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
-    with pytest.raises(NoResultError, match=r"this point is in tissue .* not in an airway: click in the dark middle"):
+    with pytest.raises(NoResultError, match=r"this point is in tissue .* not in an airway; click in the dark middle"):
         edited(case, AddBranch(point(case.plug)))
     with pytest.raises(UsageError, match="lies outside the scan; click inside the scan"):
         edited(case, AddBranch((900.0, 0.0, 0.0)))
     with pytest.raises(
-        NoEvidenceError, match=r"the CT shows no airway wall .* If the airway is obstructed, bridge the obstruction"
+        NoEvidenceError, match=r"the CT shows no continuous airway wall .* if the airway is obstructed, bridge"
     ):
         edited(case, AddBranch(point(case.hidden)))
     with pytest.raises(NoResultError, match="the tree already reaches this point"):
@@ -290,7 +290,7 @@ def test_a_fork_is_moved_with_the_ends_that_meet_there_and_stays_in_the_lumen(ca
 def test_forks_that_cannot_be_moved_are_refused_in_words(case):
     with pytest.raises(UsageError, match="ends without a fork"):
         edited(case, MoveFork(2, point(case.tips[0])))
-    with pytest.raises(UsageError, match=r"the fork would move .* mm long: move it a shorter distance"):
+    with pytest.raises(UsageError, match=r"the fork would move .* mm long; move the fork a shorter distance"):
         edited(case, MoveFork(1, point(case.airways.tree.root.points[0])))
 
 

@@ -246,7 +246,7 @@ def test_numbers_that_are_not_finite_become_the_lowest_and_are_counted(tmp_path)
     values[0, 0, :3] = np.nan
     volume = open_volume(write(tmp_path / "ct.nrrd", values))
     assert (volume.hu_zyx[0, 0, :3] == -1000).all()
-    assert any("3 voxels are not numbers" in warning for warning in volume.source.warnings)
+    assert any("3 voxels are not finite" in warning for warning in volume.source.warnings)
     assert refusal(write(tmp_path / "none.nrrd", np.full_like(values, np.nan))).code == "import.no-numbers"
 
 

@@ -42,8 +42,8 @@ def test_an_array_with_nan_and_infinities_gives_the_very_same_voxels_in_every_fo
         np.testing.assert_array_equal(volume.hu_zyx, ruled(values), err_msg=f"{form} {kind}")
         (note,) = volume.source.notes
         assert (note.code, note.badge) == ("import.not-numbers", True)
-        assert note.words.startswith(f"{3 * num} voxels are not numbers (NaN or infinite)")
-        assert f"{2 * num} became the lowest value, -1000, {num} the highest, 1200" in note.words
+        assert note.words.startswith(f"{3 * num} voxels are not finite (NaN or infinite)")
+        assert f"{2 * num} became the lowest value (-1000) and {num} the highest (1200)" in note.words
         assert volume.is_hu
 
 
@@ -73,7 +73,7 @@ def num_body() -> int:
 def test_more_than_a_hundredth_of_the_body_without_numbers_is_no_longer_hu():
     border = int(MAX_DOUBTFUL_SHARE * num_body())
     assert to_int16(lost(border)).doubt is None
-    assert "1.0 % of the voxels in the body are not numbers" in (to_int16(lost(border + 1)).doubt or "")
+    assert "1.0 % of the voxels in the body are not finite" in (to_int16(lost(border + 1)).doubt or "")
 
 
 def test_padding_round_the_patient_that_is_nan_costs_no_hu(tmp_path):

@@ -165,7 +165,7 @@ def test_how_much_lies_in_the_scan_is_told_without_the_places_of_all_voxels(volu
 def test_a_missing_file_and_a_folder_are_refused(volume, tmp_path):
     with pytest.raises(VolumeImportError, match="no such file"):
         open_mask(tmp_path / "nothing.nrrd", volume)
-    with pytest.raises(VolumeImportError, match="expected one file"):
+    with pytest.raises(VolumeImportError, match="expected one NIfTI"):
         open_mask(tmp_path, volume)
 
 
@@ -291,12 +291,12 @@ def _many(data):
     ("change", "words"),
     [
         (_tilt, "one regular grid"),
-        (_unplaced, "have no positions"),
+        (_unplaced, "lacks its position"),
         (_fractional, "fractional"),
         (_an_image, "not a segmentation"),
         (_short, "pixels cannot be read"),
         (_many, "it claims"),
-        (_wide, "implausibly large"),
+        (_wide, "spacing is implausible"),
         (_segment_of_none, "refer to segments"),
     ],
 )

@@ -64,7 +64,7 @@ def test_another_series_takes_the_place_of_a_refused_one_only_if_it_covers_half_
 
     folder = write_series(number=1, edit=gap)
     write_series("scan", number=2, num_slices=2, name=lambda i: f"B{i}")
-    with pytest.raises(VolumeImportError, match="also has: series 2") as caught:
+    with pytest.raises(VolumeImportError, match="also contains series 2") as caught:
         open_volume(folder)
     assert caught.value.code.startswith("import.geometry.")
     write_series(

@@ -59,7 +59,7 @@ def _scale_from_histogram(values: NDArray[np.int16]) -> AirScale:
     low = int(sample.min())
     counts = np.bincount(sample - low).astype(np.float64)
     if np.count_nonzero(counts) < 2:
-        raise NoResultError("the volume has a single value: air and tissue cannot be distinguished")
+        raise NoResultError("every voxel has the same value, so air and tissue cannot be distinguished")
     levels = np.arange(counts.size) + low
     below = np.cumsum(counts)
     sum_below = np.cumsum(counts * levels)

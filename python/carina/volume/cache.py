@@ -444,7 +444,7 @@ class VolumeCache:
     def _make_room(self, num_bytes: int) -> bool:
         """Whether so much more may be kept, after the oldest have gone."""
         if num_bytes > self._bound(sum(seen.st_size for _, _, seen in self._voxels())):
-            logger.info("a CT was not cached, because it is larger than the limit of the cache")
+            logger.info("a CT was not cached, because it is larger than the size limit of the cache")
             return False
         self._swept(num_bytes)
         return True

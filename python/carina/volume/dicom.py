@@ -167,7 +167,7 @@ def _notes_of_folder(headers: Sequence[SliceHeader]) -> tuple[Note, ...]:
     patients = count_patients(headers)
     if patients < 2:
         return ()
-    words = f"the folder contains images of {patients} patients; check that this is the right one"
+    words = f"the folder contains images of {patients} patients; check that this is the right patient"
     return (Note("import.two-patients", words, badge=True),)
 
 
@@ -180,7 +180,7 @@ def _notes_of_files(
             "files next to the slices look like part" if len(missing) > 1 else "file next to the slices looks like part"
         )
         names = name_files([(file.path, file.reason) for file in missing])
-        words = f"{len(missing)} {verb} of this series and could not be used: {names}; the scan may be incomplete"
+        words = f"{len(missing)} {verb} of this series but could not be used: {names}; the scan may be incomplete"
         notes.append(Note("import.files-unread", words, badge=True))
     mine = [copy for h in slices for copy in copies.get((h.sop_uid, h.series_uid, h.position_lps), ())]
     if mine:
@@ -196,9 +196,10 @@ def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> Vo
         return error
     shown = ", ".join(f"{file.path.name} ({file.reason})" for file in missing[:4])
     more = f" and {len(missing) - 4} more" if len(missing) > 4 else ""
-    verb = "files next to it look like part of it" if len(missing) > 1 else "a file next to it looks like part of it"
-    msg = f"{error}. {len(missing)} {verb}" if len(missing) > 1 else f"{error}. And {verb}"
-    return VolumeImportError(f"{msg} and could not be used: {shown}{more}; copy them again", code=error.code)
+    which = f"{len(missing)} files next to its slices look" if len(missing) > 1 else "one file next to its slices looks"
+    copy = "copy them again" if len(missing) > 1 else "copy it again"
+    msg = f"{error}; {which} like part of the series but could not be used: {shown}{more}; {copy}"
+    return VolumeImportError(msg, code=error.code)
 
 
 def describe_series(series: Sequence[SeriesInfo]) -> str:
@@ -248,7 +249,7 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
         ]
         if not candidates:
             others = [item.info for item in found[1:]]
-            more = f". {where} also has: {describe_series(others)}" if others else ""
+            more = f"; {where} also contains {describe_series(others)}" if others else ""
             raise VolumeImportError(f"{refusal}{more}", code=refusal.code)
         chosen = candidates[0]
         words = f"the largest series was refused ({refused.info.refused}); {chosen.name} was opened instead"
@@ -256,7 +257,7 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
     others = [item.info for item in found if item is not chosen]
     if others:
         words = (
-            f"the folder contains several series; opened {chosen.name}, {chosen.info.num_slices} slices; not opened: "
+            f"the folder contains several series; opened: {chosen.name}, {chosen.info.num_slices} slices; not opened: "
             f"{describe_series(others)}"
         )
         notes.append(Note("import.several-series", words))
@@ -295,12 +296,12 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         values[index] = clipping.take(header, numbers)
     assert values is not None  # a grid has at least two slices
     if values.min() == values.max():
-        msg = f"reading {series.name}: every pixel has the same value, so there is nothing to see; export it again"
+        msg = f"reading {series.name}: every pixel has the same value, so it contains no image; export it again"
         raise VolumeImportError(msg, code="import.values")
     if clipping.count:
         said.append(clipped_note(clipping.count))
     if any(header.lossy for header in series.slices):
-        said.append(Note("import.lossy", "the slices were compressed lossily; fine walls may be blurred", badge=True))
+        said.append(Note("import.lossy", "the slices were compressed with loss; thin walls may be blurred", badge=True))
     if first.modality == "CT":
         odd = Doubt(
             "import.slices-odd", ("a slice differs from both its neighbours far more than they differ from each other")
@@ -342,5 +343,5 @@ def _no_rescale_note(slices: Sequence[SliceHeader], *, is_hu: bool) -> Note:
         for tag, given in (("RescaleSlope", slices[0].has_slope), ("RescaleIntercept", slices[0].has_intercept))
         if not given
     ]
-    end = "its values indicate HU" if is_hu else "so its values are not treated as HU"
-    return Note("import.rescale-absent", f"no slice has {' or '.join(lacking)}; {end}", badge=True)
+    end = "but the values indicate HU" if is_hu else "so the values are not treated as HU"
+    return Note("import.rescale-absent", f"no slice has {' or '.join(lacking)}, {end}", badge=True)

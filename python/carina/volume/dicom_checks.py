@@ -38,8 +38,8 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
         lacking = [header for header, has in zip(slices, given, strict=True) if not has]
         msg = (
             f"{what}: {len(lacking)} of its {len(slices)} slices have no {tag} ({_files(lacking)}), so their "
-            "values would be on a different scale from the others; expected the tag in every slice; export the "
-            "series again from its original archive, or omit these files if the other slices are complete"
+            "values would be on a different scale from those of the others; expected the tag in every slice; export "
+            "the series again from its original archive, or omit these files if the other slices are complete"
         )
         raise VolumeImportError(msg, code="import.rescale-mixed")
 
@@ -77,11 +77,11 @@ def refuse_contradicting_rescale(
     apart, joined = (float(np.median(np.abs(values - there))) for values in (here, as_there))
     if apart > 100 and joined < 0.25 * apart:
         msg = (
-            f"{what}: neighbouring slices have different scales that do not match their pixels: {other.path.name} has "
-            f"slope {other.slope:g} and intercept {other.intercept:g}, {header.path.name} has {header.slope:g} and "
-            f"{header.intercept:g}, and with these their pixels differ by {apart:.0f} HU (with one scale by "
-            f"{joined:.0f}); expected the scanner's scale in every slice; export the series again from its "
-            "original archive"
+            f"{what}: the rescale tags of neighbouring slices contradict their pixels: {other.path.name} has slope "
+            f"{other.slope:g} and intercept {other.intercept:g}, {header.path.name} has slope {header.slope:g} and "
+            f"intercept {header.intercept:g}, and rescaled with these tags their pixels differ by {apart:.0f} HU (by "
+            f"{joined:.0f} HU if both have the tags of one); expected the scanner's rescale tags in every slice; "
+            "export the series again from its original archive"
         )
         raise VolumeImportError(msg, code="import.rescale-contradicts")
 
@@ -174,6 +174,6 @@ def doubt_notes(doubts: Sequence[tuple[SliceHeader, Doubt]], num_slices: int) ->
         files = name_files([(path, "") for path in dict.fromkeys(header.path for header, _ in mine)])
         count = len({header.path for header, _ in mine})
         notes.append(
-            Note(code, f"{words} ({count} of {num_slices} slices: {files}); its values may be wrong", badge=True)
+            Note(code, f"{words} ({count} of {num_slices} slices: {files}); the values there may be wrong", badge=True)
         )
     return notes

@@ -43,7 +43,7 @@ class UnusedFile:
 
     path: Path
     reason: str
-    """For a message, such as "empty" or "cut short"."""
+    """For a message, such as "empty" or "truncated header"."""
     size: int
     is_dicom: bool
     """It begins like DICOM, or is a folder of which nothing is known."""
@@ -77,8 +77,8 @@ def _walk(folder: Path, unused: list[UnusedFile], *, recursive: bool, watch: Wat
             count += 1
             if count > MAX_FILES:
                 msg = (
-                    f"reading the folder {folder.name}: it contains more than {MAX_FILES} files; expected one scan; "
-                    "choose the folder of the scan itself"
+                    f"reading the folder {folder.name}: it contains more than {MAX_FILES} files; expected those of "
+                    "one scan; choose the folder of the scan itself"
                 )
                 raise VolumeImportError(msg, code="import.too-many-files")
             path = Path(root) / name
@@ -123,8 +123,8 @@ def _read(path: Path) -> SliceHeader | UnusedFile | None:
             return header
         uid = str(dataset.get("SeriesInstanceUID") or "")
     except ValueError:
-        return UnusedFile(path, "damaged DICOM", _size(path), is_dicom=True)
-    return UnusedFile(path, "header cut short", _size(path), is_dicom=True, series_uid=uid)
+        return UnusedFile(path, "damaged DICOM file", _size(path), is_dicom=True)
+    return UnusedFile(path, "truncated header", _size(path), is_dicom=True, series_uid=uid)
 
 
 def read_folder(folder: Path, *, recursive: bool, watch: Watch) -> FolderContent:
@@ -223,7 +223,7 @@ def shown_name(path: Path) -> str:
 
 
 def name_files(files: Sequence[tuple[Path, str]], *, at_most: int = 4) -> str:
-    """The first few files with a word each: "IM012 (empty), IM013 (cut short) and 7 more"."""
+    """The first few files with a word each: "IM012 (empty), IM013 (not DICOM) and 7 more"."""
     shown = [f"{shown_name(path)} ({word})" if word else shown_name(path) for path, word in files[:at_most]]
     more = len(files) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")

@@ -49,7 +49,7 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         if turn * extent_mm > MAX_CORNER_SHIFT_MM:
             problem = (
                 f"its slices have mixed orientations: {header.path.name} is rotated by {math.degrees(turn):.2f} "
-                f"degrees from {first.path.name}"
+                f"degrees relative to {first.path.name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         stretch_mm = max(
@@ -75,9 +75,8 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         at = int(doubled[0])
         problem = (
             f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie at the "
-            f"position of another slice, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected "
-            "every "
-            "position once; the folder may contain the series twice, or several phases of one scan"
+            f"position of another slice, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected one "
+            "slice at each position; the folder may contain the series twice, or several phases of one scan"
         )
         raise _refuse(what, problem, "keep one slice for each position", "import.geometry.duplicate")
     tolerance = min(max(0.1 * expected, 0.06), 0.3)
@@ -104,7 +103,7 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         at = int(off.argmax())
         problem = (
             f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].path.name}) lies {off[at]:.2f} "
-            f"mm off the regular grid of {expected:.2f} mm; expected at most {tolerance:.2f} mm"
+            f"mm off the regular {expected:.2f} mm grid; expected at most {tolerance:.2f} mm"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
 
@@ -151,8 +150,8 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     tilt_deg = math.degrees(math.atan2(lean_mm, height))
     if tilt_deg > MAX_TILT_DEG and lean_mm > MAX_CORNER_SHIFT_MM:
         problem = (
-            f"its slices are sheared by {tilt_deg:.1f} degrees (gantry tilt), {lean_mm:.1f} mm from the first to "
-            "the last; expected a stack at right angles to its slices"
+            f"its slices are sheared by {tilt_deg:.1f} degrees (gantry tilt), a shift of {lean_mm:.1f} mm from the "
+            "first to the last; expected a stack at right angles to its slices"
         )
         way_out = "export the series with the tilt corrected, or choose another one"
         raise _refuse(what, problem, way_out, "import.geometry.tilt")

@@ -49,8 +49,8 @@ class SlicePixels:
 
 def _truncated(header: SliceHeader, expected: int, found: int) -> VolumeImportError:
     msg = (
-        f"reading {header.path.name}: its pixels are cut short: expected {expected} bytes, found {found}; the copy is "
-        "incomplete; copy the series again"
+        f"reading {header.path.name}: its pixel data is truncated (expected {expected} bytes, found {found}), probably "
+        "by an incomplete copy; copy the series again"
     )
     return VolumeImportError(msg, code="import.truncated")
 
@@ -68,8 +68,8 @@ def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, 
         raise _truncated(header, expected, len(stored))
     if len(stored) > expected + 1:  # one byte of padding keeps the length even
         msg = (
-            f"reading {header.path.name}: expected {expected} bytes of pixels for {header.columns} x {header.rows}, "
-            f"found {len(stored)}; the header does not match the pixels; copy the series again"
+            f"reading {header.path.name}: expected {expected} bytes of pixel data for {header.columns} x {header.rows} "
+            f"pixels, found {len(stored)}; the header does not match the pixel data; copy the series again"
         )
         raise VolumeImportError(msg, code="import.header")
     order = ">" if header.transfer_syntax == _EXPLICIT_BIG else "<"
@@ -116,7 +116,7 @@ def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
     found = (
         "no readable size"
         if stream is None
-        else f"{stream.columns} x {stream.rows} pixels of {stream.components} values"
+        else f"{stream.columns} x {stream.rows} pixels with {stream.components} values each"
     )
     msg = (
         f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, found {found}; the "
@@ -139,7 +139,7 @@ def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32
         bits = min(stream.bits, header.bits_stored)
         low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if header.signed else (0, (1 << bits) - 1)
         if int(pixels.min()) < low or int(pixels.max()) > high:
-            words = f"the compressed stream contains {stream.bits}-bit numbers, but the tags say {header.bits_stored}"
+            words = f"the compressed stream has {stream.bits}-bit numbers, but the tags say {header.bits_stored}-bit"
             doubts.append(Doubt("import.pixels-contradict", words))
     return doubts
 
@@ -159,13 +159,13 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     try:
         stored = read_pixel_bytes(header)
     except ValueError:
-        msg = f"reading {header.path.name}: its pixels cannot be found; the file is damaged; copy the series again"
+        msg = f"reading {header.path.name}: its pixel data cannot be found; the file is damaged; copy the series again"
         raise VolumeImportError(msg, code="import.truncated") from None
     frame = fragments(stored)
     if frame is None:
         msg = (
-            f"reading {header.path.name}: its compressed pixels are cut short; the copy is incomplete; copy the series "
-            "again"
+            f"reading {header.path.name}: its compressed pixel data is truncated, probably by an incomplete copy; copy "
+            "the series again"
         )
         raise VolumeImportError(msg, code="import.truncated")
     stream, doubts = None, []
@@ -199,7 +199,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
                 image = reader.Execute()
         except (RuntimeError, ValueError, MemoryError):
             msg = (
-                f"reading {header.path.name}: its compressed pixels cannot be decoded (transfer syntax "
+                f"reading {header.path.name}: its compressed pixel data cannot be decoded (transfer syntax "
                 f"{header.transfer_syntax}); the file is damaged or its compression is not supported; export the "
                 "series uncompressed"
             )
@@ -207,7 +207,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     if image.GetSize() != (header.columns, header.rows, 1) or image.GetNumberOfComponentsPerPixel() != 1:
         msg = (
             f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, found "
-            f"{image.GetSize()}; export the series again"
+            f"an image of size {image.GetSize()}; export the series again"
         )
         raise VolumeImportError(msg, code="import.header")
     values = np.array(sitk.GetArrayViewFromImage(image)[0], dtype=np.int32)

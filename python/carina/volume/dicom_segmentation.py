@@ -51,7 +51,8 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
         raise _refused(path, f"it has {len(names)} segments; expected at most 255", "export only the airway segment")
     rows, columns, num_frames = (int(data.get(key, 0) or 0) for key in ("Rows", "Columns", "NumberOfFrames"))
     if min(rows, columns, num_frames) < 1 or rows * columns * num_frames > MAX_VOXELS * max(1, len(names)):
-        raise _refused(path, f"it claims {num_frames} frames of {columns} x {rows} pixels", "export it again")
+        problem = f"it claims {num_frames} frames of {columns} x {rows} pixels, which is implausible"
+        raise _refused(path, problem, "export it again")
     places = _Places(path, data, num_frames)
     watch.step("Unpacking the segmentation", None)
     try:
@@ -59,7 +60,7 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
     except (ValueError, RuntimeError, AttributeError, NotImplementedError, TypeError):
         raise _refused(path, "its pixels cannot be read", "export it again without compression") from None
     if places.num_planes * rows * columns > MAX_VOXELS:
-        raise _refused(path, f"its frames span {places.num_planes} planes", "export it again")
+        raise _refused(path, f"its frames span {places.num_planes} planes, which is implausible", "export it again")
     labels = np.zeros((places.num_planes, rows, columns), dtype=np.uint8)
     for frame, plane, segment in zip(frames, places.planes, places.segments, strict=True):
         taken = labels[plane]
@@ -89,9 +90,10 @@ class _Places:
                 int(_item(g, shared, "SegmentIdentificationSequence", "ReferencedSegmentNumber")) for g in groups
             ]
         except (KeyError, TypeError, ValueError):
-            raise _refused(path, "its frames have no positions", "export it again") from None
+            problem = "a frame lacks its position, orientation, pixel spacing or segment number"
+            raise _refused(path, problem, "export it again") from None
         if not (spacing.min() > 0.0 and spacing.max() < _WIDEST_MM):
-            raise _refused(path, f"its pixels are implausibly large ({spacing.max():g} mm)", "export it again")
+            raise _refused(path, f"its pixel spacing is implausible ({spacing.max():g} mm)", "export it again")
         if not all(0 < number <= 255 for number in self.segments):
             raise _refused(path, "its frames refer to segments that do not exist", "export it again")
         along, down = orientation[0, :3], orientation[0, 3:]

@@ -133,14 +133,14 @@ def _part(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[
             return [group]
         note = Note(
             "import.identity-missing",
-            f"{len(nameless)} of {len(group.slices)} slices do not state which of the {word} they belong to "
+            f"{len(nameless)} of {len(group.slices)} slices do not state their {_one(word)} "
             f"({name_files([(h.path, '') for h in nameless])}); they were grouped with the others",
             badge=word == "patients",
         )
         return [_with_note(group, note)]
     note = Note(
         "import.series-parted",
-        (f"one series contained images of {len(parts)} {word}; each is now listed as a separate series"),
+        (f"one series contained images of {len(parts)} {word}; they are now listed as separate series"),
     )
     found = [
         replace(group, slices=tuple(slices), notes=(*group.notes, note), label=_label(group, f"{_one(word)} {number}"))
@@ -149,7 +149,7 @@ def _part(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[
     if nameless:
         lost = Note(
             "import.identity-missing",
-            f"{len(nameless)} images of this series do not state which of the {word} they belong to "
+            f"{len(nameless)} images of the original series do not state their {_one(word)} "
             f"({name_files([(h.path, '') for h in nameless])}); they were left out",
             badge=True,
         )
@@ -197,8 +197,8 @@ def _part_by_grid(group: Group) -> list[Group]:
     parts[0].extend(broken)
     note = Note(
         "import.series-parted",
-        f"one series contained images of {len(parts)} grids (size, pixel spacing or orientation); each is now "
-        "listed as a separate series",
+        f"one series contained images on {len(parts)} grids (size, pixel spacing or orientation); they are now listed "
+        "as separate series",
     )
     return [
         replace(
@@ -277,7 +277,7 @@ def _part_by_setting(group: Group) -> list[Group]:
     word, parts = min(telling, key=lambda item: len(item[1]))
     note = Note(
         "import.series-parted",
-        f"one series contained {len(parts)} stacks that differ in {word}; each is now listed as a separate series",
+        f"one series contained {len(parts)} stacks that differ in {word}; they are now listed as separate series",
     )
     whole_mm = float(np.ptp(_heights(group.slices)))
     found: list[Group] = []
@@ -309,7 +309,8 @@ def _said(group: Group, keys: Sequence[tuple[str, dict[str, list[SliceHeader]]]]
     notes = list(group.notes)
     if changes:
         words = (
-            f"{_listed(changes)} {'changes' if len(changes) == 1 else 'change'} within the series, which is one stack"
+            f"the {_listed(changes)} {'changes' if len(changes) == 1 else 'change'} within the series, which was kept "
+            "as one stack"
         )
         notes.append(Note("import.settings-change", words))
     if missing:

@@ -97,7 +97,7 @@ def _follow_j2k(stored: bytes, at: int) -> str | None:
             if length == 0:  # the last part may leave its length open
                 return None if stored.rstrip(b"\0").endswith(_END) else "it ends before its end marker"
             if length < 14 or at + length > len(stored):
-                return "a tile is cut short"
+                return "a tile is truncated"
             at += length
         elif marker[0] == 0xFF and marker[1] >= 0x4F:
             at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")
@@ -151,10 +151,10 @@ def _follow_jpeg(stored: bytes, at: int, in_data: re.Pattern[bytes]) -> str | No
 def rle_problem(frame: bytes, num_pixels: int) -> str | None:
     """Whether the segments of an RLE frame unpack to exactly the pixels (PS3.5 G.3)."""
     if len(frame) < 64:
-        return "its header is cut short"
+        return "its header is truncated"
     count, *offsets = struct.unpack_from("<16I", frame)
     if not 1 <= count <= 15:
-        return f"it claims {count} segments"
+        return f"it claims {count} segments instead of 1 to 15"
     starts = [*offsets[:count], len(frame)]
     for begin, end in itertools.pairwise(starts):
         if not 64 <= begin <= end <= len(frame):

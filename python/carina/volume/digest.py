@@ -201,7 +201,7 @@ def refuse_other_ct(volume: Volume, digest: str, geometry: Grid) -> None:
     apart_mm = _apart_mm(ours, theirs)
     if apart_mm > GEOMETRY_TOLERANCE_MM:
         msg = (
-            f"this CT has the voxels of the case, but its position differs by up to {apart_mm:.3g} mm; "
+            f"this CT has the same voxels as the case, but its position differs by up to {apart_mm:.3g} mm; "
             f"expected at most {GEOMETRY_TOLERANCE_MM:g} mm; {advice}"
         )
         raise VolumeImportError(msg, code="import.other-geometry")

@@ -113,6 +113,6 @@ def beside(path: Path, name: str) -> Path:
         raise refuse(path, problem, "put both files into one folder, and save again", "import.elsewhere")
     found = path.parent / simple
     if not found.is_file():
-        problem = f"its values should be in {simple} in the same folder, which is missing"
+        problem = f"its values should be in {simple}, which is missing from the same folder"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
     return found

@@ -149,7 +149,7 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
         msg = f"reading {path.name}: {error}; the file is damaged; export it again"
         raise VolumeImportError(msg, code="import.no-numbers") from None
     if converted.values.min() == converted.values.max():
-        msg = f"reading {path.name}: every voxel has the same value, so there is nothing to see; open the scan itself"
+        msg = f"reading {path.name}: every voxel has the same value, so it contains no image; open the scan itself"
         raise VolumeImportError(msg, code="import.values")
     verdict = judge_values(converted.values)
     reason = verdict.reason

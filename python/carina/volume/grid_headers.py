@@ -103,7 +103,7 @@ def _check(path: Path, header: GridHeader) -> None:
     skew_deg = float(np.degrees(np.arcsin(min(1.0, np.abs(cosines - np.eye(3)).max()))))
     if skew_deg > 0.2:  # as for the tilt of a DICOM series
         problem = (
-            f"its axes are sheared: they are at {90 - skew_deg:.1f} instead of 90 degrees to each other "
+            f"its axes are sheared: two of them meet at {90 - skew_deg:.1f} instead of 90 degrees "
             "(possibly an uncorrected gantry tilt)"
         )
-        raise refuse(path, problem, "resample it to a straight grid first", "import.geometry.sheared")
+        raise refuse(path, problem, "resample it to a rectangular grid first", "import.geometry.sheared")

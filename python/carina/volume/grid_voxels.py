@@ -112,12 +112,12 @@ def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[
                     part = np.frombuffer(piece, dtype=np.uint8)[first : needed - at]
                     out[at + first : at + first + part.size] = part
                 if total > most:
-                    raise _lying(path, header, "it unpacks to far more")
+                    raise _lying(path, header, "the data unpacks to far more")
                 watch.step(_READING, min(1.0, file.tell() / size))
         except ValueError as error:
             raise _lying(path, header, str(error)) from None
     if total < header.data_offset + needed:
-        raise _lying(path, header, f"it unpacks to {max(0, total - header.data_offset)} bytes")
+        raise _lying(path, header, f"the data unpacks to {max(0, total - header.data_offset)} bytes")
     return out, total - header.data_offset - needed + stream.trailing_bytes
 
 

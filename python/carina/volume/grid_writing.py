@@ -101,7 +101,7 @@ def write_grid_to(
         What the disk says.
     """
     if values_zyx.dtype.name not in _NIFTI_TYPES:
-        raise UsageError(f"{what} must contain uint8 or int16; found {values_zyx.dtype.name}")
+        raise UsageError(f"{what} must contain uint8 or int16 values; found {values_zyx.dtype.name}")
     spacing = np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
     direction = lps_from_ijk[:3, :3] / spacing
     if not np.allclose(direction.T @ direction, np.eye(3), atol=1e-4):

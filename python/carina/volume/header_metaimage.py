@@ -99,7 +99,7 @@ def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default:
     given = {name: fields[name] for name in names if name in fields}
     values = {tuple(real(number) for number in text.split()) for text in given.values()}
     if len(values) > 1:
-        problem = f"its {' and '.join(given)} should agree, but they differ"
+        problem = f"its {' and '.join(given)} contradict each other"
         way_out = "programs differ in which one they use; export it again"
         raise refuse(path, problem, way_out, "import.geometry.ambiguous")
     return next(iter(given.values()), default)
@@ -123,7 +123,7 @@ def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:
     slope = real(fields.get("elementtointensityfunctionslope", "1"))
     shift = real(fields.get("elementtointensityfunctionoffset", "0"))
     if (slope, shift) != (1.0, 0.0):
-        problem = f"its numbers should be scaled by {slope:g} and shifted by {shift:g}, which is not supported"
+        problem = f"its header scales its values by {slope:g} and shifts them by {shift:g}, which is not supported"
         raise refuse(path, problem, "save it again with its final values", "import.not-supported")
     unit = fields.get("distanceunits", "mm").lower()
     if unit not in ("mm", "?", ""):
@@ -135,7 +135,9 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
     """What the format fills in by itself, and what it says twice in two ways."""
     notes = []
     if not any(name in fields for name in _TURNS):
-        words = "its header does not state where its axes point; they are assumed to be left, posterior and superior"
+        words = (
+            "its header does not state where its axes point; they are assumed to point left, posterior and superior"
+        )
         notes.append(Note("import.orientation-doubted", words, badge=True))
     else:
         letters = fields.get("anatomicalorientation", "").upper()
@@ -144,7 +146,7 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
             axis = int(np.argmax(np.abs(column)))
             expected = _FROM_LETTERS[axis][0 if column[axis] > 0 else 1]
             if abs(column[axis]) > 0.8 and letter in "RLAPIS" and letter != expected:
-                words = f"its AnatomicalOrientation ({letters}) contradicts its TransformMatrix, which was used"
+                words = f"its AnatomicalOrientation ({letters}) contradicts its TransformMatrix; the matrix was used"
                 notes.append(Note("import.orientation-doubted", words, badge=True))
                 break
     if not any(name in fields for name in _ORIGINS):

@@ -17,7 +17,7 @@ _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _KINDS = {
     2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
 }  # fmt: skip
-_OTHER_KINDS = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 2048: "complex", 1: "single bits"}
+_OTHER_KINDS = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 2048: "complex", 1: "1-bit"}
 _SMALLEST_OFFSET = 352  # of the values in a single file: 348 bytes of header and 4 that say whether more follow
 
 
@@ -52,7 +52,9 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
     while len(shape) > 3 and shape[-1] == 1:  # trailing axes of one entry are written by many programs
         shape = shape[:-1]
     if datatype not in _KINDS:
-        problem = f"its values are {_OTHER_KINDS.get(datatype, f'of the type {datatype}')}, which is not supported"
+        known = _OTHER_KINDS.get(datatype)
+        found = f"values of the type {datatype}" if known is None else f"{known} values"
+        problem = f"it contains {found}, which are not supported"
         raise refuse(path, problem, "export it again as 16-bit numbers", "import.not-supported")
     dtype = np.dtype(order + _KINDS[datatype])
     if bits not in (0, 8 * dtype.itemsize):
@@ -84,10 +86,10 @@ def _scaling(path: Path, slope: float, intercept: float) -> tuple[tuple[float, f
     if slope == 0.0:
         return None, ()
     if not np.isfinite(slope):
-        words = f"its slope is not a number ({slope}), so its values were used as stored, without the intercept"
+        words = f"its rescale slope is not finite ({slope}), so its values were used as stored, without the intercept"
         return None, (Note("import.scaling", words, badge=True),)
     if not np.isfinite(intercept):
-        problem = f"its numbers should be scaled by {slope:g} and shifted by {intercept}, which is not a number"
+        problem = f"its header scales its values by {slope:g} and shifts them by {intercept}, which is not finite"
         raise refuse(path, problem, "the header is damaged; export it again", "import.header.scaling")
     return (None if (slope, intercept) == (1.0, 0.0) else (float(slope), float(intercept))), ()
 
@@ -107,7 +109,7 @@ def _data_file(path: Path, *, single: bool) -> tuple[Path, bool]:
     siblings = data_files(path)
     found = next((candidate for candidate in siblings if candidate.is_file()), None)
     if found is None:
-        problem = f"its values should be in {siblings[0].name} in the same folder, which is missing"
+        problem = f"its values should be in {siblings[0].name}, which is missing from the same folder"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
     return found, found.suffix.lower() == ".gz"
 
@@ -136,7 +138,7 @@ def _place(
         smallest = np.linalg.norm(lps[1][:3, :3], axis=0).min()
         if apart > 0.1 * smallest and _is_straight(lps[0]):
             problem = f"its qform and sform disagree by up to {apart:.2f} mm about where the voxels are"
-            raise refuse(path, problem, "save it again with one of them", "import.geometry.ambiguous")
+            raise refuse(path, problem, "save it again with only one of them", "import.geometry.ambiguous")
     return np.asarray(lps[0], dtype=np.float64)
 
 

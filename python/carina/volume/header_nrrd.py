@@ -60,19 +60,18 @@ def read_nrrd_header(path: Path) -> GridHeader:
     if encoding not in ("raw", "gzip", "gz") or kind not in _KINDS:
         found = f"the type {kind}" if encoding in ("raw", "gzip", "gz") else f"the encoding {encoding}"
         problem = f"it has {found}, which is not supported"
-        raise refuse(path, problem, "save it again as raw or gzip 16-bit numbers", "import.not-supported")
+        raise refuse(path, problem, "save it again as 16-bit numbers, raw or gzip", "import.not-supported")
     compressed = encoding != "raw"
     data_path = path if detached is None else beside(path, detached)
     offset = 0 if detached is not None else (begin or 0)
     byte_skip = whole(fields.get("byte skip", "0"))
     if whole(fields.get("line skip", "0")) != 0 or (byte_skip != 0 and compressed) or byte_skip < -1:
-        problem = "it skips lines or bytes of its data, which is not supported"
+        problem = "its header skips lines or bytes of the data, which is not supported"
         raise refuse(path, problem, "save it again without skips", "import.not-supported")
     axis_kinds = fields.get("kinds", "").lower().split()
     if dimension == 3 and "none" in fields.get("space directions", "").lower():
-        problem = (
-            f"expected one volume of three axes, found two axes and a list ({', '.join(axis_kinds) or 'no kinds'})"
-        )
+        listed = ", ".join(axis_kinds) or "kinds not given"
+        problem = f"expected one volume of three axes, found two axes and a list ({listed})"
         raise refuse(path, problem, "save each volume as a separate file", "import.not-3d")
     return GridHeader(
         format="nrrd",
@@ -116,7 +115,7 @@ def _order(path: Path, fields: dict[str, str], kind: str) -> str:
     if order is None:
         if _KINDS[kind].endswith("1"):
             return "<"
-        problem = f"expected endian: little or big; found {fields.get('endian', 'nothing')[:40]}"
+        problem = f"its endian field should be little or big; found {fields.get('endian', 'nothing')[:40]}"
         raise refuse(path, problem, "its byte order is unknown; export it again", "import.header")
     return order
 
@@ -134,7 +133,7 @@ def _vector(text: str) -> list[float]:
 def _transform(path: Path, fields: dict[str, str]) -> NDArray[np.float64]:
     space = fields.get("space", "").lower()
     if space not in _SPACES:
-        problem = f"it {'names the space ' + space if space else 'names no space'}, so left and right are unknown"
+        problem = f"its space is {space or 'not given'}, so left and right are unknown"
         raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
     if "space directions" not in fields or "space origin" not in fields:
         missing = "space directions" if "space directions" not in fields else "space origin"

@@ -75,12 +75,12 @@ def judge_values(values: NDArray[np.int16]) -> HuVerdict:
     lowest, highest = int(values.min()), int(values.max())
     if lowest >= 0 and highest <= 255:
         return HuVerdict(
-            False, f"its values are {lowest} to {highest} (8 bits); Hounsfield units reach from -1000 (air) to above 0"
+            False, f"its values are {lowest} to {highest} (8 bits); Hounsfield units range from -1000 (air) to above 0"
         )
     if lowest > -800:
         # Scanners store HU + 1024; some converters drop the offset.
         shifted = lowest >= 0 and judge_values(values - np.int16(1024)).is_hu
-        hint = "; they look like HU with a missing offset of 1024" if shifted else ""
+        hint = "; they look like HU with an offset of 1024" if shifted else ""
         return HuVerdict(False, f"its values are {lowest} to {highest}; expected air near -1000{hint}")
     sample = _sample(values)
     air = float(np.mean((sample >= -1100) & (sample <= -600)))
@@ -90,8 +90,7 @@ def judge_values(values: NDArray[np.int16]) -> HuVerdict:
         return HuVerdict(
             False,
             f"its values ({lowest} to {highest}) do not cluster near -1000 (air) and 0 (soft tissue): only "
-            f"{100 * air:.1f} "
-            f"% and {100 * soft:.1f} % of the voxels do",
+            f"{100 * air:.1f} % and {100 * soft:.1f} % of the voxels do",
         )
     return HuVerdict(True, None)
 
@@ -101,11 +100,11 @@ def judge_dicom(
 ) -> HuVerdict:
     """Judge a DICOM series: by its tags where they say enough, else by its numbers."""
     if modality != "CT":
-        return HuVerdict(False, f"it is a {modality or 'nameless'} series, not CT")
+        return HuVerdict(False, f"its modality is {modality or 'unknown'}, not CT")
     if rescale_type not in HU_TYPES:
         return HuVerdict(False, f"its tags state the unit {rescale_type}, not HU")
     if bits_stored <= 8:
-        return HuVerdict(False, "its pixels have only 8 bits, windowed for display")
+        return HuVerdict(False, "its pixels have only 8 bits, probably windowed for display")
     lowest, highest = int(values.min()), int(values.max())
     if highest - lowest < 300:
         return HuVerdict(False, f"its values span only {lowest} to {highest}")
@@ -115,7 +114,7 @@ def judge_dicom(
     if lowest > -200 and judge_values(values - np.int16(1024)).is_hu:
         return HuVerdict(
             False,
-            f"its values are {lowest} to {highest}: they look like HU with an offset of 1024 that its tags do "
+            f"its values are {lowest} to {highest}; they look like HU with an offset of 1024 that its tags do "
             "not state",
         )
     return HuVerdict(True, None)
@@ -157,7 +156,7 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
         values, note, share = _all_finite(values)
         notes = (note,)
         if share > MAX_DOUBTFUL_SHARE:
-            doubts.append(f"{100 * share:.1f} % of the voxels in the body are not numbers (NaN or infinite)")
+            doubts.append(f"{100 * share:.1f} % of the voxels in the body are not finite (NaN or infinite)")
     low, high = float(values.min()), float(values.max())
     whole = values.dtype.kind in "iu" or bool(np.all(values == np.rint(values)))
     if whole and low >= _INT16.min and high <= _INT16.max:
@@ -177,7 +176,7 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
     span = high / 2 - low / 2
     factor = _STRETCHED_TOP / 2 / span if span > 0 else 1.0
     stretched = np.rint((values.astype(np.float64) - low) * factor).astype(np.int16)
-    words = f"the file's values from {low:.6g} to {high:.6g} were mapped to 0 to {stretched.max()}"
+    words = f"the values in the file, {low:.6g} to {high:.6g}, were mapped to 0 to {stretched.max()}"
     return Int16Values(stretched, words, notes, None)
 
 
@@ -192,7 +191,7 @@ def _all_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note,
         num_high += above
         num_low += plane.size - int(np.count_nonzero(finite)) - above
     if num_low + num_high == values.size:
-        msg = "no voxel is a finite number"
+        msg = "no voxel has a finite value"
         raise ValueError(msg)
     share = _share_of_body(values)
     out = values.copy()
@@ -201,12 +200,12 @@ def _all_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note,
         plane[~np.isfinite(plane)] = lowest
     parts = []
     if num_low:
-        parts.append(f"{num_low} became the lowest value, {lowest:g}")
+        parts.append(f"{num_low} became the lowest value ({lowest:g})")
     if num_high:
         parts.append(
-            f"{num_high} the highest, {highest:g}" if parts else f"{num_high} became the highest value, {highest:g}"
+            f"{num_high} the highest ({highest:g})" if parts else f"{num_high} became the highest value ({highest:g})"
         )
-    words = f"{num_low + num_high} voxels are not numbers (NaN or infinite): {', '.join(parts)}"
+    words = f"{num_low + num_high} voxels are not finite (NaN or infinite): {' and '.join(parts)}"
     return out, Note("import.not-numbers", words, badge=True), share
 
 

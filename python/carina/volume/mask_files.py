@@ -150,15 +150,15 @@ def _labels(
     kind = sniff_format(path) if path.is_file() else None
     if kind not in ("nifti", "nrrd", "metaimage"):
         msg = (
-            f"reading the segmentation {path.name}: expected one file, NIfTI (.nii, .nii.gz), NRRD, MetaImage or "
-            "DICOM SEG; export the segmentation as one of these"
+            f"reading the segmentation {path.name}: expected one NIfTI (.nii, .nii.gz), NRRD, MetaImage or DICOM "
+            "SEG file; export the segmentation as one of these"
         )
         raise VolumeImportError(msg, code="import.not-an-image")
     values, header, notes = read_grid_array(path, kind, watch=watch)
     low, high = values.min(), values.max()
     if low < -_LARGEST_LABEL or high > _LARGEST_LABEL:
         msg = (
-            f"reading the segmentation {path.name}: it contains numbers from {low:g} to {high:g}, which are not "
+            f"reading the segmentation {path.name}: it contains values from {low:g} to {high:g}, which are not "
             "labels; choose the segmentation file"
         )
         raise VolumeImportError(msg, code="import.mask")
@@ -237,8 +237,8 @@ def _placed(
     lost = int(np.count_nonzero(turned)) - int(np.count_nonzero(taken))
     if lost:
         msg = (
-            f"reading the segmentation {path.name}: {lost} of its voxels lie outside the scan; it was drawn on a "
-            "different or larger scan; open the scan it belongs to"
+            f"reading the segmentation {path.name}: {lost} of its voxels lie outside the scan; it was probably "
+            "drawn on a different or larger scan; open the scan it belongs to"
         )
         raise VolumeImportError(msg, code="import.mask-grid")
     out[tuple(slice(lo, hi) for lo, hi in zip(low, high, strict=True))] = taken
@@ -267,7 +267,8 @@ def _resampled(
         msg = f"reading the segmentation {path.name}: none of it lies in the scan; open the scan it belongs to"
         raise VolumeImportError(msg, code="import.mask-grid")
     out.flags.writeable = False
-    return Mask(out, ("the segmentation was on a different grid; it was resampled to the scan (nearest voxel)",))
+    note = "the segmentation was on a different grid; it was resampled to the grid of the scan (nearest voxel)"
+    return Mask(out, (note,))
 
 
 def _other_grid(

@@ -160,7 +160,7 @@ def refuse_series(path: Path, kind: str, series: str | None) -> None:
         ``usage.series``.
     """
     if series is not None:
-        msg = f"{path.name} is one {kind} volume and has no series {series!r}; omit the series"
+        msg = f"{path.name} is a single {kind} volume and has no series {series!r}; omit the series"
         raise UsageError(msg, code="usage.series")
 
 

@@ -91,14 +91,14 @@ def _judge(volume: Volume) -> Quality:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))
     values = volume.hu_zyx
     if not volume.is_hu and volume.value_range[1] - volume.value_range[0] <= 1:
-        findings.append(Finding("mask", "the volume has only two values: this is a segmentation, not a scan"))
+        findings.append(Finding("mask", "the volume has only two values: this is probably a segmentation, not a scan"))
     findings += _spacing_findings(volume.spacing_mm)
     lung_litres: float | None = None
     if volume.is_hu:
         lungs = _find_lungs(volume)
         lung_litres = lungs.litres
         if lung_litres < _MIN_LUNG_L:
-            words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or only part of one"
+            words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or may be part of one"
             findings.append(Finding("no-lungs", words))
         if lungs.cut_faces:
             words = f"the lungs are cut off at the {_listed(lungs.cut_faces)} of the volume, and so are the airways"
@@ -117,11 +117,14 @@ def _spacing_findings(spacing_mm: tuple[float, float, float]) -> list[Finding]:
     # Up to 1.5 mm the blur of the scan limits what is seen, not the grid.
     if widest > _SMALLEST_VISIBLE_MM:
         what = "slices are" if spacing_mm[2] == widest else "voxels are"
-        words = f"{what} {widest:.1f} mm apart: airways beyond about generation {generation} are unreliable"
+        words = (
+            f"{what} {widest:.1f} mm apart: beyond about generation {generation}, airways may be missed or measured "
+            "wrongly"
+        )
         findings.append(Finding("spacing", words))
     if widest > 3 * narrowest:
         words = (
-            f"voxels are {widest / narrowest:.1f} times longer than wide: walls look stepped, and slanted "
+            f"voxels are {widest / narrowest:.1f} times longer than wide: walls look stepped, and oblique "
             "airways look flattened"
         )
         findings.append(Finding("uneven", words))

@@ -142,7 +142,7 @@ def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int
         header, begin = _read_header(file, name)
         # Before anything of that size is allocated.
         if os.fstat(file.fileno()).st_size != begin + name.num_bytes:
-            raise DamagedFileError("it is shorter or longer than when it was written")
+            raise DamagedFileError("its size has changed since it was written")
     out = np.empty(name.shape_zyx, dtype="<i2")
     place = out.reshape(-1).view(np.uint8).data
     count = len(header.crc32)
@@ -186,7 +186,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     """The header, and where the voxels begin."""
     start = file.read(_START.size)
     if len(start) < _START.size:
-        raise DamagedFileError("it is cut short")
+        raise DamagedFileError("it is truncated")
     magic, version, num_bytes, crc32 = _START.unpack(start)
     if magic != _MAGIC or version != _VERSION or num_bytes > _MAX_HEADER_BYTES:
         raise DamagedFileError("its first bytes were altered, or another version wrote it")
@@ -208,5 +208,5 @@ def _fill(file: io.FileIO, place: memoryview) -> None:
     while len(place):
         count = file.readinto(place)
         if not count:
-            raise DamagedFileError("it is cut short")
+            raise DamagedFileError("it is truncated")
         place = place[count:]

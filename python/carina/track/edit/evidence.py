@@ -133,15 +133,15 @@ class Evidence:
         away_mm = float(np.linalg.norm(self._volume.lps_from_ijk[:3, :3] @ (voxel - toward)))
         if away_mm > MAX_MISSED_MM:
             msg = (
-                f"the point is {away_mm:.0f} mm from the tree; a new branch can be at most {MAX_MISSED_MM:.0f} "
-                "mm long: add the branches in between first"
+                f"the point is {away_mm:.0f} mm from the tree, but a new branch can be at most {MAX_MISSED_MM:.0f} mm "
+                "long; add the branches in between first"
             )
             raise NoResultError(msg, code="track.no-path")
         way = self.enclosures.way(lumen.core, start, goal, **self._levels, cancel=lumen.cancel)
         if way is None:
             msg = (
                 "no airway leads from the tree to the point: there is tissue in between. If the airway is obstructed "
-                "there, bridge the obstruction; if it is only a thin wall or noise, paint the lumen first"
+                "there, bridge the obstruction; if only a thin wall or image noise is in the way, paint the lumen first"
             )
             raise NoResultError(msg, code="track.no-path")
         return way

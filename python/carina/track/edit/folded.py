@@ -105,7 +105,7 @@ def fold_airways(volume: Volume, airways: Airways) -> PackedAirways:
         If the airways were not edited.
     """
     if airways.base is None:
-        raise UsageError("only edited airways can be folded; expected airways with at least one edit")
+        raise UsageError("only edited airways can be folded to save memory; expected at least one edit, found none")
     lumen = EditedLumen(volume, airways.tracker.core)
     first, shape = _box(airways.lumen_zyx)
     packed = None

@@ -74,10 +74,10 @@ def edits_from_json(document: object) -> tuple[TreeEdit, ...]:
         raise _refused(f"expected an object, found {type(document).__name__}")
     for key, expected in (("format", FORMAT), ("version", VERSION), ("space", "LPS"), ("unit", "mm")):
         if document.get(key) != expected:
-            raise _refused(f"{key}: expected {expected!r}, found {document.get(key)!r}")
+            raise _refused(f"{key} must be {expected!r}, found {document.get(key)!r}")
     rows = document.get("edits")
     if not isinstance(rows, Sequence) or isinstance(rows, str):
-        raise _refused("edits: expected a list")
+        raise _refused("edits must be a list")
     return tuple(_edit_from_row(row, number) for number, row in enumerate(rows))
 
 

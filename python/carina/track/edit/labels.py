@@ -37,7 +37,7 @@ def edit_words(edit: TreeEdit, airways: Airways) -> str:
         case CutBranch(branch_id, at_mm):
             return f"cut {_title(tree, branch_id)}" if at_mm <= 0.0 else f"shorten {_title(tree, branch_id)}"
         case Bridge(lps):
-            return f"bridge beyond {_nearest_title(tree, lps)}"
+            return f"add a bridge beyond {_nearest_title(tree, lps)}"
         case MoveRoot():
             return "move the start"
         case MoveFork(branch_id):
@@ -48,7 +48,7 @@ def edit_words(edit: TreeEdit, airways: Airways) -> str:
             return f"smooth {_title(tree, branch_id)}"
         case RenameBranch(branch_id, name):
             title = _title(tree, branch_id)
-            return f"automatic name for {title}" if name is None else f"rename {title} {name}"
+            return f"restore the automatic name of {title}" if name is None else f"rename {title} to {name}"
 
 
 def _title(tree: AirwayTree, branch_id: int) -> str:

@@ -221,7 +221,7 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
             away_mm = length_mm
     far = f"more than {MAX_BRIDGE_MM:g} mm" if away_mm is None else f"{away_mm:.0f} mm"
     msg = (
-        f"the bridge would be {far} long; at most {MAX_BRIDGE_MM:g} mm is possible: click nearer to the "
+        f"the bridge would be {far} long, but at most {MAX_BRIDGE_MM:g} mm is possible; click nearer to the "
         "obstruction, or bridge in two steps"
     )
     raise NoResultError(msg, code="track.bridge-too-long")
@@ -239,7 +239,7 @@ def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> N
     if value > wall:
         unit = " HU" if lumen.volume.is_hu else ""
         msg = (
-            f"this point is in tissue ({value}{unit}), not in an airway: click in the dark middle of the branch, or "
+            f"this point is in tissue ({value}{unit}), not in an airway; click in the dark middle of the branch, or "
             "bridge to the airway beyond"
         )
         raise NoResultError(msg, code="track.outside-lumen")
@@ -267,7 +267,7 @@ def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]
     if int(values.min()) > end:
         unit = " HU" if volume.is_hu else ""
         msg = (
-            f"this point is not in air ({here}{unit}): click in the dark middle of the airway beyond the obstruction, "
+            f"this point is not in air ({here}{unit}); click in the dark middle of the airway beyond the obstruction, "
             "or paint its lumen first"
         )
         raise NoResultError(msg, code="track.outside-lumen")

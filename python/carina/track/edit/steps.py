@@ -152,11 +152,11 @@ class EditSteps:
         along = along_mm(branch.points)
         title = branch_title(branch.name, branch.id)
         if at_mm >= along[-1] and at_mm > 0.0:
-            msg = f"{title} is only {along[-1]:.1f} mm long: choose a point before its end, not at {at_mm:.1f} mm"
+            msg = f"{title} is only {along[-1]:.1f} mm long; choose a point before its end, not at {at_mm:.1f} mm"
             raise UsageError(msg, code="track.edit-place")
         last = int(np.searchsorted(along, at_mm, side="right")) - 1 if at_mm > 0.0 else 0
         if branch.parent is None and last < 1:
-            msg = f"{title} contains the start of the tree: cut it more distally, or move the start first"
+            msg = f"{title} contains the start of the tree; cut it more distally, or move the start first"
             raise UsageError(msg, code="track.edit-root")
         below = [member.points for member in self.draft.below(branch.id)]
         below[0] = below[0][last + 1 :]
@@ -182,7 +182,7 @@ class EditSteps:
         if self.lumen.state_at(voxel) == 2:
             branch, _, _ = self._tree.nearest_branch(lps)
             title = branch_title(branch.name, branch.id)
-            msg = f"there is nothing to bridge: the point can be reached through {title}. Add a branch instead"
+            msg = f"there is nothing to bridge: the point can be reached through {title}; add a branch instead"
             raise NoResultError(msg, code="track.edit-nothing")
         way = bridge_way(self.lumen, voxel)
         beyond = grown_beyond(self.lumen, voxel)
@@ -234,10 +234,9 @@ class EditSteps:
         if evident_mm < LEAST_BEYOND_MM:
             doubtful_mm = sum(float(s[d].sum()) for s, d in zip(steps, doubts, strict=True))
             msg = (
-                f"the CT shows no airway wall beyond the bridge ({evident_mm:.0f} mm, at least "
-                f"{LEAST_BEYOND_MM:g} mm are needed): click in the dark middle of the airway beyond the "
-                "obstruction, or add a branch "
-                "without evidence (it is labelled as drawn by hand)"
+                f"the CT shows too little airway wall beyond the bridge ({evident_mm:.0f} mm; at least "
+                f"{LEAST_BEYOND_MM:g} mm is needed). Click in the dark middle of the airway beyond the obstruction, "
+                "or add a branch without evidence: it is then labelled as drawn by hand"
             )
             crossing = np.ones(len(bridge.points) - 1, dtype=bool)
             raise NoEvidenceError(msg, doubtful_mm=doubtful_mm, way_lps=bridge.points, doubtful=crossing)
@@ -245,7 +244,7 @@ class EditSteps:
         if onward and all(turn_deg(bridge.points, line) > MOST_TURN_DEG for line in onward):
             msg = (
                 "the airway beyond leads back towards the start of the bridge, so it is not the distal part of "
-                "an obstructed branch. Click nearer to the end of the obstructed branch"
+                "an obstructed branch; click nearer to the end of the obstructed branch"
             )
             raise NoResultError(msg, code="track.bridge-turns")
 
@@ -283,7 +282,7 @@ class EditSteps:
             self.draft.turn_round(branch.id)
             return
         if last < 2:
-            msg = "the branch at this point is too short for the start: choose a point in the next branch"
+            msg = "the branch at this point is too short for the start; choose a point in the next branch"
             raise NoResultError(msg, code="track.edit-place")
         self.draft.split(Place(branch.id, min(max(place.index, 1), last - 1)))
         upper = self.draft[branch.id]
@@ -294,7 +293,7 @@ class EditSteps:
         title = branch_title(branch.name, branch.id)
         if not branch.children:
             msg = (
-                f"{title} ends without a fork, so there is nothing to move. To make it longer, add a branch beyond "
+                f"{title} ends without a fork, so there is nothing to move; to make it longer, add a branch beyond "
                 "its end"
             )
             raise UsageError(msg, code="track.edit-place")
@@ -309,9 +308,9 @@ class EditSteps:
         shortest = min(adjoining, key=lambda b: b.length_mm)
         if shift_mm >= 0.9 * shortest.length_mm:
             msg = (
-                f"the fork would move {shift_mm:.1f} mm, and {branch_title(shortest.name, shortest.id)} next to "
-                f"it is only {shortest.length_mm:.1f} mm long: move it a shorter distance, or cut the branch and "
-                "add it again"
+                f"the fork would move {shift_mm:.1f} mm, but {branch_title(shortest.name, shortest.id)}, which meets "
+                f"it, is only {shortest.length_mm:.1f} mm long; move the fork a shorter distance, or cut the branch "
+                "and add it again"
             )
             raise UsageError(msg, code="track.edit-place")
         for member in adjoining:
@@ -329,14 +328,14 @@ class EditSteps:
             seen, was_seen = (sees(self.lumen.core, p[near][:-1], p[near][1:]) for p in (points, member.points))
             if not self._all_inside(points[moved]) or (was_seen & ~seen).any():
                 raise NoResultError(
-                    "the fork cannot be moved there: the centrelines next to it would leave the airway. Move it "
+                    "the fork cannot be moved there: the adjoining centrelines would leave the airway; move it "
                     "a shorter distance",
                     code="track.outside-lumen",
                 )
             if self._evidence().crosses_wall(points[near], member.points):
                 raise NoResultError(
                     f"the fork cannot be moved there: {branch_title(member.name, member.id)} would then pass "
-                    "through a wall. Move it a shorter distance",
+                    "through a wall; move it a shorter distance",
                     code="track.crosses-wall",
                 )
             radius = member.radius.copy()
@@ -358,8 +357,8 @@ class EditSteps:
         if edit.erase:
             if (voxels == np.array(self.lumen.root_ijk)).all(axis=1).any():
                 msg = (
-                    "the start of the tree lies under the brush: the lumen around the start cannot be erased. Move "
-                    "the start first"
+                    "the start of the tree lies under the brush, and the lumen around the start cannot be erased; "
+                    "move the start first"
                 )
                 raise UsageError(msg, code="track.edit-root")
             self._change_lumen(NO_VOXELS, voxels)

@@ -137,8 +137,8 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         branch, _, away_mm = tree.nearest_branch(lps)
         title = branch_title(branch.name, branch.id)
         msg = (
-            f"the tree already reaches this point: it lies in {title}, {away_mm:.1f} mm from its centreline. "
-            "Click where the missing branch ends"
+            f"the tree already reaches this point: it lies in {title}, {away_mm:.1f} mm from its centreline; "
+            "click where the missing branch ends"
         )
         raise NoResultError(msg, code="track.edit-nothing")
     left_before = draft[place.branch_id]
@@ -184,11 +184,14 @@ def no_evidence(plan: PlannedWay) -> NoEvidenceError:
     first_mm = float(along[int(np.argmax(plan.doubtful))])
     total_mm, doubtful_mm = float(along[-1]), plan.doubtful_mm
     do = (
-        "Click where the wall is still visible. If the airway is obstructed, bridge the obstruction. Or add the "
-        "branch without evidence: it is then labelled as drawn by hand and has no anatomical name"
+        "Click where the wall is still visible, or, if the airway is obstructed, bridge the obstruction. You can also "
+        "add the branch without evidence: it is then labelled as drawn by hand and has no anatomical name"
     )
     if first_mm < LEAST_TOLD_MM:
-        msg = f"the CT shows no airway wall along this path: {doubtful_mm:.0f} of {total_mm:.0f} mm are uncertain. {do}"
+        msg = (
+            f"the CT shows no continuous airway wall along this path: {doubtful_mm:.0f} of {total_mm:.0f} mm are "
+            f"uncertain. {do}"
+        )
     else:
         msg = (
             f"the CT shows an airway wall for the first {first_mm:.0f} mm of this path; {doubtful_mm:.0f} of the "
@@ -236,9 +239,9 @@ def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0
     found = lumen.core.nearest((x, y, z), max(reach_mm, 0.1 * min(volume.spacing_mm)))
     if found is None or not reached(lumen.core, np.array([found[0]], np.uint32))[0]:
         msg = (
-            f"no branch of the tree is within {reach_mm:g} mm of the point: click inside an airway"
+            f"no branch of the tree is within {reach_mm:g} mm of the point; click inside an airway"
             if found is None
-            else "the lumen at the point is not connected to the tree: bridge to it, or add a branch to it first"
+            else "the lumen at the point is not connected to the tree; bridge to it, or add a branch to it first"
         )
         raise NoResultError(msg, code="track.outside-lumen")
     return found[0]

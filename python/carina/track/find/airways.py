@@ -152,7 +152,8 @@ def find_airways(
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
     if core.num_settled < core.num_nodes:
-        found_notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
+        loose = core.num_nodes - core.num_settled
+        found_notes.append(f"{loose} lumen voxels are not connected to the start of the tree")
     lumen.flags.writeable = False
     root_at = branches[0].points[0].copy()
     stage.begin("airways segmented", 1.0)

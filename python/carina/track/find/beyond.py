@@ -106,12 +106,17 @@ def follow_beyond(
     if not (is_sharp or ran_out):
         return Beyond(tuple(notes), None)
     what = (
-        f"this CT's sharp kernel draws dark rims ({undershoot_hu:.0f} HU) next to vessels, which look like airways"
+        f"the sharp kernel of this CT produces dark rims ({undershoot_hu:.0f} HU) next to vessels, which look like "
+        "airways"
         if is_sharp
-        else "the segmentation leaked from the airways into the lung"
+        else "it leaked from the airways into the lung"
     )
-    kept = "only the clearest of them are included" if followed else "none of them are included"
-    words = f"the search for small airways was limited: {what}; {kept}, and small airways are missing. {SOFT_KERNEL}"
+    kept = (
+        "only the clearest small airways are included, and others are missing"
+        if followed
+        else "small airways are missing"
+    )
+    words = f"the search for small airways was limited because {what}; {kept}. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
 
 

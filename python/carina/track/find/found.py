@@ -69,7 +69,7 @@ class Airways:
             more.append(f"{len(self.edits)} manual edits")
         if self.uncertain:
             first = self.uncertain[0].reason
-            more.append(f"{len(self.uncertain)} places where the airway was lost; the widest of them: {first}")
+            more.append(f"{len(self.uncertain)} uncertain places; the widest of them: {first}")
         return self.tree.to_html(more)
 
     @property

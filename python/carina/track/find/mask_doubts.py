@@ -111,8 +111,8 @@ def with_mask_doubts(
     if sum(doubted) > MOST_DOUBTED * total_mm:
         words = (
             f"the segmentation does not match this CT: {len(doubted)} of its {len(told)} smaller airways, "
-            f"{100.0 * sum(doubted) / total_mm:.0f} % of their length, lie in tissue or in lung without a wall "
-            "around them. It may belong to another scan or patient, or be shifted or mirrored"
+            f"{100.0 * sum(doubted) / total_mm:.0f} % of their length, lie in tissue, or in lung without a wall "
+            "around them. The segmentation may belong to another scan or patient, or be shifted or mirrored"
         )
         note = Note(DOUBTED, words, badge=True)
     branches = tuple(

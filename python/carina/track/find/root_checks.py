@@ -54,8 +54,8 @@ def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...])
     num_in_lung = sum(scale is not None and _is_in_lung(volume, tip, scale) for tip in tips)
     if num_in_lung >= 3:
         msg = (
-            f"no trachea was found: the airway at {words(as_point(branches[0].points[0]))} is a more distal "
-            "bronchus, since it continues upwards; mark a point in the trachea (root)"
+            f"no trachea was found: the airway at {words(as_point(branches[0].points[0]))} continues upwards into "
+            "the lung, so it is probably a more distal bronchus; mark a point in the trachea"
         )
         raise NoResultError(msg)
 
@@ -91,9 +91,9 @@ def refuse_a_root_of_one_lung(volume: Volume, branches: tuple[Branch, ...], trac
         side = "right" if right > left else "left"
         place = words(as_point(branches[0].points[0]))
         msg = (
-            f"no trachea was found: the airway at {place} forks but leads into the {side} lung only, so it is a "
-            "main bronchus or a more distal one. The scan may be cropped below the carina: open one that "
-            "includes the trachea, or mark a point in the airway (root)"
+            f"no trachea was found: the airway at {place} forks but leads into the {side} lung only, so it is "
+            "probably a main bronchus or a more distal one. The scan may be cropped below the carina: open one that "
+            "includes the trachea, or mark the point in the airway where paths should start"
         )
         raise NoResultError(msg)
 

@@ -28,15 +28,15 @@ def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | Non
     deepest = max(branch.generation for branch in branches)
     if length_mm > MOST_LENGTH_MM or len(branches) > MOST_BRANCHES or deepest > MOST_GENERATION:
         words = (
-            f"the segmentation leaked: {length_mm / 1000.0:.0f} m in {len(branches)} branches of {deepest} "
-            f"generations are more than any chest contains; much of it is lung. {SOFT_KERNEL}"
+            f"the segmentation leaked: {length_mm / 1000.0:.0f} m of airway in {len(branches)} branches of {deepest} "
+            f"generations is more than any chest contains, so much of it is lung. {SOFT_KERNEL}"
         )
         return Note(STOPPED, words, badge=True)
     beyond_mm = length_mm - branches[0].length_mm
     if splits and beyond_mm < LEAST_BEYOND_MM:
         words = (
-            f"the search was stopped near the trachea: only {beyond_mm:.0f} mm of airway were found beyond it, though "
-            f"both lungs are in view. Nearly all airways are missing. {SOFT_KERNEL}"
+            f"the search was stopped near the trachea: only {beyond_mm:.0f} mm of airway was found beyond it, although "
+            f"the scan contains both lungs. Nearly all airways are missing. {SOFT_KERNEL}"
         )
         return Note(STOPPED, words, badge=True)
     return None

@@ -47,7 +47,7 @@ _VARIANT_STEMS = {
     "LB8+9": "LB8 and LB9 share a stem",
     "LB1+3": "LB1 and LB3 share a stem; LB2 arises separately",
     "LB2+3": "LB2 and LB3 share a stem; LB1 arises separately",
-    "LB3+4+5": "LB3 arises with the lingula",
+    "LB3+4+5": "LB3 shares a stem with the lingular bronchi",
     "RB*": "a subsuperior bronchus (found in one patient in six)",
     "LB*": "a subsuperior bronchus (found in one patient in six)",
 }
@@ -453,7 +453,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
             continue
         down = read.frame @ bronchus.direction
         if above == "Trachea" and bronchus.children:
-            note(number, "a bronchus that arises from the trachea: perhaps a tracheal bronchus")
+            note(number, "arises from the trachea: perhaps a tracheal bronchus")
         elif above in {"BI", "RMB"} and down[2] < -0.2 and down[0] * (-1.0 if read.mirrored else 1.0) > -0.1:
             note(number, "perhaps an accessory cardiac bronchus")
         elif above in {*LOBES, "Lingula", "Upper division", "Right basal trunk", "Left basal trunk"}:

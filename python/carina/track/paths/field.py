@@ -251,7 +251,7 @@ def _check(volume: Volume, field_zyx: NDArray[np.float32], mask_zyx: NDArray[np.
             msg = f"the {what} must be on the volume's grid: expected {volume.shape_zyx}, found {array.shape}"
             raise GeometryError(msg, code="geometry.shape")
     if field_zyx.dtype != np.float32 or (mask_zyx is not None and mask_zyx.dtype != np.uint8):
-        raise UsageError("expected a field of float32 and a mask of uint8")
+        raise UsageError("expected a float32 field and a uint8 mask")
 
 
 def _voxel(volume: Volume, point_lps: Sequence[float] | NDArray[np.float64], what: str) -> tuple[int, int, int]:
@@ -266,7 +266,7 @@ def _voxel(volume: Volume, point_lps: Sequence[float] | NDArray[np.float64], wha
 
 def _no_path(target_lps: Sequence[float] | NDArray[np.float64]) -> NoResultError:
     msg = (
-        f"no path leads to {words(as_point(target_lps))}: the point is in a wall or beyond one. Choose a point "
+        f"no path leads to {words(as_point(target_lps))}: the point is in a wall or beyond one; choose a point "
         "inside the lumen, or paint lumen through the wall"
     )
     return NoResultError(msg, code="track.no-path")

@@ -227,8 +227,8 @@ def _where(tracker: LumenPaths, volume: Volume, point: Point, reach_mm: float) -
     found = tracker.core.nearest(point, SEARCH_MM)
     far = f"more than {SEARCH_MM:g} mm" if found is None else f"{found[1]:.0f} mm"
     do = (
-        f"The nearest segmented airway is {far} away (up to {reach_mm:g} mm can be bridged automatically). Point "
-        "at an airway; if one is missing here, paint its lumen or lower the threshold."
+        f"The nearest segmented airway is {far} away (at most {reach_mm:g} mm is allowed). Point at an airway; if one "
+        "is missing here, paint its lumen or raise the air threshold."
     )
     offsets = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     around = volume.to_lps(volume.to_ijk(np.array(point)) + offsets)

@@ -180,8 +180,8 @@ class PathTracker:
             farther = self.core.nearest(point, 60.0)
             far = "more than 60 mm" if farther is None else f"{farther[1]:.1f} mm"
             msg = (
-                f"the point {words(point)} is {far} from the segmented lumen; expected at most {snap_mm:g} mm. "
-                "Choose a point inside an airway, or extend the lumen there"
+                f"the point {words(point)} is {far} from the segmented lumen; expected at most {snap_mm:g} mm; "
+                "choose a point inside an airway, or extend the lumen there"
             )
             raise NoResultError(msg, code="track.outside-lumen")
         return found
@@ -217,8 +217,8 @@ class PathTracker:
         node, snapped_mm = self.snap(point_lps, snap_mm=snap_mm)
         if not self.core.solve_to(node, cancel=cancel):
             msg = (
-                f"no path: the lumen at {words(as_point(point_lps))} is not connected to the root. "
-                "The airway may be obstructed in between"
+                f"no path: the lumen at {words(as_point(point_lps))} is not connected to the start of "
+                "the tree; the airway may be obstructed in between"
             )
             raise NoResultError(msg, code="track.no-path")
         return self._path(node, snapped_mm)

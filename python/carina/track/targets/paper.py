@@ -82,10 +82,9 @@ def search_box(
         else:
             num = int(np.prod(last - first + 1))
             msg = (
-                f"cost paper: the box around the root and the targets has {num / 1e6:.0f} million voxels, "
-                "expected at most "
-                f"{most / 1e6:.0f} million ({max_bytes >> 20} MiB). Use fewer or closer targets at a time, a "
-                "root closer to them, or the lumen cost"
+                f"cost paper: the box around the root and the targets has {num / 1e6:.0f} million voxels; expected at "
+                f"most {most / 1e6:.0f} million ({max_bytes >> 20} MiB); use fewer or closer targets at a time, a root "
+                "closer to them, or the cost lumen"
             )
             raise UsageError(msg)
     i, j, k = (int(v) for v in first)
@@ -177,13 +176,13 @@ def track_on_graph(
         cancel=cancel,
         progress=stage("building the graph"),
     )
-    share = stage("searching the paths")
+    share = stage("searching for paths")
     results: list[TargetResult] = []
     searches: list[TargetSearch | None] = []
     ways: list[_Way] = []
     for point in points:
         if cancel is not None and cancel():
-            raise CancelledError("stopped while searching the paths")
+            raise CancelledError("stopped while searching for paths")
         requested = np.array(point)
         try:
             if cost == "lumen":

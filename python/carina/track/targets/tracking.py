@@ -100,7 +100,7 @@ def track_paths(
     results: list[TargetResult] = []
     for point in points:
         if cancel is not None and cancel():
-            raise CancelledError("stopped while searching the paths")
+            raise CancelledError("stopped while searching for paths")
         requested = np.array(point)
         try:
             path = airways.tracker.path_to(point, snap_mm=snap_mm, cancel=cancel)

@@ -288,17 +288,17 @@ class AirwayTree:
             raise _refused(f"expected an object, found {type(document).__name__}")
         for key, expected in (("format", FORMAT), ("version", VERSION), ("space", "LPS"), ("unit", "mm")):
             if document.get(key) != expected:
-                raise _refused(f"{key}: expected {expected!r}, found {document.get(key)!r}")
+                raise _refused(f"{key} must be {expected!r}, found {document.get(key)!r}")
         rows = document.get("branches")
         if not isinstance(rows, Sequence) or isinstance(rows, str) or not rows:
-            raise _refused("branches: expected a list of at least one branch")
+            raise _refused("branches must be a list of at least one branch")
         branches = [_read_branch(row, number) for number, row in enumerate(rows)]
         if len({branch.id for branch in branches}) != len(branches):
             raise _refused("two branches have the same id")
         root = document.get("root")
         by_id = {branch.id: branch for branch in branches}
         if not isinstance(root, int) or root not in by_id:
-            raise _refused(f"root: no branch has the id {root!r}")
+            raise _refused(f"no branch has the id of the root, {root!r}")
         # Parents first, children in the order that their parent lists.
         ordered: list[Branch] = []
         waiting = [root]
@@ -356,12 +356,12 @@ def _refused(reason: str) -> TrackingError:
 
 def _read_badges(rows: object) -> tuple[Note, ...]:
     if not isinstance(rows, Sequence) or isinstance(rows, str):
-        raise _refused("badges: expected a list")
+        raise _refused("badges must be a list")
     notes = []
     for number, row in enumerate(rows):
         code, words = (row.get("code"), row.get("words")) if isinstance(row, Mapping) else (None, None)
         if not isinstance(code, str) or not isinstance(words, str):
-            raise _refused(f"badges: entry {number} must have code and words, both text")
+            raise _refused(f"badge {number} in the list must have code and words, both text")
         notes.append(Note(code, words, badge=True))
     return tuple(notes)
 

@@ -59,21 +59,20 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                 return f"the scan ends here, but the airway ({self.width_mm:.1f} mm wide) continues"
             case "leak":
                 return (
-                    f"lost where the lumen is {self.width_mm:.1f} mm wide: its wall is too thin here, and the search "
-                    "would have leaked into the lung"
+                    f"the airway was lost where its lumen is {self.width_mm:.1f} mm wide: its wall is too thin here, "
+                    "and the search would have leaked into the lung"
                 )
             case "blocked":
                 return (
-                    f"the lumen ends at {self.width_mm:.1f} mm: possibly mucus, a collapsed or "
-                    "narrowed airway, or a wall that "
-                    "the CT does not show"
+                    f"the lumen ends where it is {self.width_mm:.1f} mm wide: possibly mucus, a collapsed or narrowed "
+                    "airway, or a wall that the CT does not show"
                 )
             case "faint":
                 return f"its wall is barely visible (confidence {self.confidence:.2f}): it may not be an airway"
             case "fine":
                 return (
-                    f"below {self.width_mm:.1f} mm (the median of {self.num_ends} ends), this CT "
-                    f"({self.voxel_mm:.2f} mm voxels) cannot show airways reliably: more and smaller ones exist"
+                    f"below {self.width_mm:.1f} mm, the median width of the {self.num_ends} thinnest branch ends, this "
+                    f"CT ({self.voxel_mm:.2f} mm voxels) cannot show airways reliably: more and smaller ones exist"
                 )
 
 
