@@ -210,7 +210,7 @@ INPUTS: tuple[Input, ...] = (
           _nrrd(edit=_lines(("", "space origin: (0,0,0)"))), "import.header.twice", do=AGAIN),
     Input("16-bit numbers without their byte order", _R, _nrrd(edit=_lines(("endian", ""))), "import.header", do=AGAIN),
     Input("values in another folder", _R, _nrrd(detached="../ct.raw"), "import.elsewhere",
-          do="put both files into one folder, and save again"),
+          do="save the scan again, with both files in one folder"),
     Input("in micrometres", _R, _nrrd(edit=_lines(("", 'space units: "um" "um" "um"'))), "import.not-supported",
           do="save it again in mm"),
     Input("a byte order mark in front", _R, _nrrd(begin=b"\xef\xbb\xbf"), "import.not-an-image", do=AGAIN),

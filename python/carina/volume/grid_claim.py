@@ -110,7 +110,7 @@ def beside(path: Path, name: str) -> Path:
         raise refuse(path, problem, "save it again as one file", "import.not-supported")
     if not simple or simple != Path(simple).name or "\\" in simple or simple in (".", ".."):
         problem = "its values are in another folder"
-        raise refuse(path, problem, "put both files into one folder, and save again", "import.elsewhere")
+        raise refuse(path, problem, "save the scan again, with both files in one folder", "import.elsewhere")
     found = path.parent / simple
     if not found.is_file():
         problem = f"its values should be in {simple}, which is missing from the same folder"

@@ -135,9 +135,7 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
     """What the format fills in by itself, and what it says twice in two ways."""
     notes = []
     if not any(name in fields for name in _TURNS):
-        words = (
-            "its header does not state where its axes point; they are assumed to point left, posterior and superior"
-        )
+        words = "its header does not state where its axes point; they are assumed to point left, posterior and superior"
         notes.append(Note("import.orientation-doubted", words, badge=True))
     else:
         letters = fields.get("anatomicalorientation", "").upper()

@@ -194,7 +194,10 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
     listed = ", ".join(f"{n} ({names[n]})" if n in names else str(n) for n in present[:12])
     more = f" and {len(present) - 12} more" if len(present) > 12 else ""
     asked = "choose the airway label" if label is None else f"{label} is not among them; choose the airway label"
-    msg = f"reading the segmentation {path.name}: it contains the labels {listed}{more}; {asked} (label, --label)"
+    msg = (
+        f"reading the segmentation {path.name}: it contains the labels {listed}{more}; {asked} "
+        "(--label, or label=N in Python)"
+    )
     raise MaskLabelError(msg, tuple(MaskLabel(n, names.get(n) or None, sizes[n] * voxel_ml) for n in present))
 
 

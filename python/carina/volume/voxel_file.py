@@ -189,7 +189,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
         raise DamagedFileError("it is truncated")
     magic, version, num_bytes, crc32 = _START.unpack(start)
     if magic != _MAGIC or version != _VERSION or num_bytes > _MAX_HEADER_BYTES:
-        raise DamagedFileError("its first bytes were altered, or another version wrote it")
+        raise DamagedFileError("its first bytes were altered, or it was written by another version")
     text = bytearray(num_bytes)
     _fill(file, memoryview(text))
     if zlib.crc32(text) != crc32:
@@ -197,7 +197,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     try:
         header = msgspec.json.decode(text, type=_Header)
     except msgspec.MsgspecError as error:
-        raise DamagedFileError("another version wrote its header") from error
+        raise DamagedFileError("its header was written by another version") from error
     if header.name != name.file_name:
         raise DamagedFileError("its content belongs to a different CT from the one that its name states")
     return header, _begin_of_voxels(num_bytes)

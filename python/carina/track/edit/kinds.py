@@ -71,7 +71,7 @@ def edits_from_json(document: object) -> tuple[TreeEdit, ...]:
         If the document is not such a list; says which edit and what is wrong with it.
     """
     if not isinstance(document, Mapping):
-        raise _refused(f"expected an object, found {type(document).__name__}")
+        raise _refused(f"expected a JSON object, found {type(document).__name__}")
     for key, expected in (("format", FORMAT), ("version", VERSION), ("space", "LPS"), ("unit", "mm")):
         if document.get(key) != expected:
             raise _refused(f"{key} must be {expected!r}, found {document.get(key)!r}")
@@ -83,7 +83,7 @@ def edits_from_json(document: object) -> tuple[TreeEdit, ...]:
 
 def _edit_from_row(row: object, number: int) -> TreeEdit:
     if not isinstance(row, Mapping):
-        raise _refused(f"edit {number}: expected an object, found {type(row).__name__}")
+        raise _refused(f"edit {number}: expected a JSON object, found {type(row).__name__}")
     kind = _KINDS.get(str(row.get("kind")))
     if kind is None:
         raise _refused(f"edit {number}: kind must be one of {', '.join(_KINDS)}, found {row.get('kind')!r}")

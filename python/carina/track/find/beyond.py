@@ -111,12 +111,8 @@ def follow_beyond(
         if is_sharp
         else "it leaked from the airways into the lung"
     )
-    kept = (
-        "only the clearest small airways are included, and others are missing"
-        if followed
-        else "small airways are missing"
-    )
-    words = f"the search for small airways was limited because {what}; {kept}. {SOFT_KERNEL}"
+    kept = "only the clearest are included, and other small airways" if followed else "small airways"
+    words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
 
 

@@ -47,7 +47,7 @@ _VARIANT_STEMS = {
     "LB8+9": "LB8 and LB9 share a stem",
     "LB1+3": "LB1 and LB3 share a stem; LB2 arises separately",
     "LB2+3": "LB2 and LB3 share a stem; LB1 arises separately",
-    "LB3+4+5": "LB3 shares a stem with the lingular bronchi",
+    "LB3+4+5": "LB3 and the lingular bronchus share a stem",
     "RB*": "a subsuperior bronchus (found in one patient in six)",
     "LB*": "a subsuperior bronchus (found in one patient in six)",
 }
@@ -307,7 +307,7 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
         notes = {number: _told_note(note) for number, note in notes.items()}
         notes[0] = (
             "mirrored: the three-lobed lung is on the patient's left. Check whether this is situs inversus or "
-            "the volume has left and right swapped"
+            "left and right are swapped in the volume"
         )
     return names, notes
 
@@ -439,7 +439,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
         if word in {"Right basal trunk", "Left basal trunk"}:
             side = word[0]
             if f"{side}B9" not in found and {f"{side}B8", f"{side}B10"} <= found:
-                note(number, f"no {side}B9 was found: it is absent, or arises from a neighbouring segment")
+                note(number, f"{side}B9 was not found: it may be absent, or arise from a neighbouring segment")
         if word == "BI" and "RML" not in found and "RB4" not in found and "RB5" not in found and "RLL" in found:
             note(number, "the middle lobe bronchus was not found")
     for number, bronchus in enumerate(bronchi):
@@ -453,11 +453,11 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
             continue
         down = read.frame @ bronchus.direction
         if above == "Trachea" and bronchus.children:
-            note(number, "arises from the trachea: perhaps a tracheal bronchus")
+            note(number, "perhaps a tracheal bronchus: it arises from the trachea")
         elif above in {"BI", "RMB"} and down[2] < -0.2 and down[0] * (-1.0 if read.mirrored else 1.0) > -0.1:
             note(number, "perhaps an accessory cardiac bronchus")
         elif above in {*LOBES, "Lingula", "Upper division", "Right basal trunk", "Left basal trunk"}:
-            note(number, f"an accessory bronchus of {above}")
+            note(number, f"an accessory bronchus that arises from {above}")
     return notes
 
 

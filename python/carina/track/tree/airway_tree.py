@@ -285,7 +285,7 @@ class AirwayTree:
             If the document is not such a tree; says which branch and what is wrong with it.
         """
         if not isinstance(document, Mapping):
-            raise _refused(f"expected an object, found {type(document).__name__}")
+            raise _refused(f"expected a JSON object, found {type(document).__name__}")
         for key, expected in (("format", FORMAT), ("version", VERSION), ("space", "LPS"), ("unit", "mm")):
             if document.get(key) != expected:
                 raise _refused(f"{key} must be {expected!r}, found {document.get(key)!r}")
@@ -369,7 +369,7 @@ def _read_badges(rows: object) -> tuple[Note, ...]:
 def _read_branch(row: object, number: int) -> Branch:
     where = f"branch {number} in the list"
     if not isinstance(row, Mapping):
-        raise _refused(f"{where}: expected an object, found {type(row).__name__}")
+        raise _refused(f"{where}: expected a JSON object, found {type(row).__name__}")
 
     def whole(key: str, value: object) -> int:
         if isinstance(value, bool) or not isinstance(value, int):
