@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -150,6 +151,20 @@ def test_a_case_file_that_is_open_in_a_window_is_joined_and_saved_there(window, 
 def _file(path):
     path.write_bytes(b"something")
     return path
+
+
+def test_a_case_that_was_opened_a_moment_ago_is_joined_as_soon_as_it_can_be(window, ct):
+    door = window.folder / DOOR
+    held_back = door.with_suffix(".later")
+    door.rename(held_back)
+    opening = threading.Timer(0.5, held_back.rename, (door,))
+    opening.start()
+    with carina.Case.open(ct) as case:
+        assert not held_back.exists()
+        assert case.note is None
+        case.do(c.SetFov(100.0))
+        assert window.state.document.look.fov_deg == 100.0
+    opening.join()
 
 
 def test_pictures_poses_and_questions_are_of_the_newest_state(window, ct):

@@ -35,6 +35,7 @@ __all__ = ["JoinedCase"]
 
 OWNED_WITHIN_S = 20.0
 """An owner that ends writes what is not written yet, and copies; it may hold the lock so long after its last word."""
+DOOR_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.05
 CLOCKS_S = 0.1
 """By which the time of a step, reckoned from the beginning of its case, and the clock may differ."""
@@ -97,8 +98,7 @@ class JoinedCase:
         settings = load_settings()
         records = CaseRecords(settings.cases_dir, time.time)
         for record in _meant(records, source):
-            door = records.door_of(record)
-            link = None if door is None else OwnerLink.connect(door, record.case_id)
+            link = _linked(records, record)
             if link is None:
                 continue
             try:
@@ -338,6 +338,27 @@ def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
     if is_case_file(place):
         return [one for one in records.all() if place in {one.copy_path, str(records.path_of(one))}]
     return [one for one in records.all() if one.place == place]
+
+
+def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
+    """To whoever has a case open; None where nobody can be joined.
+
+    An owner opens its door once the case is on the disk, which for a moment after it was opened it is not.
+    """
+    end_s = time.monotonic() + DOOR_WITHIN_S
+    while True:
+        door = records.door_of(record)
+        if door is not None:
+            return OwnerLink.connect(door, record.case_id)
+        try:
+            held = records.hold(record)
+        except OSError:  # a folder that cannot be written: nobody has opened it for work
+            return None
+        if held is not None:
+            held.release()
+        if held is not None or time.monotonic() >= end_s:
+            return None
+        time.sleep(LOOK_EVERY_S)
 
 
 def _saved(settled: Settled) -> SavingInfo:

@@ -27,8 +27,9 @@ __all__ = ["LinkLostError", "OwnerLink"]
 
 logger = logging.getLogger(__name__)
 
-ANSWERS_WITHIN_S = 5.0
-"""A process on this machine that does not take a program within this time has no door."""
+ANSWERS_WITHIN_S = 20.0
+"""A process on this machine that does not take a program within this time has no door. Where nobody listens any more
+the system refuses at once; an owner on a busy machine answers late."""
 MAX_ANSWER_BYTES = 64 << 20
 CLOSED_CODES = frozenset({"case.closed", "session.no-case"})
 """What an owner says that has let the case go."""
