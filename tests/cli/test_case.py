@@ -300,7 +300,7 @@ def test_a_recording_of_a_case_is_flown_and_handed_on_as_a_file(carina, recorded
     for verb in (("case", "recording", recorded, "Flight 7"), ("fly", recorded, "--recording", "Flight 7")):
         missing = carina(*verb, "-o", tmp_path / ("x.mp4" if verb[0] == "fly" else "x.jsonl"))
         assert missing.code == 2
-        assert "no recording 'Flight 7'; it has Flight 1 (1)" in missing.err
+        assert "no recording 'Flight 7'; its recordings: Flight 1 (1)" in missing.err
 
 
 def test_what_a_window_has_open_is_read_as_it_was_saved_last(carina, case, live_case):

@@ -532,7 +532,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "Escape",
     label: "Esc",
-    words: "Cancel the current tool; if there is none, exit full view or remove the wall marks",
+    words: "Cancel the current tool, or exit full view, or remove the wall marks",
     group: "Help",
     command: press("leave"),
   },

@@ -70,8 +70,9 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
             case "faint":
                 return f"its wall is barely visible (confidence {self.confidence:.2f}): it may not be an airway"
             case "fine":
+                ends = "end" if self.num_ends == 1 else "ends"
                 return (
-                    f"below {self.width_mm:.1f} mm, the median width of the {self.num_ends} thinnest branch ends, this "
+                    f"below {self.width_mm:.1f} mm, the median width at the {self.num_ends} thinnest branch {ends}, this "
                     f"CT ({self.voxel_mm:.2f} mm voxels) cannot show airways reliably: more and smaller ones exist"
                 )
 

@@ -27,7 +27,7 @@ export function TargetStep() {
       <PenWords />
       <Coordinates />
       {targets === null || targets.length === 0 ? (
-        <p className="empty">Targets appear here, each with its path or the reason why there is none.</p>
+        <p className="empty">Targets appear here, each with its path, or why no path leads there.</p>
       ) : (
         <ul className="targets">
           {targets.map((target) => (

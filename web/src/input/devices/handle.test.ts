@@ -301,7 +301,7 @@ describe("the place for a device", () => {
     device.opened = false;
     hid.offers = [device];
     await port.ask();
-    expect(failed[0]).toContain("Test handle cannot be used: it does not report insertion");
+    expect(failed[0]).toContain("Test handle cannot be used: it does not send insertion");
     expect(failed[1]).toBe("The device could not be opened: it is open in another program.");
     expect(port.name).toBeNull();
   });
