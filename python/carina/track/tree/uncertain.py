@@ -72,8 +72,8 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
             case "fine":
                 ends = "end" if self.num_ends == 1 else "ends"
                 return (
-                    f"below {self.width_mm:.1f} mm, the median width at the {self.num_ends} thinnest branch {ends}, this "
-                    f"CT ({self.voxel_mm:.2f} mm voxels) cannot show airways reliably: more and smaller ones exist"
+                    f"below {self.width_mm:.1f} mm, the median width at the {self.num_ends} thinnest branch {ends}, "
+                    f"this CT ({self.voxel_mm:.2f} mm voxels) cannot show airways reliably: more and smaller ones exist"
                 )
 
 
