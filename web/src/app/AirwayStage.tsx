@@ -163,7 +163,7 @@ function AirwayTools() {
   const { outline, operator } = useApp((state) => state.look);
   const { shading, texture } = useApp((state) => state.sight);
   const hasRoute = useApp((state) => state.route !== null);
-  const ui = useApp((state) => state.ui);
+  const routeLineVisible = useApp((state) => state.ui.routeLineVisible);
   const watches = useApp((state) => state.watches);
   if (session === null) return null;
   const facing = operator === "facing";
@@ -246,7 +246,7 @@ function AirwayTools() {
         icon="routeLine"
         words="Route line"
         keys={keyOf("toggle_route_line")}
-        on={ui.routeLineVisible}
+        on={routeLineVisible}
         onChange={() => station.act("toggle_route_line")}
       />
       <SwitchKey

@@ -19,8 +19,6 @@ const LETTER_PX = 6.6;
 export function PathBar() {
   const station = useStation();
   const route = useApp((state) => state.route);
-  const at = useApp(pathMm);
-  const autoSpeed = useApp((state) => state.ui.autoSpeedMmS);
   const stage = useApp((state) => state.session?.airways ?? "none");
   const watches = useApp((state) => state.watches);
   if (route === null) {
@@ -34,7 +32,7 @@ export function PathBar() {
       </section>
     );
   }
-  const here = at ?? 0;
+  // What follows the tip is a part of its own: the rest is not made again with every pose.
   return (
     <section className="path-bar" aria-label="Route" inert={watches}>
       <Act
@@ -44,49 +42,84 @@ export function PathBar() {
         keys={keyOf("previous_fork")}
         onPress={() => station.toFork("previous")}
       />
-      <Act
-        kind="icon"
-        icon="back"
-        words="Withdraw 2 mm"
-        keys={keyOfHold("advance", -1)}
-        disabled={at === null || here <= 0}
-        onPress={() => station.stepAlong(-1)}
-      />
-      <Ruler route={route} at={at} />
-      <Act
-        kind="icon"
-        icon="forward"
-        words="Advance 2 mm"
-        keys={keyOfHold("advance", 1)}
-        disabled={at === null || here >= route.length_mm}
-        onPress={() => station.stepAlong(1)}
-      />
+      <Withdraw />
+      <Ruler route={route} />
+      <Advance lengthMm={route.length_mm} />
       <Act
         kind="icon"
         icon="nextFork"
         words="Go to the next fork (Space flies there)"
         onPress={() => station.toFork("next")}
       />
-      <Figure
-        label="Auto-flight speed"
-        quiet
-        words="Auto-flight speed (Space). Hold Shift to move slowly."
-        unit="mm/s"
-        value={autoSpeed}
-        choices={AUTO_SPEEDS_MM_S}
-        testId="auto-speed"
-        onChange={(speed) => (speed === null ? undefined : station.ui({ autoSpeedMmS: speed }))}
-      />
-      <p className="path-numbers numbers">
-        {at === null ? "off the path" : <strong>{mm(at)}</strong>}
-        <span className="quiet">of {mm(route.length_mm, 0)}</span>
-      </p>
+      <AutoSpeed />
+      <PathNumbers lengthMm={route.length_mm} />
     </section>
   );
 }
 
-function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
+function Withdraw() {
   const station = useStation();
+  const disabled = useApp((state) => (pathMm(state) ?? 0) <= 0);
+  return (
+    <Act
+      kind="icon"
+      icon="back"
+      words="Withdraw 2 mm"
+      keys={keyOfHold("advance", -1)}
+      disabled={disabled}
+      onPress={() => station.stepAlong(-1)}
+    />
+  );
+}
+
+function Advance({ lengthMm }: { lengthMm: number }) {
+  const station = useStation();
+  const disabled = useApp((state) => (pathMm(state) ?? lengthMm) >= lengthMm);
+  return (
+    <Act
+      kind="icon"
+      icon="forward"
+      words="Advance 2 mm"
+      keys={keyOfHold("advance", 1)}
+      disabled={disabled}
+      onPress={() => station.stepAlong(1)}
+    />
+  );
+}
+
+function AutoSpeed() {
+  const station = useStation();
+  const speed = useApp((state) => state.ui.autoSpeedMmS);
+  return (
+    <Figure
+      label="Auto-flight speed"
+      quiet
+      words="Auto-flight speed (Space). Hold Shift to move slowly."
+      unit="mm/s"
+      value={speed}
+      choices={AUTO_SPEEDS_MM_S}
+      testId="auto-speed"
+      onChange={(chosen) => (chosen === null ? undefined : station.ui({ autoSpeedMmS: chosen }))}
+    />
+  );
+}
+
+function PathNumbers({ lengthMm }: { lengthMm: number }) {
+  const at = useApp(pathMm);
+  return (
+    <p className="path-numbers numbers">
+      {at === null ? "off the path" : <strong>{mm(at)}</strong>}
+      <span className="quiet">of {mm(lengthMm, 0)}</span>
+    </p>
+  );
+}
+
+const percentOf =
+  (lengthMm: number) =>
+  (value: number): string =>
+    `${(100 * Math.min(Math.max(value / lengthMm, 0), 1)).toFixed(3)}%`;
+
+function Ruler({ route }: { route: RouteInfo }) {
   const box = useRef<HTMLDivElement>(null);
   const [width, setWidth] = useState(0);
   useLayoutEffect(() => {
@@ -97,57 +130,11 @@ function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
     return () => observer.disconnect();
   }, []);
   const length = Math.max(route.length_mm, 0.1);
-  const percent = (value: number) => `${(100 * Math.min(Math.max(value / length, 0), 1)).toFixed(3)}%`;
+  const percent = percentOf(length);
   return (
     <div className="ruler" ref={box}>
-      <div className="ruler-spans" aria-hidden="true">
-        {route.spans.map((span) => {
-          const pixels = ((span.to_mm - span.from_mm) / length) * width;
-          const kind = kindWords(span.kind);
-          const name = kind ?? span.name ?? "";
-          const generation = String(span.generation);
-          const full = name === "" ? `generation ${generation}` : `${name} \u00b7 ${generation}`;
-          const words = [full, name, generation].find((text) => text !== "" && text.length * LETTER_PX + 8 <= pixels);
-          return (
-            <span
-              key={span.branch_id}
-              className={`span${kind === null ? "" : " drawn"}${at !== null && at >= span.from_mm && at < span.to_mm ? " here" : ""}`}
-              style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
-            >
-              {words ?? ""}
-            </span>
-          );
-        })}
-      </div>
-      <Slider
-        className={at === null ? "path-slider off" : "path-slider"}
-        aria-label="Position on the route in mm"
-        minValue={0}
-        maxValue={length}
-        step={0.1}
-        value={at ?? 0}
-        onChange={(value) => station.goTo(value)}
-      >
-        <SliderTrack className="path-track">
-          <div className="path-line" />
-          <div className="path-done" style={{ width: percent(at ?? 0) }} />
-          {route.spans
-            .filter((span) => span.kind !== "tracked")
-            .map((span) => (
-              <span
-                key={span.branch_id}
-                className="path-drawn"
-                style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
-              />
-            ))}
-          {route.forks_mm.map((fork) => (
-            <span key={fork} className="fork" style={{ left: percent(fork) }} />
-          ))}
-          {at === null ? <Shadow route={route} percent={percent} /> : null}
-          <span className="flag" />
-          <SliderThumb className="path-thumb" />
-        </SliderTrack>
-      </Slider>
+      <RulerSpans route={route} width={width} />
+      <RulerSlider route={route} />
       <div className="ruler-scale numbers" aria-hidden="true">
         {marks(length, width).map((mark) => (
           <span key={mark} style={{ left: percent(mark) }}>
@@ -156,6 +143,74 @@ function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
         ))}
       </div>
     </div>
+  );
+}
+
+function RulerSpans({ route, width }: { route: RouteInfo; width: number }) {
+  const here = useApp((state) => {
+    const at = pathMm(state);
+    return at === null ? -1 : route.spans.findIndex((span) => at >= span.from_mm && at < span.to_mm);
+  });
+  const length = Math.max(route.length_mm, 0.1);
+  const percent = percentOf(length);
+  return (
+    <div className="ruler-spans" aria-hidden="true">
+      {route.spans.map((span, n) => {
+        const pixels = ((span.to_mm - span.from_mm) / length) * width;
+        const kind = kindWords(span.kind);
+        const name = kind ?? span.name ?? "";
+        const generation = String(span.generation);
+        const full = name === "" ? `generation ${generation}` : `${name} \u00b7 ${generation}`;
+        const words = [full, name, generation].find((text) => text !== "" && text.length * LETTER_PX + 8 <= pixels);
+        return (
+          <span
+            key={span.branch_id}
+            className={`span${kind === null ? "" : " drawn"}${n === here ? " here" : ""}`}
+            style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
+          >
+            {words ?? ""}
+          </span>
+        );
+      })}
+    </div>
+  );
+}
+
+function RulerSlider({ route }: { route: RouteInfo }) {
+  const station = useStation();
+  const at = useApp(pathMm);
+  const length = Math.max(route.length_mm, 0.1);
+  const percent = percentOf(length);
+  return (
+    <Slider
+      className={at === null ? "path-slider off" : "path-slider"}
+      aria-label="Position on the route in mm"
+      minValue={0}
+      maxValue={length}
+      step={0.1}
+      value={at ?? 0}
+      onChange={(value) => station.goTo(value)}
+    >
+      <SliderTrack className="path-track">
+        <div className="path-line" />
+        <div className="path-done" style={{ width: percent(at ?? 0) }} />
+        {route.spans
+          .filter((span) => span.kind !== "tracked")
+          .map((span) => (
+            <span
+              key={span.branch_id}
+              className="path-drawn"
+              style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
+            />
+          ))}
+        {route.forks_mm.map((fork) => (
+          <span key={fork} className="fork" style={{ left: percent(fork) }} />
+        ))}
+        {at === null ? <Shadow route={route} percent={percent} /> : null}
+        <span className="flag" />
+        <SliderThumb className="path-thumb" />
+      </SliderTrack>
+    </Slider>
   );
 }
 

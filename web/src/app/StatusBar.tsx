@@ -1,6 +1,6 @@
 /** How it runs, said honestly, and the sentence that is always there. */
 
-import { useEffect, useState } from "react";
+import { memo, useEffect, useState } from "react";
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { greyWindow } from "../state/app-state";
@@ -91,7 +91,7 @@ function CursorWords() {
 const RATES_HZ = [15, 30, 60] as const;
 
 /** The rate that is asked for, beside the one that is reached. */
-function AskedRate() {
+const AskedRate = memo(function AskedRate() {
   const station = useStation();
   const rate = useApp((state) => state.session?.frame_rate_hz ?? 60);
   const choices = RATES_HZ.some((known) => known === rate) ? RATES_HZ : [...RATES_HZ, rate];
@@ -120,7 +120,7 @@ function AskedRate() {
       </Popover>
     </Select>
   );
-}
+});
 
 /** How the airway picture that is on the screen was made, and not how the next one will be. */
 function MethodWords() {

@@ -15,5 +15,5 @@ export function useStation(): Workstation {
 /** A part of the state; `select` must return the same object while its part has not changed. */
 export function useApp<T>(select: (state: AppState) => T): T {
   const { store } = useStation();
-  return useSyncExternalStore(store.subscribe, () => select(store.get()));
+  return useSyncExternalStore(store.subscribePanel, () => select(store.get()));
 }

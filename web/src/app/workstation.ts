@@ -10,7 +10,7 @@ import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
-import { type AppState, crosshairLps, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
+import { type AppState, crosshairLps, INITIAL_STATE, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
 import { routeDoubts } from "../state/branch-words";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
@@ -50,8 +50,22 @@ const STEP_MM = 2;
 const PACE_MS = 500;
 const SPEED_MS = 250;
 
+/** Where a window is hidden the screen is not refreshed; what is told must not wait for that. */
+const HIDDEN_MS = 250;
+
+function atNextRefresh(task: () => void): void {
+  const late = setTimeout(() => {
+    cancelAnimationFrame(refresh);
+    task();
+  }, HIDDEN_MS);
+  const refresh = requestAnimationFrame(() => {
+    clearTimeout(late);
+    task();
+  });
+}
+
 export class Workstation implements Station {
-  readonly store = new Store();
+  readonly store = new Store(INITIAL_STATE, atNextRefresh);
   readonly wall: Wall;
   readonly flight: Flight;
   readonly player: KeyPlayer;
@@ -87,7 +101,7 @@ export class Workstation implements Station {
       },
       acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
       failed: (header) =>
-        this.#sayError("picture", `An image (${header.view}) could not be read.`, "The next image replaces it."),
+        this.#sayError("picture", `The ${header.view} image could not be read.`, "The next image replaces it."),
     });
     this.wall = new Wall({
       scene: () => sceneOf(this.store.get()),

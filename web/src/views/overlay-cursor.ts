@@ -111,8 +111,11 @@ const MAX_CHARS = 36;
 
 /** What is said at the cursor, in the picture that it is over. */
 export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): void {
-  const { cursor, note } = scene;
-  if (cursor === null || note === null || cursor.view !== viewport.view) return;
+  const { cursor } = scene;
+  if (cursor === null || cursor.view !== viewport.view) return;
+  // Read only here: in the other pictures nothing changes with it.
+  const { note } = scene;
+  if (note === null) return;
   const lines = note.lines.flatMap((words) => wrapped(words, MAX_CHARS));
   if (lines.length === 0) return;
   ink.save();

@@ -212,7 +212,53 @@ function shownRuns(route: RouteInfo | null): readonly (readonly Vec3[])[] {
   return runs.map(({ fromMm, toMm }) => pointsBetween(route, fromMm, toMm));
 }
 
+let last: Scene | null = null;
+
+/** Parts that are made anew each time but say the same stay the same objects: whoever drew from them need not again. */
 export function sceneOf(state: AppState): Scene {
+  const made = madeOf(state);
+  const before = last;
+  if (before !== null) {
+    for (const key of MADE) if (isSame(before[key], made[key])) Object.assign(made, { [key]: before[key] });
+  }
+  last = made;
+  return made;
+}
+
+const MADE = [
+  "tip",
+  "crosshair",
+  "targets",
+  "root",
+  "hovered",
+  "doomed",
+  "heldFork",
+  "preview",
+  "live",
+  "note",
+  "brush",
+  "pen",
+  "uncertain",
+  "wallPoints",
+  "grid",
+  "carm",
+  "slab",
+] as const satisfies readonly (keyof Scene)[];
+
+/** Lists and plain objects by what is in them, to the depth that a scene's small parts have; others by identity. */
+function isSame(a: unknown, b: unknown, depth = 3): boolean {
+  if (Object.is(a, b)) return true;
+  if (depth === 0 || typeof a !== "object" || typeof b !== "object" || a === null || b === null) return false;
+  if (Array.isArray(a) !== Array.isArray(b)) return false;
+  const keys = Object.keys(a);
+  if (keys.length !== Object.keys(b).length || keys.length > MOST_PARTS) return false;
+  return keys.every((key) => isSame(Reflect.get(a, key), Reflect.get(b, key), depth - 1));
+}
+
+/** What has more is long to compare, and does not come anew with every move. */
+const MOST_PARTS = 64;
+
+function madeOf(state: AppState): Scene {
   if (state.route !== cachedFor) {
     cachedFor = state.route;
     cachedRuns = shownRuns(state.route);

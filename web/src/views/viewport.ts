@@ -19,6 +19,8 @@ export class Viewport {
   header: PictureHeader | null = null;
   /** Of the lumen, in pixels of the picture shown. */
   outline: Path2D | null = null;
+  /** Changes with all of it but what is drawn over the picture. */
+  version = 0;
   #view: ViewName;
   #shape: Shape;
   #hostSize = { width: 0, height: 0 };
@@ -33,6 +35,10 @@ export class Viewport {
     this.overlay = document.createElement("canvas");
     this.overlay.className = "overlay";
     this.overlay.setAttribute("aria-hidden", "true");
+    // What a browser lost while it slept is drawn again.
+    this.overlay.addEventListener("contextrestored", () => {
+      this.version += 1;
+    });
     host.append(this.picture, this.overlay);
     this.#describe();
   }
@@ -50,11 +56,13 @@ export class Viewport {
     const changed = view !== this.#view;
     this.#view = view;
     this.#shape = shape;
+    this.version += 1;
     if (changed) this.clear();
     this.#place();
   }
 
   clear(): void {
+    this.version += 1;
     this.header = null;
     this.outline = null;
     this.picture.getContext("2d")?.clearRect(0, 0, this.picture.width, this.picture.height);
@@ -64,6 +72,7 @@ export class Viewport {
   resize(width: number, height: number, ratio: number): void {
     this.#hostSize = { width, height };
     this.#ratio = ratio;
+    this.version += 1;
     this.overlay.width = Math.max(Math.round(width * ratio), 1);
     this.overlay.height = Math.max(Math.round(height * ratio), 1);
     this.#place();
@@ -98,6 +107,7 @@ export class Viewport {
     const ink = this.picture.getContext("2d");
     if (ink === null) return;
     this.header = header;
+    this.version += 1;
     this.outline = outline === null ? null : outlinePath(outline);
     const { width, height } = this.picture;
     const fit = fitInside(header, width, height);

@@ -7,6 +7,7 @@ import { paintAirway } from "./overlay-airway";
 import { paintFlat } from "./overlay-flat";
 import { paintLines } from "./overlay-lines";
 import { paintSeen } from "./overlay-seen";
+import { Painting } from "./painting";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
@@ -22,6 +23,7 @@ export interface WallHooks {
 export class Wall {
   readonly #viewports = new Set<Viewport>();
   readonly #hooks: WallHooks;
+  readonly #painted = new WeakMap<Viewport, Painting>();
   #repaintDue = false;
   #layoutDue = false;
   #told = "";
@@ -50,7 +52,7 @@ export class Wall {
     if (viewport === null) return false;
     viewport.draw(header, image, outline);
     // At once: the outline of one picture is never seen over another.
-    if (outline !== null) paint(viewport, this.#hooks.scene());
+    if (outline !== null) this.#paint(viewport, this.#hooks.scene());
     this.touch();
     return true;
   }
@@ -72,8 +74,17 @@ export class Wall {
     this.#hooks.nextRefresh(() => {
       this.#repaintDue = false;
       const scene = this.#hooks.scene();
-      for (const viewport of this.#viewports) paint(viewport, scene);
+      for (const viewport of this.#viewports) this.#paint(viewport, scene);
     });
+  }
+
+  /** Only what has changed: most of what happens, such as the cursor's moves, concerns one picture. */
+  #paint(viewport: Viewport, scene: Scene): void {
+    const seen = sceneIn(viewport, scene);
+    if (this.#painted.get(viewport)?.holds(viewport, seen) === true) return;
+    const painting = new Painting(viewport);
+    paint(viewport, painting.watched(seen));
+    this.#painted.set(viewport, painting);
   }
 
   touchLayout(): void {
@@ -105,6 +116,11 @@ function paint(viewport: Viewport, scene: Scene): void {
   if (ink === null) return;
   // What the picture shows decides, not the place that it is in: the view finder is a cut-plane in the airway's place.
   PAINTERS[VIEWS[viewport.header?.view ?? viewport.view].overlay](ink, viewport, scene);
+}
+
+/** The cursor is in one picture, and concerns no other. */
+function sceneIn(viewport: Viewport, scene: Scene): Scene {
+  return scene.cursor === null || scene.cursor.view === viewport.view ? scene : { ...scene, cursor: null };
 }
 
 const PAINTERS = { airway: paintAirway, seen: paintSeen, lines: paintLines, flat: paintFlat } as const;

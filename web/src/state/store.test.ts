@@ -1,0 +1,56 @@
+import { describe, expect, test } from "vitest";
+import { INITIAL_STATE } from "./app-state";
+import { Store } from "./store";
+
+const speed = (speedMmS: number) => ({ kind: "speed", speedMmS }) as const;
+const advancing = (on: boolean) => ({ kind: "ui", change: { advancing: on } }) as const;
+
+function heard() {
+  const due: (() => void)[] = [];
+  const store = new Store(INITIAL_STATE, (task) => due.push(task));
+  const told = { all: 0, panels: 0 };
+  store.subscribe(() => {
+    told.all += 1;
+  });
+  const leave = store.subscribePanel(() => {
+    told.panels += 1;
+  });
+  const refresh = () => {
+    for (const task of due.splice(0)) task();
+  };
+  return { store, told, refresh, leave };
+}
+
+describe("who listens to the state", () => {
+  test("a panel hears once a refresh of all that streamed in, others of each at once", () => {
+    const { store, told, refresh } = heard();
+    for (const one of [1, 2, 3]) store.dispatch(speed(one));
+    expect(store.get().speedMmS).toBe(3);
+    expect(told).toEqual({ all: 3, panels: 0 });
+    refresh();
+    expect(told).toEqual({ all: 3, panels: 1 });
+    refresh();
+    expect(told.panels).toBe(1);
+    store.dispatch(speed(4));
+    refresh();
+    expect(told.panels).toBe(2);
+  });
+
+  test("of what a person does a panel hears at once, and with it of what streamed in before", () => {
+    const { store, told, refresh } = heard();
+    store.dispatch(speed(1));
+    store.dispatch(advancing(true));
+    expect(told.panels).toBe(1);
+    refresh();
+    expect(told.panels).toBe(1);
+  });
+
+  test("what changes nothing is not told of, and who has left hears nothing", () => {
+    const { store, told, refresh, leave } = heard();
+    store.dispatch(speed(1));
+    refresh();
+    leave();
+    store.dispatch(advancing(true));
+    expect(told.panels).toBe(1);
+  });
+});
