@@ -167,7 +167,7 @@ def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand
     workstation.page.mouse.click(x, y)
     workstation.wait_for("() => window.__carina.state.doubt !== null")
     question = workstation.page.locator("[data-testid=doubt]")
-    expect(question).to_contain_text("The CT shows no wall along")
+    expect(question).to_contain_text("The CT shows no airway wall along")
     asked = workstation.state("doubt")
     assert asked["line"] == shown["lines"][0], "the question is about the way that was shown"
     assert workstation.state("messages.length") == 0, "a question is no error"

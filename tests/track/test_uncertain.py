@@ -47,7 +47,7 @@ def test_each_end_that_is_too_wide_to_be_one_has_its_reason_the_widest_first():
     assert found[1].lps == (20.0, 40.0, 30.0)
     assert "6.0 mm" in found[1].reason
     assert "1.8 mm" in found[3].reason
-    assert "at the 1 thinnest branch end," in found[3].reason
+    assert "at the thinnest branch end:" in found[3].reason
 
 
 def test_a_branch_that_hardly_stands_out_is_listed_as_faint():

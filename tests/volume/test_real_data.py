@@ -31,7 +31,7 @@ def test_the_patient_reads_as_the_library_reads_it(patient_dicom):
     np.testing.assert_allclose(volume.spacing_mm, image.GetSpacing(), rtol=0, atol=1e-6)
     assert volume.is_hu
     words = [finding.words for finding in quality_gate(volume).findings]
-    assert "slices are 3.0 mm apart: beyond about generation 5, airways may be missed or measured wrongly" in words
+    assert "slices are 3.0 mm apart: beyond about generation 5, airways may be missed or measured inaccurately" in words
 
 
 def test_the_bundled_patient_is_a_lossless_crop_at_the_same_place(patient_dicom):

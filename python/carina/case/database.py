@@ -125,7 +125,7 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
         sqlite3.SQLITE_FULL: ("disk.full", f"{doing}: the disk is full; free some space or choose another folder"),
         sqlite3.SQLITE_IOERR: (
             "disk.failed",
-            f"{doing}: the disk reports an error; check the disk, or choose another folder",
+            f"{doing}: the disk reported an error; check the disk, or choose another folder",
         ),
         sqlite3.SQLITE_READONLY: ("disk.denied", f"{doing}: this file or folder is read-only; choose another folder"),
         sqlite3.SQLITE_CANTOPEN: (

@@ -364,8 +364,8 @@ class CaseReader:
             if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= num_voxels:
                 raise damaged(
                     where,
-                    f"nodes in the lumen for each of {len(branches)} branches",
-                    f"{len(all_nodes)} nodes that do not match them",
+                    f"at least one node in the lumen for each of {len(branches)} branches",
+                    f"{len(all_nodes)} nodes, some of which belong to no branch or lie outside the lumen",
                 )
             made.set_branches(branches, np.split(all_nodes, ends[:-1]))
         self._trackers[row] = made

@@ -169,7 +169,7 @@ def report(
     if surface is not None:
         check_output_file(surface, ".npz", what="--surface")
         if view != LEAD_VIEW:
-            raise UsageError(f"--surface only applies to the airway view; found the view {view!r}")
+            raise UsageError(f"--surface only applies to the airway view; the view is {view!r}")
     check_case_options(path, ct, tree=tree)
     chosen = _transfer(transfer)
     options: dict[str, Any] = {
@@ -195,9 +195,9 @@ def report(
         to = check_destination(to, view)
         options["path"] = _ANY_PATH
     elif to is not None or tree is not None:
-        raise UsageError(f"--to and --tree only apply to the {_along_paths()} views; found the view {view!r}")
+        raise UsageError(f"--to and --tree only apply to the {_along_paths()} views; the view is {view!r}")
     if slab is not None and row.slab is None:
-        raise UsageError(f"--slab only applies to slices and views along a path; found the view {view!r}")
+        raise UsageError(f"--slab only applies to slices and views along a path; the view is {view!r}")
     direction = (0.0, 0.0, -1.0) if look is None else look
     # What is wrong with the arguments is said now, and not after minutes of reading and tracking.
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)

@@ -115,7 +115,7 @@ class RendererHost:
             known = {**self._arrays, **dict(zip(tokens, arrays, strict=True))}
             wanted = [*kept, *tokens]
             if any(token not in known for token in wanted):
-                raise ClusterError("the renderer was restarted and has no volume", code="cluster.lost")
+                raise ClusterError("the renderer was restarted and no longer has the volume", code="cluster.lost")
             self._arrays = {token: known[token] for token in wanted}
             volume, scene = open_parcel(skeleton, self._arrays)
             if self._renderer is None or self._renderer.volume.hu_zyx is not volume.hu_zyx:

@@ -53,7 +53,7 @@ class Slab(FrozenValue, frozen=True):
     def __post_init__(self) -> None:
         if not 0.0 <= self.thickness_mm <= 100.0:
             raise RenderError(
-                f"slab thickness must be between 0 and 100 mm; found {self.thickness_mm}", code="render.setting"
+                f"slab thickness must be from 0 to 100 mm; found {self.thickness_mm}", code="render.setting"
             )
         if self.kind not in {"max", "min", "mean"}:
             raise RenderError(f"a slab must show max, min or mean; found {self.kind!r}", code="render.setting")

@@ -88,7 +88,9 @@ def fit_generic_optics(fov_deg: float = FOV_DEG) -> FittedOptics:
     ]
     residuals.append(Residual("magnification at 15 mm, centre relative to edge", CENTRE_TO_EDGE, 1.0 / fitted_edge))
     residuals.append(
-        Residual("magnification at 3 mm, edge relative to ideal (1 - distortion)", 1.0 + DISTORTION, fitted_edge)
+        Residual(
+            "edge magnification at 3 mm, as a fraction of the distortion-free value", 1.0 + DISTORTION, fitted_edge
+        )
     )
     return FittedOptics(k1, face_mm, tuple(residuals))
 

@@ -100,7 +100,7 @@ def _quaternion(found: dict[str, Any]) -> tuple[float, float, float, float] | No
     values = [found.get(axis) for axis in "wxyz"]
     # An integer may be too large for a float, and a float for its square.
     if not all(isinstance(v, int | float) and abs(v) <= _MOST_QUATERNION for v in values):
-        raise ValueError("expected w, x, y, z")
+        raise ValueError("expected a quaternion w, x, y, z")
     length = math.sqrt(sum(float(v) ** 2 for v in values if v is not None))
     if length < 0.5:
         # A grip that is not awake yet sends zeros.

@@ -89,13 +89,13 @@ def _follow_j2k(stored: bytes, at: int) -> str | None:
         if marker == _END:
             return None
         if len(marker) < 2:
-            return "it ends before its end marker"
+            return "it ends without its end marker"
         if marker == b"\xff\x90":  # start of a tile part; its length counts from here
             if at + 12 > len(stored):
                 return "it ends within a tile"
             (length,) = struct.unpack_from(">I", stored, at + 6)
             if length == 0:  # the last part may leave its length open
-                return None if stored.rstrip(b"\0").endswith(_END) else "it ends before its end marker"
+                return None if stored.rstrip(b"\0").endswith(_END) else "it ends without its end marker"
             if length < 14 or at + length > len(stored):
                 return "a tile is truncated"
             at += length
@@ -140,7 +140,7 @@ def _follow_jpeg(stored: bytes, at: int, in_data: re.Pattern[bytes]) -> str | No
         at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")  # past the head of the scan or the table
         found = in_data.search(stored, at)
         if found is None:
-            return "it ends before its end marker"
+            return "it ends without its end marker"
         at, marker = found.end() - 2, found[1][0]
         if marker == 0xD9:
             return None

@@ -113,6 +113,6 @@ def beside(path: Path, name: str) -> Path:
         raise refuse(path, problem, "save the scan again, with both files in one folder", "import.elsewhere")
     found = path.parent / simple
     if not found.is_file():
-        problem = f"its values should be in {simple}, which is missing from the same folder"
+        problem = f"its values should be in {simple}, which is not in the same folder"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
     return found

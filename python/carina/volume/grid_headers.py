@@ -85,7 +85,7 @@ def _read(path: Path, format: str) -> GridHeader:  # noqa: A002 - the word of th
 def _check(path: Path, header: GridHeader) -> None:
     if len(header.shape_ijk) != 3 or header.num_components != 1:
         values = f" with {header.num_components} values in each voxel" if header.num_components != 1 else ""
-        problem = f"expected one volume of three axes, found {header.sizes}{values}"
+        problem = f"expected one volume with three axes, found {header.sizes}{values}"
         raise refuse(path, problem, "save each volume as a separate file", "import.not-3d")
     if min(header.shape_ijk) < 1:
         problem = f"its header claims {header.shape_ijk} voxels; every axis needs at least one"

@@ -109,7 +109,7 @@ def _data_file(path: Path, *, single: bool) -> tuple[Path, bool]:
     siblings = data_files(path)
     found = next((candidate for candidate in siblings if candidate.is_file()), None)
     if found is None:
-        problem = f"its values should be in {siblings[0].name}, which is missing from the same folder"
+        problem = f"its values should be in {siblings[0].name}, which is not in the same folder"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
     return found, found.suffix.lower() == ".gz"
 

@@ -71,7 +71,7 @@ def read_nrrd_header(path: Path) -> GridHeader:
     axis_kinds = fields.get("kinds", "").lower().split()
     if dimension == 3 and "none" in fields.get("space directions", "").lower():
         listed = ", ".join(axis_kinds) or "kinds not given"
-        problem = f"expected one volume of three axes, found two axes and a list ({listed})"
+        problem = f"expected one volume with three axes, found two axes and a list ({listed})"
         raise refuse(path, problem, "save each volume as a separate file", "import.not-3d")
     return GridHeader(
         format="nrrd",

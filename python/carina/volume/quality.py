@@ -119,7 +119,7 @@ def _spacing_findings(spacing_mm: tuple[float, float, float]) -> list[Finding]:
         what = "slices are" if spacing_mm[2] == widest else "voxels are"
         words = (
             f"{what} {widest:.1f} mm apart: beyond about generation {generation}, airways may be missed or measured "
-            "wrongly"
+            "inaccurately"
         )
         findings.append(Finding("spacing", words))
     if widest > 3 * narrowest:

@@ -157,7 +157,7 @@ function BranchSearch({ value, onChange }: { value: string; onChange: (text: str
     >
       <Icon name="search" />
       <Tip words="Search: name, lobe, g3 = generation 3, ? = uncertain" keys={keyOf("find_branch")}>
-        <Input placeholder="Search: RB1, g3, ?" spellCheck="false" autoComplete="off" />
+        <Input placeholder="Search, e.g. RB1 or g3" spellCheck="false" autoComplete="off" />
       </Tip>
       {value === "" ? null : (
         <Button className="clear" aria-label="Clear the search">

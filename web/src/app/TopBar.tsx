@@ -46,7 +46,7 @@ export function TopBar() {
       <p className="case-title">{title}</p>
       <SavedWords />
       {page === null ? null : (
-        <Tip words="Your patient's images are on the network. Open Devices to see who is watching, or to end it.">
+        <Tip words="Your patient's images are on the network. Open Devices to see who is watching, or to stop sharing.">
           <Button
             className="badge warning"
             data-testid="on-network"

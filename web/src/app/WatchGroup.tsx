@@ -41,7 +41,7 @@ function Open({ page }: { page: WatchPage }) {
   const station = useStation();
   return (
     <>
-      <p className="warning-text">Your patient's images are on the network.</p>
+      <p className="warning-text">Your patient's images are on the network: anyone with this link can see them.</p>
       <p>Send this link to everyone who should watch:</p>
       <p className="quiet path" data-testid="watch-url">
         {page.url}

@@ -30,7 +30,7 @@ describe("the cluster in words", () => {
     expect(clusterWords(cluster([member("ready"), member("ready")]))).toBe("cluster: 2 machines");
     expect(clusterWords(cluster([member("ready"), member("late")]))).toBe("cluster: 1 of 2 machines");
     expect(clusterWords(cluster([member("ready")], { mixed: true }))).toBe("cluster: 1 machine, mixed");
-    expect(clusterWords(cluster([], { alone: true }))).toBe("cluster: this machine alone");
+    expect(clusterWords(cluster([], { alone: true }))).toBe("cluster: this machine only");
   });
 
   it("asks for a look where a machine is late or gone, and not while one is being sent the scan", () => {

@@ -8,7 +8,7 @@ export function clusterWords(cluster: ClusterMessage): string {
   const ready = cluster.members.filter((member) => member.state === "ready").length;
   const all = cluster.members.length;
   const mixed = cluster.mixed ? ", mixed" : "";
-  if (cluster.alone) return `cluster: this machine alone${mixed}`;
+  if (cluster.alone) return `cluster: this machine only${mixed}`;
   return `cluster: ${ready === all ? plural(all, "machine") : `${ready} of ${plural(all, "machine")}`}${mixed}`;
 }
 

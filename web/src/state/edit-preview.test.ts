@@ -86,7 +86,9 @@ describe("the question about a branch without evidence", () => {
   });
 
   it("says how much of the way is meant", () => {
-    expect(doubtWords(doubt())).toBe(`The CT shows no wall along the last 21${NBSP}mm of this branch. Draw it anyway?`);
+    expect(doubtWords(doubt())).toBe(
+      `The CT shows no airway wall along the last 21${NBSP}mm of this branch. Draw the airway there anyway?`,
+    );
     const middle = doubt({ line: { ...LINE, doubtful: [false, true, false] }, doubtful_mm: 10 });
     expect(doubtWords(middle)).toContain(`along 10${NBSP}mm of this branch.`);
     expect(doubtWords(doubt({ length_mm: 21.3 }))).toContain("along this branch.");

@@ -80,5 +80,5 @@ export function doubtWords({ line, doubtful_mm, length_mm }: NoEvidenceMessage):
     : tail
       ? `the last ${mm(doubtful_mm, 0)} of this branch`
       : `${mm(doubtful_mm, 0)} of this branch`;
-  return `The CT shows no wall along ${where}. Draw it anyway?`;
+  return `The CT shows no airway wall along ${where}. Draw the airway there anyway?`;
 }

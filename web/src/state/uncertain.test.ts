@@ -43,7 +43,7 @@ describe("places that could not be followed", () => {
       "the scan ends here, but the airway (6.0 mm wide) continues",
       "the scan ends here, but the airway (5.0 mm wide) continues",
       "its wall is barely visible (confidence 0.31): it may not be an airway",
-      "below 2.1 mm, the median width at the 41 thinnest branch ends, this CT (0.90 mm voxels) cannot show airways reliably: more and smaller ones exist",
+      "this CT (0.90 mm voxels) does not reliably show airways narrower than 2.1 mm, the median width at the 41 thinnest branch ends: there are smaller airways that are not shown",
     ]);
   });
 });

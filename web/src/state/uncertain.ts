@@ -1,7 +1,7 @@
 /** Places that could not be followed in words: what all of a kind have in common is said once. */
 
 import type { Uncertainty } from "../wire/messages";
-import { fixed, mm, plural } from "./format";
+import { fixed, mm } from "./format";
 
 export interface UncertainGroup {
   /** Why, for all of them; null where each says it by itself. */
@@ -33,12 +33,14 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
     case "fine":
       return {
         what:
-          `below ${width}, the median width at the ${plural(place.num_ends ?? 0, "thinnest branch end")}, this CT ` +
-          `(${mm(place.voxel_mm ?? 0, 2)} voxels) cannot show airways reliably: more and smaller ones exist`,
+          `this CT (${mm(place.voxel_mm ?? 0, 2)} voxels) does not reliably show airways narrower than ${width}, the ` +
+          `median width at ${ends(place.num_ends ?? 0)}: there are smaller airways that are not shown`,
         why: null,
       };
   }
 }
+
+const ends = (count: number): string => (count === 1 ? "the thinnest branch end" : `the ${count} thinnest branch ends`);
 
 /** Grouped by kind, in the order in which the kinds begin. */
 export function groupsOf(places: readonly Uncertainty[]): UncertainGroup[] {

@@ -255,7 +255,7 @@ class EditSteps:
         away_mm = along_mm(path[left - 1 :])[-1]
         if place.branch_id == trunk.id and place.index == 0:
             if np.linalg.norm(path[-1] - trunk.points[0]) < MIN_ADDED_MM:
-                raise NoResultError("the start is already there; nothing was changed", code="track.edit-nothing")
+                raise NoResultError("the tree already starts there; nothing was changed", code="track.edit-nothing")
             # Beyond the trunk's beginning: it grows up to there.
             above = self._drawn(trunk.points[0], path[1:])[::-1]
             points = np.concatenate([above, trunk.points[1:]])

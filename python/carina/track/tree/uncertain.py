@@ -70,10 +70,10 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
             case "faint":
                 return f"its wall is barely visible (confidence {self.confidence:.2f}): it may not be an airway"
             case "fine":
-                ends = "end" if self.num_ends == 1 else "ends"
+                ends = "the thinnest branch end" if self.num_ends == 1 else f"the {self.num_ends} thinnest branch ends"
                 return (
-                    f"below {self.width_mm:.1f} mm, the median width at the {self.num_ends} thinnest branch {ends}, "
-                    f"this CT ({self.voxel_mm:.2f} mm voxels) cannot show airways reliably: more and smaller ones exist"
+                    f"this CT ({self.voxel_mm:.2f} mm voxels) does not reliably show airways narrower than "
+                    f"{self.width_mm:.1f} mm, the median width at {ends}: there are smaller airways that are not shown"
                 )
 
 

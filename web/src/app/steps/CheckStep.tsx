@@ -18,8 +18,8 @@ type PresetName = (typeof PRESETS)[number]["value"];
 
 const SLABS = [
   { value: "thin", label: "Thin", mm: 0, kind: "min", words: "Single slice, no slab" },
-  { value: "min", label: "Min", mm: 10, kind: "min", words: "MinIP over a slab of 10 mm (shows airways)" },
-  { value: "max", label: "Max", mm: 10, kind: "max", words: "MIP over a slab of 10 mm (shows vessels and nodules)" },
+  { value: "min", label: "Min", mm: 10, kind: "min", words: "10 mm slab MinIP: shows airways" },
+  { value: "max", label: "Max", mm: 10, kind: "max", words: "10 mm slab MIP: shows vessels and nodules" },
   { value: "mean", label: "Mean", mm: 5, kind: "mean", words: "Mean over a slab of 5 mm (less noise)" },
 ] as const;
 type SlabName = (typeof SLABS)[number]["value"];
