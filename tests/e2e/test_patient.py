@@ -58,7 +58,7 @@ def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server,
     workstation.page.keyboard.down("w")
     status_words = "document.querySelector('.status-bar').innerText"
     status, frame = workstation.once(
-        f"!window.__carina.state.frames.airway.full && /frame \\d|viewfinder/.test({status_words})",
+        f"!window.__carina.state.frames.airway.full && /frames \\d|viewfinder/.test({status_words})",
         f"[{status_words}, window.__carina.state.frames.airway]",
     )
     workstation.picture("patient-flying")
