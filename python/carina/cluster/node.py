@@ -251,10 +251,12 @@ class Node:
         host, port = split_address(self.address)
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
-            if not self.running and self._starts_left and TIMED_OUT in self._words():
+            # Asked once: it may end between two looks.
+            has_ended = not self.running
+            if has_ended and self._starts_left and TIMED_OUT in self._words():
                 # Ray's own helpers must answer within 15 s, which nothing can change: a busy machine needs another try.
                 self.process = self._started()
-            if not self.running:
+            elif has_ended:
                 raise ClusterError(
                     f"joining the cluster at {self.address} failed{self._last_words()}", code="cluster.start"
                 )
