@@ -185,7 +185,7 @@ def test_a_watcher_is_told_of_no_folder_no_other_case_and_no_link(desk):
         watcher.until_state(lambda s: s.case is not None)
         window.send(wire.SetPhone(on=True), wire.WatchDevices(on=True))
         window.until(lambda m: isinstance(m, wire.Devices))
-        window.send(wire.OpenPath("/scans/somebody/refused"), wire.SetFov(80.0))
+        window.send(wire.OpenPath("/scans/somebody/bad"), wire.SetFov(80.0))
         watcher.until_state(lambda s: s.look.fov_deg == 80.0)
         start = watcher.had(lambda m: isinstance(m, wire.Start))
         assert (start.recent, start.storage) == ((), None)
