@@ -91,9 +91,9 @@ class Desk:
         def reopen(path: Path) -> MemoryFile:
             return create(path, None, MemoryFile.kept[str(path)][0])
 
-        def write(path: Path, volume: Any, digest: str, moment: Any, ct_place: str | None) -> None:
-            path.write_text(f"{digest} whole, {ct_place}")
-            self.written[str(path)] = moment
+        def write(path: Path, case: Any, ct_place: str | None) -> None:
+            path.write_text(f"{case.digest} whole, {ct_place}")
+            self.written[str(path)] = case.moment
 
         self.session = Session(
             SmallRenderer,

@@ -19,7 +19,7 @@ from carina.errors import UsageError
 from carina.navigate import Recording
 from carina.navigate.recording import read_recording
 
-__all__ = ["CHUNK_S", "RecordingFacts", "RecordingTable", "RecordingWriter"]
+__all__ = ["CHUNK_S", "RecordingFacts", "RecordingTable", "RecordingWriter", "WholeRecording"]
 
 CHUNK_S: Final = 1.0
 """No piece holds more of a flight; it is in memory until the next :meth:`RecordingWriter.keep`."""
@@ -43,6 +43,23 @@ class RecordingFacts:
     length_s: float
     complete: bool
     """False where Carina was stopped while it recorded: it goes as far as it came."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class WholeRecording:
+    """A recording with all its lines, for another file."""
+
+    facts: RecordingFacts
+    text: str
+
+    def writer(self) -> RecordingWriter:
+        """As if it had just been recorded."""
+        made = RecordingWriter(self.facts.name, self.facts.begun_s, number=self.facts.recording_id)
+        made.write(self.text)
+        if self.facts.complete:
+            made.close()
+        return made
 
 
 class RecordingTable:
@@ -276,10 +293,15 @@ class RecordingWriter(io.TextIOBase):
             if self._recording_id is None:
                 self._recording_id = self._table.begin(self.name, self.begun_s, self.number)
             self._table.add(self._recording_id, self._num_kept, ready, length_s, complete=complete)
-            self._num_kept += num_ready
             self._is_complete = complete
             with self._lock:
+                self._num_kept += num_ready
                 del self._chunks[:num_ready]
+
+    def waiting(self) -> tuple[int, str]:
+        """How many pieces are in the file, and the lines that are not; waits for no disk."""
+        with self._lock:
+            return self._num_kept, "".join(line for lines in self._chunks for line in lines)
 
     def close(self) -> None:
         """The end: what is left goes into the case file, at once or with the next :meth:`keep`.

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 from carina.case import CaseFile, CaseFileError, SourceFacts
 from carina.case.file import migrate_live
 from carina.session.case_scan import CaseScans
-from carina.session.kept_files import KeptFile, KeptFiles
+from carina.session.kept_files import KeptFile, KeptFiles, WholeCase
 from carina.session.pictures import small_picture
 from carina.volume import Volume
 
 if TYPE_CHECKING:
-    from carina.case.moment import Moment
     from carina.session.parts import Cancel, Progress
     from carina.session.records import CaseRecords
     from carina.volume import VolumeCache
@@ -38,9 +37,12 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
         migrate_live(path)
         return CaseFile.open(path)
 
-    def write(path: Path, volume: Volume, digest: str, moment: Moment, ct_place: str | None) -> None:
-        with CaseFile.in_memory(SourceFacts.of(volume, digest)) as file:
-            file.save(moment)
+    def write(path: Path, case: WholeCase, ct_place: str | None) -> None:
+        with CaseFile.in_memory(SourceFacts.of(case.volume, case.digest)) as file:
+            file.save(case.moment)
+            for flight in case.flights:
+                file.keep_recording(flight.writer())
+            file.set_recordings([flight.facts for flight in case.flights])
             file.write_copy(path, ct_place=ct_place)
 
     scans = CaseScans(

@@ -18,7 +18,9 @@ from carina.disk import disk_trouble
 from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import way_between
+from carina.session.flight_copies import whole_flights
 from carina.session.jobs import log_fault
+from carina.session.kept_files import WholeCase
 from carina.session.named_lock import NamedLock
 from carina.session.snapshot import SavingInfo, Topic, Trouble
 
@@ -159,7 +161,8 @@ class Keeper:
             begun, failed = self._num_begun, self._num_failed
 
             def is_kept() -> bool:
-                return self._num_kept > begun or (self._changed_s is None and self._busy is None)
+                is_idle = self._changed_s is None and not self._notes and self._busy is None
+                return self._num_kept > begun or is_idle
 
             if not is_kept():
                 self._is_urgent = True
@@ -209,8 +212,13 @@ class Keeper:
             raise CarinaError(self.info.problem or NOT_RESPONDING, code="case.not-saved")
         return file.recording_text(number)
 
-    def save_to(self, path: Path) -> None:
+    def save_to(self, path: Path) -> int:
         """Write all of it as one whole file, which follows from now on; for whoever may wait for that file's disk.
+
+        Returns
+        -------
+        int
+            How many recorded flights are not in it: those that a silent or damaged disk did not give back.
 
         Raises
         ------
@@ -224,6 +232,7 @@ class Keeper:
         with self._wake:
             file, num_saved = self.file, self._num_saved
             is_whole = file is not None and self.info.problem is None
+        num_missing = 0
         if is_whole:
             assert file is not None
             file.write_copy(path, ct_place=way_between(path, self.place))
@@ -232,9 +241,11 @@ class Keeper:
             with self._core.lock:
                 self._is_elsewhere = True
                 moment = moment_of(self.case)
+                listed, unwritten = self.case.flights.listed, self.case.flights.unwritten
             try:
-                volume = self.case.info.volume
-                self._files.write(path, volume, self.digest, moment, way_between(path, self.place))
+                flights, num_missing = whole_flights(file, listed, unwritten, SLOW_S)
+                whole = WholeCase(self.case.info.volume, self.digest, moment, flights)
+                self._files.write(path, whole, way_between(path, self.place))
             except BaseException:
                 self._is_elsewhere = False
                 raise
@@ -244,6 +255,7 @@ class Keeper:
             self._notes |= {"copy_path": str(path), "copied_s": now_s}
             self._copy_path, self._num_copied, self._copy_s = path, max(self._num_copied, num_saved), None
             self._plan_copy(COPY_EVERY_S)
+        return num_missing
 
     # ------------------------------------------------------------ the thread that writes
 

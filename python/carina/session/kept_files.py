@@ -11,13 +11,13 @@ from carina.display import one_line
 
 if TYPE_CHECKING:
     from carina.case.moment import Moment
-    from carina.case.recordings import RecordingFacts, RecordingWriter
+    from carina.case.recordings import RecordingFacts, RecordingWriter, WholeRecording
     from carina.session.case_scan import CaseScans
     from carina.session.parts import Cancel, Progress
     from carina.session.scene import ShownCase
     from carina.volume import Volume
 
-__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles"]
+__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "WholeCase"]
 
 
 class KeptFile(Protocol):
@@ -84,6 +84,17 @@ class CtCache(Protocol):
         """Keep CTs from now on, or none and also not those that are kept."""
 
 
+@one_line
+@dataclass(frozen=True, slots=True)
+class WholeCase:
+    """All that a case file holds, in memory."""
+
+    volume: Volume
+    digest: str
+    moment: Moment
+    flights: Sequence[WholeRecording]
+
+
 def _nothing() -> None:
     """Of a CT nothing is kept."""
 
@@ -96,8 +107,8 @@ class KeptFiles:
     create: Callable[[Path, Volume, str], KeptFile]
     """``create(path, volume, digest)``."""
     open: Callable[[Path], KeptFile]
-    write: Callable[[Path, Volume, str, Moment, str | None], None]
-    """``write(path, volume, digest, moment, ct_place)``: all of it as one whole file, without one that lives."""
+    write: Callable[[Path, WholeCase, str | None], None]
+    """``write(path, case, ct_place)``: all of it as one whole file, without one that lives."""
     digest: Callable[[Volume], str]
     """What a CT is known by."""
     open_ct: Callable[[str, Progress, Cancel], Volume] | None = None

@@ -92,6 +92,11 @@ class Case:
             own.close()
             raise
         if own.note is not None:
+            # A window that opened it, or saved it there, a moment ago can be joined by now.
+            joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)
+            if joined is not None:
+                own.close()
+                return cls(joined)
             warnings.warn(own.note, stacklevel=2)
         return cls(own)
 

@@ -526,10 +526,10 @@ class Saving(Subject):
             if self._kept is not kept:
                 return
             try:
-                kept.save_to(path)
+                num_missing = kept.save_to(path)
             except OSError as trouble:
                 raise disk_trouble(trouble, "cannot save the case to", path) from trouble
-            self.core.emit(Said(f"saved as {path}"))
+            self.core.emit(Said(f"saved as {path}{_without(num_missing)}"))
 
         return self.core.jobs.start("save", "saving the case", work)
 
@@ -537,6 +537,13 @@ class Saving(Subject):
 def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
     """What was done in a case and when: no two cases have the same."""
     return tuple((step.label, step.at_s) for step in case.history())
+
+
+def _without(num_flights: int) -> str:
+    if num_flights == 0:
+        return ""
+    flights = "1 recorded flight" if num_flights == 1 else f"{num_flights} recorded flights"
+    return f", without {flights} that could not be read from the faulty disk"
 
 
 def _with_suffix(path: Path) -> Path:

@@ -1,0 +1,122 @@
+"""The recorded flights of a case whose disk refuses, in a file elsewhere."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from kept_case import Doing, assert_same_moment
+from test_beside_the_moment import flown
+
+from carina.case import CaseFile, SourceFacts
+from carina.case.recordings import RecordingFacts, RecordingWriter
+from carina.errors import DiskError
+from carina.session import case_files
+from carina.session.flight_copies import whole_flights
+from carina.session.kept_files import WholeCase
+from carina.volume import ct_digest
+
+WITHIN_S = 60.0
+
+
+class Refusing:
+    """A case file on a disk that takes nothing more; reading waits for ``may_read``."""
+
+    def __init__(self, file):
+        self._file = file
+        self.may_read = threading.Event()
+        self.may_read.set()
+
+    def recording_text(self, recording_id):
+        self.may_read.wait()
+        return self._file.recording_text(recording_id)
+
+
+@pytest.fixture
+def doing():
+    return Doing()
+
+
+@pytest.fixture
+def file(doing, tmp_path):
+    source = SourceFacts.of(doing.case.volume, ct_digest(doing.case.volume))
+    with CaseFile.create(tmp_path / "live.carina", source) as file:
+        file.save(doing.moment())
+        yield file
+
+
+def facts_of(writer, number):
+    return RecordingFacts(number, writer.name, "", writer.begun_s, 4.9, complete=writer.closed)
+
+
+def test_those_in_the_file_and_those_in_memory_are_in_the_file_elsewhere(file, doing, tmp_path):
+    flown(file, doing)
+    (kept,) = file.recordings()
+    lines = file.recording_text(kept.recording_id).splitlines(keepends=True)
+    # Half of the second is in the file, the rest waits; the third has not been begun there.
+    half = RecordingWriter("half", 20.0, number=2)
+    half.write("".join(lines[:20]))
+    file.keep_recording(half)
+    half.write("".join(lines[20:]))
+    half.close()
+    waiting = RecordingWriter("waiting", 30.0, number=3)
+    waiting.write("".join(lines))
+    waiting.close()
+    listed = [facts_of(waiting, 3), kept, facts_of(half, 2)]
+
+    flights, num_missing = whole_flights(Refusing(file), listed, [half, waiting], WITHIN_S)
+    assert num_missing == 0
+    place = tmp_path / "elsewhere.carina"
+    case_files().write(place, WholeCase(doing.case.volume, file.source.digest, doing.moment(), flights), None)
+    with CaseFile.open(place, read_only=True) as copy:
+        assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case, deep=False)
+        assert [(one.recording_id, one.name, one.complete) for one in copy.recordings()] == [
+            (3, "waiting", True),
+            (1, "first flight", True),
+            (2, "half", True),
+        ]
+        for number in (1, 2, 3):
+            assert copy.recording_text(number) == "".join(lines)
+            assert copy.recording(number).complete
+
+
+def test_a_silent_disk_is_not_waited_for_and_what_it_holds_is_counted(file, doing):
+    flown(file, doing)
+    (kept,) = file.recordings()
+    waiting = RecordingWriter("waiting", 30.0, number=2)
+    waiting.write("a line\n")
+    refusing = Refusing(file)
+    refusing.may_read.clear()
+    flights, num_missing = whole_flights(refusing, [facts_of(waiting, 2), kept], [waiting], 0.2)
+    refusing.may_read.set()
+    assert [(one.facts.name, one.text) for one in flights] == [("waiting", "a line\n")]
+    assert num_missing == 1
+
+
+def test_what_the_disk_takes_meanwhile_is_not_there_twice(file, doing):
+    writer = RecordingWriter("flight", 1.0, number=1)
+    writer.write('{"t": 0.0}\n')
+    file.keep_recording(writer)
+    writer.write('{"t": 1.5}\n')
+
+    class Healing(Refusing):
+        def recording_text(self, recording_id):
+            # Between the look at what waits and this: the disk takes the rest.
+            self._file.keep_recording(writer)
+            return self._file.recording_text(recording_id)
+
+    ((whole,), num_missing) = whole_flights(Healing(file), [facts_of(writer, 1)], [writer], WITHIN_S)
+    assert whole.text == '{"t": 0.0}\n{"t": 1.5}\n'
+    assert num_missing == 0
+
+
+def test_one_that_cannot_be_read_leaves_the_others(file, doing):
+    class Damaged(Refusing):
+        def recording_text(self, recording_id):
+            raise DiskError("cannot read the case", code="disk.error")
+
+    waiting = RecordingWriter("waiting", 30.0, number=2)
+    lost = RecordingFacts(1, "lost", "", 1.0, 2.0, complete=True)
+    flights, num_missing = whole_flights(Damaged(file), [lost, facts_of(waiting, 2)], [waiting], WITHIN_S)
+    assert ([one.facts.name for one in flights], num_missing) == (["waiting"], 1)
+    assert whole_flights(None, [lost], [], WITHIN_S) == ((), 1)
