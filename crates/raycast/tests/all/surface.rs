@@ -38,7 +38,8 @@ proptest! {
                 prop_assert!(found == truth, "{} {method:?}", simd.name());
             }
         }
-        for (n, hit) in truth.iter().enumerate() {
+        // Each pick is a cast of its own: some of them in each of the scenes.
+        for (n, hit) in truth.iter().enumerate().step_by(11) {
             let (column, row) = (n % size.0, n / size.0);
             prop_assert_eq!(&pick(&frame, Method::LeapTransparent(&radius), column, row).unwrap(), hit);
         }
