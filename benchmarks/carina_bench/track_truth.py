@@ -30,6 +30,8 @@ class TrueBranch:
     radius_mm: NDArray[np.float64]
     """(n,) radius of the true lumen at each point."""
     generation: int
+    parent: int | None = None
+    """Place of the branch that it leaves, among all of a skeleton's; None for the first ones and for a phantom's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,15 +152,15 @@ def _branches(
     for node in order:
         if kept[node] and parents[node] >= 0:
             children.setdefault(int(parents[node]), []).append(node)
-    found = []
-    waiting = [(order[0], children.get(order[0], []), 0)]
+    found: list[TrueBranch] = []
+    waiting: list[tuple[int, list[int], int, int | None]] = [(order[0], children.get(order[0], []), 0, None)]
     while waiting:
-        start, firsts, generation = waiting.pop()
+        start, firsts, generation, parent = waiting.pop()
         for first in firsts:
             way = [start, first]
             while len(children.get(way[-1], [])) == 1:
                 way.append(children[way[-1]][0])
             even, radii = _sampled(points[way], radius[way])
-            found.append(TrueBranch(even, radii, generation))
-            waiting.append((way[-1], children.get(way[-1], []), generation + 1))
+            found.append(TrueBranch(even, radii, generation, parent))
+            waiting.append((way[-1], children.get(way[-1], []), generation + 1, len(found) - 1))
     return found
