@@ -49,7 +49,7 @@ class Masks:
 def mask_folders(data: Path) -> dict[str, Path]:
     """Patients with airway and lung masks, by a short name."""
     found = {}
-    for kind, letter in (("thin_slice_airways", ""), ("thin_slice_lobes", "lobes ")):
+    for kind, letter in (("thin_slice_airways", ""), ("thin_slice_lobes", "lobes-")):
         for folder in sorted((data / "masks" / kind).glob("Patient*")):
             if any((folder / name).is_file() for name in AIRWAY_FILES):
                 found[letter + folder.name] = folder

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carina.volume import Volume
 
-__all__ = ["SPUR_MM", "TrueBranch", "Truth", "truth_of_mask", "truth_of_phantom"]
+__all__ = ["SPUR_MM", "TrueBranch", "Truth", "sampled", "truth_of_mask", "truth_of_phantom"]
 
 Points = NDArray[np.float64]
 
@@ -42,9 +42,12 @@ class Truth:
     branches: tuple[TrueBranch, ...]
     knows_radius: bool
     """True where the radii are exact, not read off a mask."""
+    touched_zyx: NDArray[np.bool_] | None = None
+    """Voxels that hold any lumen, where that is known: what is found in them is not false."""
 
 
-def _sampled(points: Points, radius_mm: NDArray[np.float64]) -> tuple[Points, NDArray[np.float64]]:
+def sampled(points: Points, radius_mm: NDArray[np.float64]) -> tuple[Points, NDArray[np.float64]]:
+    """A line and its radii at even steps of at most 0.25 mm."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], max(int(np.ceil(along[-1] / SAMPLE_MM)) + 1, 2))
     even = np.stack([np.interp(at, along, points[:, axis]) for axis in range(3)], axis=1)
@@ -55,7 +58,7 @@ def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume
     """The axes of a generated chest, as far as they lie in the volume."""
     branches = []
     for row in truth["branches"]:
-        points, radius = _sampled(np.array(row["points"]), np.array(row["radius"]))
+        points, radius = sampled(np.array(row["points"]), np.array(row["radius"]))
         inside = np.array([volume.contains_lps(point) for point in points])
         if inside.sum() >= 2:
             branches.append(TrueBranch(points[inside], radius[inside], row["generation"]))
@@ -160,7 +163,7 @@ def _branches(
             way = [start, first]
             while len(children.get(way[-1], [])) == 1:
                 way.append(children[way[-1]][0])
-            even, radii = _sampled(points[way], radius[way])
+            even, radii = sampled(points[way], radius[way])
             found.append(TrueBranch(even, radii, generation, parent))
             waiting.append((way[-1], children.get(way[-1], []), generation + 1, len(found) - 1))
     return found

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import SimpleITK as sitk
 
 from carina.errors import CarinaError
-from carina.track import AirwayTree, branch_side_and_lobe, name_tree
-from carina_bench import track, track_names
+from carina.track import AirwayTree, branch_side_and_lobe, find_airways, name_tree
+from carina_bench import track, track_names, track_quality
+from carina_bench.track_truth import truth_of_phantom
 from made import made_phantom
 
 ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
@@ -28,6 +30,36 @@ def test_a_figure_that_was_not_taken_is_missed_and_says_so():
     row = {**ROW, "figure": None, "note": "no data"}
     assert not track.gate_of(row).passed
     assert "not measured" in track.line_of(row) and "MISSED" in track.line_of(row) and "no data" in track.line_of(row)
+
+
+def test_the_cases_of_quality_are_those_that_it_paints():
+    assert track.PARTS["quality"].cases == track_quality.CASES
+
+
+def test_an_unknown_case_exits_2_and_names_the_known_ones(carina, tmp_path):
+    ended = carina("bench", "track", "--only", "quality", "--case", "sharper", "--json", "-o", tmp_path / "out")
+    assert ended.code == 2
+    assert "sharp-25" in ended.json()["error"]["message"]
+
+
+def test_a_found_branch_outside_every_true_lumen_is_false():
+    pytest.importorskip("scipy")
+    phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
+    truth = truth_of_phantom(phantom.truth, phantom.lumen_zyx, phantom.volume)
+    airways = find_airways(phantom.volume, progress=False)
+    whole = track_quality.figures(phantom.volume, truth, airways)
+    assert whole["false_branches"] == 0 and whole["precision"] > 0.99
+    # Without its last airways the truth makes what was found of them false.
+    deepest = max(branch.generation for branch in truth.branches)
+    short = replace(truth, branches=tuple(b for b in truth.branches if b.generation < deepest))
+    lumen = phantom.lumen_zyx != 0
+    for branch in truth.branches:
+        if branch.generation == deepest:
+            ijk = phantom.volume.to_ijk(branch.points)
+            for i, j, k in np.rint(ijk).astype(int):
+                lumen[k - 2 : k + 3, j - 2 : j + 3, i - 2 : i + 3] = False
+    less = track_quality.figures(phantom.volume, replace(short, lumen_zyx=lumen), airways)
+    assert less["false_branches"] >= 1 and less["precision"] < whole["precision"]
 
 
 def test_an_unknown_part_exits_2_and_names_the_known_ones(carina, tmp_path):
