@@ -17,7 +17,7 @@ __all__ = ["INPUTS"]
 
 Make = Callable[[Path], Path]
 AGAIN = "export it again"
-SLICER = "save it again from 3D Slicer, or open the DICOM series"
+SLICER = "open the DICOM series that it was made from, or convert that series again"
 
 
 def _same() -> np.ndarray:

@@ -19,8 +19,8 @@ def test_the_bundled_patient_opens_with_its_citation():
 def test_its_citation_as_text_is_one_line():
     assert str(CITATION) == (
         "Goldgof D, Hall L, Hawkins S, Schabath M, Stringfield O, Garcia A, et al. (2015). Data From QIN_LUNG_CT. The "
-        "Cancer Imaging Archive. https://doi.org/10.7937/K9/TCIA.2015.NPGZYZBZ. Licence: CC BY 3.0. Changed: cropped "
-        "around the airways; voxel values unchanged."
+        "Cancer Imaging Archive. https://doi.org/10.7937/K9/TCIA.2015.NPGZYZBZ \u00b7 Licence: CC BY 3.0. Changed: "
+        "cropped around the airways; voxel values unchanged."
     )
 
 

@@ -142,7 +142,9 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
     if primary == sqlite3.SQLITE_NOTADB:
         return refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
     return refused(
-        path, f"it is damaged ({error}); open an earlier copy, or rescue its intact parts", code="case.damaged"
+        path,
+        f"it is damaged ({error}); open an earlier copy, or rescue the intact parts of this one",
+        code="case.damaged",
     )
 
 
@@ -176,7 +178,7 @@ def check_whole(connection: sqlite3.Connection, path: Path) -> None:
     if found != ["ok"]:
         raise refused(
             path,
-            f"it is damaged ({str(found[0])[:120]}); open an earlier copy, or rescue its intact parts",
+            f"it is damaged ({str(found[0])[:120]}); open an earlier copy, or rescue the intact parts of this one",
             code="case.damaged",
         )
 

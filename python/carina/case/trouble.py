@@ -27,7 +27,7 @@ def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
 def damaged(where: str, expected: str, found: str) -> CaseFileError:
     """A part of a case file that does not hold what it must."""
     return CaseFileError(
-        f"the case file is damaged ({where}: expected {expected}, found {found}); open an earlier copy, or rescue its "
-        "intact parts",
+        f"the case file is damaged ({where}: expected {expected}, found {found}); open an earlier copy, or rescue the "
+        "intact parts of this one",
         code="case.damaged",
     )

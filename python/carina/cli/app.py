@@ -242,7 +242,7 @@ def render(
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG file to write.")],
     view: Annotated[
         str,
-        typer.Option(help="View to render: airway, cut-plane, axial, tree, ...; an invalid name lists all views."),
+        typer.Option(help="View to render: airway, cut-plane, axial, tree, ...; any unknown name lists them all."),
     ] = "airway",
     at: Annotated[
         str,

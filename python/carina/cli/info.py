@@ -67,6 +67,6 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
             print("\n".join(case_lines(path)))
     if strict and (quality.findings or badges):
         codes = ", ".join([*(badge.code for badge in badges), *(finding.code for finding in quality.findings)])
-        say(f"carina: the check of the scan found problems ({codes}); exit code 3 because of --strict")
+        say(f"carina: the scan check found problems ({codes}); exit code 3 because of --strict")
         return 3
     return 0

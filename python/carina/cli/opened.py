@@ -168,7 +168,7 @@ def opened(
     if strict and found.badges.notes:
         codes = ", ".join(note.code for note in found.badges.notes)
         msg = (
-            f"reading {path.name}: the check of the scan found problems ({codes}), which --strict does not allow; "
+            f"reading {path.name}: the scan check found problems ({codes}), which --strict does not allow; "
             "correct them, or omit --strict"
         )
         raise VolumeImportError(msg, code="import.strict")

@@ -23,6 +23,6 @@ class Citation(FrozenValue, frozen=True):
 
     def __str__(self) -> str:
         return (
-            f"{self.authors} ({self.year}). {self.title}. {self.publisher}. https://doi.org/{self.doi}. "
+            f"{self.authors} ({self.year}). {self.title}. {self.publisher}. https://doi.org/{self.doi} \u00b7 "
             f"Licence: {self.licence}. Changed: {self.changes}."
         )

@@ -172,7 +172,7 @@ def rle_problem(frame: bytes, num_pixels: int) -> str | None:
                 at += 1
         # A pair of bytes at most pads a segment to an even length.
         if pixels != num_pixels or not 0 <= len(segment) - at <= 2:
-            return "a segment does not decode to the pixels of the image"
+            return "a compressed segment does not decode to the size of the image"
     return None
 
 

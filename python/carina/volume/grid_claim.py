@@ -14,7 +14,10 @@ from carina.volume.model import Note
 
 __all__ = ["AMBIGUOUS", "GridHeader", "beside", "real", "refuse", "take_once", "whole"]
 
-AMBIGUOUS = "save it again with its orientation, for example from 3D Slicer, or open the DICOM series"
+AMBIGUOUS = (
+    "open the DICOM series that it was made from, or convert that series again; saving this file again would only "
+    "guess left and right"
+)
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 

@@ -42,8 +42,8 @@ def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     """
     if header.num_voxels > MAX_VOXELS:
         msg = (
-            f"reading {path.name}: its header claims {header.sizes} voxels; expected at most {MAX_VOXELS}; the "
-            "header is damaged, or the file is not a chest CT; crop or resample it"
+            f"reading {path.name}: its header claims {header.sizes} voxels; expected at most {MAX_VOXELS}; crop or "
+            "resample a scan that large, or get an undamaged copy"
         )
         raise VolumeImportError(msg, code="import.too-large")
     if header.compression is None:

@@ -152,7 +152,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
             {frame.through_airways ? "through the airways" : "direct"}
           </p>
           <Figure
-            label="Speed to this key frame"
+            label="Approach speed"
             unit="mm/s"
             value={frame.speed_mm_s}
             choices={KEY_SPEEDS_MM_S}

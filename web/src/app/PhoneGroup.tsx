@@ -39,7 +39,7 @@ function Open({ phone }: { phone: PhoneInfo }) {
   return (
     <>
       <p data-testid="phone-state">
-        {phone.connected ? `A phone is connected, ${fixed(phone.rate_hz)} Hz.` : "Scan this with the phone's camera:"}
+        {phone.connected ? `Phone connected (${fixed(phone.rate_hz)} Hz).` : "Scan this with the phone's camera:"}
       </p>
       {phone.connected ? null : <Code rows={phone.qr} />}
       <p className="quiet path" data-testid="phone-url">

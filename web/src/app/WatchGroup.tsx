@@ -17,7 +17,7 @@ export function WatchGroup() {
       <SwitchKey
         words={
           page === null
-            ? "Opens a page on this network. Anyone with its link sees your patient's images, but can change nothing."
+            ? "Opens a page on this network. Anyone with the link can see your patient's images but cannot change anything."
             : "Closes the page and disconnects all watchers; its link stops working"
         }
         label={page === null ? "Let others watch" : "Close the watch page"}

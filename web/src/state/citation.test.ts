@@ -14,6 +14,6 @@ it("a citation is one line with all that its licence asks for", () => {
   };
   expect(citationLine(from)).toBe(
     "Goldgof D, et al. (2015). Data From QIN_LUNG_CT. The Cancer Imaging Archive. " +
-      "https://doi.org/10.7937/K9/TCIA.2015.NPGZYZBZ. Licence: CC BY 3.0. Changed: cropped.",
+      "https://doi.org/10.7937/K9/TCIA.2015.NPGZYZBZ \u00b7 Licence: CC BY 3.0. Changed: cropped.",
   );
 });

@@ -3,5 +3,5 @@
 import type { Citation } from "../wire/messages";
 
 export const citationLine = (from: Citation): string =>
-  `${from.authors} (${from.year}). ${from.title}. ${from.publisher}. https://doi.org/${from.doi}. ` +
+  `${from.authors} (${from.year}). ${from.title}. ${from.publisher}. https://doi.org/${from.doi} \u00b7 ` +
   `Licence: ${from.licence}. Changed: ${from.changes}.`;

@@ -80,7 +80,7 @@ function Root() {
       <SwitchKey
         icon="target"
         label={armed ? "Click in a view\u2026" : "Mark the trachea"}
-        words="Click a new start point. Your edits are discarded (undo restores them)."
+        words="Click to set a new start point. This will discard your edits (Undo restores them)."
         keys={keyOf("arm_root")}
         on={armed}
         onChange={() => station.act("arm_root")}
