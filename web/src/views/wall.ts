@@ -83,8 +83,7 @@ export class Wall {
     const seen = sceneIn(viewport, scene);
     if (this.#painted.get(viewport)?.holds(viewport, seen) === true) return;
     const painting = new Painting(viewport);
-    paint(viewport, painting.watched(seen));
-    this.#painted.set(viewport, painting);
+    if (paint(viewport, painting.watched(seen))) this.#painted.set(viewport, painting);
   }
 
   touchLayout(): void {
@@ -111,11 +110,13 @@ export class Wall {
   }
 }
 
-function paint(viewport: Viewport, scene: Scene): void {
+/** Whether there was anything to paint on. */
+function paint(viewport: Viewport, scene: Scene): boolean {
   const ink = viewport.ink();
-  if (ink === null) return;
+  if (ink === null) return false;
   // What the picture shows decides, not the place that it is in: the view finder is a cut-plane in the airway's place.
   PAINTERS[VIEWS[viewport.header?.view ?? viewport.view].overlay](ink, viewport, scene);
+  return true;
 }
 
 /** The cursor is in one picture, and concerns no other. */
