@@ -87,7 +87,7 @@ def test_a_silent_disk_is_not_waited_for_and_what_it_holds_is_counted(file, doin
     waiting.write("a line\n")
     refusing = Refusing(file)
     refusing.may_read.clear()
-    flights, num_missing = whole_flights(refusing, [facts_of(waiting, 2), kept], [waiting], 0.2)
+    flights, num_missing = whole_flights(refusing, [kept, facts_of(waiting, 2)], [waiting], 0.2)
     refusing.may_read.set()
     assert [(one.facts.name, one.text) for one in flights] == [("waiting", "a line\n")]
     assert num_missing == 1

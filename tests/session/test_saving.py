@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from carina import commands as c
+from carina.case.recordings import RecordingFacts
 from carina.errors import UsageError
 from carina.session import Said, Session, Trouble
+from carina.session.records import CaseRecords, HeldCase
 from kept_desk import Desk, MemoryFile
 from small_case import LEFT_TIP, Background
 
@@ -244,3 +246,60 @@ def test_a_case_whose_disk_is_full_is_not_closed_until_it_is_saved_elsewhere(des
     session.do(c.CloseCase())
     assert session.snapshot().case is None
     session.close()
+
+
+def test_a_file_elsewhere_is_not_replaced_by_one_that_lacks_a_flight(desk, tmp_path):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+    flight = RecordingFacts(1, "Flight 1", "", 0.0, 1.0, complete=True)
+    session._core.case.flights.listed = (flight,)  # which the file does not give back
+    desk.files[-1].refuses = OSError(5, "Input/output error")
+    session.do(c.SetFov(90.0))
+    place = tmp_path / "mine.carina"
+    session.do(c.SaveCase(str(place)))
+    desk.background.run_all()
+    said = [event.message for event in desk.events if isinstance(event, Said)]
+    assert said[-1] == f"saved as {place}, without 1 recorded flight that could not be read from the faulty disk"
+    before = place.read_text(), desk.written[str(place)]
+    session.do(c.SetFov(80.0))
+    session.do(c.SaveCase(str(place)))
+    desk.background.run_all()
+    trouble = [event for event in desk.events if isinstance(event, Trouble)][-1]
+    assert "mine.carina was left as it is: 1 recorded flight cannot be read" in trouble.message
+    assert (place.read_text(), desk.written[str(place)]) == before
+    session.close()
+
+
+def test_what_is_only_noted_beside_a_case_holds_nobody_up(desk, monkeypatch):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+
+    def refuses(_held, **_notes):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(HeldCase, "note", refuses)
+    kept = session._saving._kept
+    kept.call("a name")
+    assert kept.settle()
+    assert kept.info.problem is not None
+    monkeypatch.undo()
+    assert kept.settle()
+    assert kept.info.problem is None
+    session.close()
+
+
+def test_whether_a_case_is_open_is_seen_without_taking_it(desk):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+    records = CaseRecords(desk.folder / "cases", desk.wall)
+    (record,) = records.all()
+    assert records.is_held(record)
+    assert records.is_held(record)
+    session.close()
+    assert not records.is_held(record)

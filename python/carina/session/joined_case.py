@@ -350,13 +350,7 @@ def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
         door = records.door_of(record)
         if door is not None:
             return OwnerLink.connect(door, record.case_id)
-        try:
-            held = records.hold(record)
-        except OSError:  # a folder that cannot be written: nobody has opened it for work
-            return None
-        if held is not None:
-            held.release()
-        if held is not None or time.monotonic() >= end_s:
+        if not records.is_held(record) or time.monotonic() >= end_s:
             return None
         time.sleep(LOOK_EVERY_S)
 

@@ -18,7 +18,7 @@ from carina.disk import disk_trouble
 from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import way_between
-from carina.session.flight_copies import whole_flights
+from carina.session.flight_copies import flight_count, whole_flights
 from carina.session.jobs import log_fault
 from carina.session.kept_files import WholeCase
 from carina.session.named_lock import NamedLock
@@ -161,13 +161,16 @@ class Keeper:
             begun, failed = self._num_begun, self._num_failed
 
             def is_kept() -> bool:
-                is_idle = self._changed_s is None and not self._notes and self._busy is None
-                return self._num_kept > begun or is_idle
+                return self._num_kept > begun or (self._changed_s is None and self._busy is None)
 
-            if not is_kept():
+            def is_done() -> bool:
+                # With what is noted beside it; that alone loses nothing where it cannot be.
+                return self._num_kept > begun or (is_kept() and not self._notes)
+
+            if not is_done():
                 self._is_urgent = True
                 self._wake.notify_all()
-                self._wake.wait_for(lambda: is_kept() or self._num_failed > failed or self._is_slow or self._has_ended)
+                self._wake.wait_for(lambda: is_done() or self._num_failed > failed or self._is_slow or self._has_ended)
             return is_kept()
 
     def end(self, within_s: float | None = None) -> bool:
@@ -244,6 +247,13 @@ class Keeper:
                 listed, unwritten = self.case.flights.listed, self.case.flights.unwritten
             try:
                 flights, num_missing = whole_flights(file, listed, unwritten, SLOW_S)
+                if num_missing and path.exists():
+                    # The file that is there may be the last that has them.
+                    raise CarinaError(
+                        f"{path.name} was left as it is: {flight_count(num_missing)} cannot be read from the faulty "
+                        "disk; save the case under another name",
+                        code="case.not-saved",
+                    )
                 whole = WholeCase(self.case.info.volume, self.digest, moment, flights)
                 self._files.write(path, whole, way_between(path, self.place))
             except BaseException:
@@ -286,13 +296,14 @@ class Keeper:
         """Until something is to be written; None: nothing is. With ``_wake`` held."""
         now_s = self._core.clock()
         if self._changed_s is None:
-            return max(self._retry_s - now_s, 0.0) if self._notes else None
+            return None if not self._notes else 0.0 if self._is_urgent else max(self._retry_s - now_s, 0.0)
         return 0.0 if self._is_urgent else max(self._changed_s + self._within_s, self._retry_s) - now_s
 
     def _attempt(self) -> None:
         """Write the newest moment, if there is a newer one, and what is to be noted beside it."""
         with self._wake:
             self._num_begun += 1
+            self._busy = object()
             changed_s, self._changed_s = self._changed_s, None
             notes, self._notes = self._notes, {}
             self._is_urgent = False
@@ -363,9 +374,13 @@ class Keeper:
             return
         self._pictured = True
         try:
-            self.held.put_picture(self._files.picture(scene), self._records.now_s())
+            picture = self._files.picture(scene)
+            with self._watched():
+                self.held.put_picture(picture, self._records.now_s())
         except Exception as trouble:
             log_fault(logger, "the thumbnail of the case could not be created", trouble)
+        if self.info.problem == ELSEWHERE:
+            self._tell(problem=None)
 
     def _give_back(self) -> None:
         """All that is left, then the file and the right to it."""
@@ -470,6 +485,7 @@ class Keeper:
             with self._wake:
                 if self._busy is this:
                     self._busy, self._is_slow = None, False
+                    self._wake.notify_all()
 
     def _tell(self, **values: object) -> None:
         with self._news(values):

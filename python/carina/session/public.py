@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
 from carina.commands import Command, Question, Redo, Undo
-from carina.errors import NoResultError, UsageError
+from carina.errors import CarinaError, NoResultError, UsageError
 from carina.session.case_scan import is_case_file
 from carina.session.joined_case import JoinedCase
 from carina.session.own_case import OwnCase, ProgramCase
@@ -93,7 +94,8 @@ class Case:
             raise
         if own.note is not None:
             # A window that opened it, or saved it there, a moment ago can be joined by now.
-            joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)
+            with contextlib.suppress(CarinaError, OSError):
+                joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)
             if joined is not None:
                 own.close()
                 return cls(joined)

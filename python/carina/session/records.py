@@ -194,6 +194,17 @@ class CaseRecords:
         close_door(folder)
         return HeldCase(folder, record, descriptor, self.door)
 
+    def is_held(self, record: CaseRecord) -> bool:
+        """Whether a process has a case open; it is looked at without taking it, but for a moment."""
+        try:
+            descriptor = os.open(self._folder / record.case_id / LOCK, os.O_RDWR)
+        except OSError:  # a folder that nobody can have opened for work
+            return False
+        try:
+            return try_lock(descriptor) is False
+        finally:
+            os.close(descriptor)
+
     def open_elsewhere(self, path: Path) -> CaseRecord | None:
         """The case whose copy lies there, where a process has it open: its live file is newer than the copy."""
         for record in self.all():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sqlite3
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import CASE_SUFFIX, FoundScan
 from carina.session.core import SessionCore
+from carina.session.flight_copies import flight_count
 from carina.session.flights import needed_flight
 from carina.session.jobs import Job
 from carina.session.keeping import NOT_RESPONDING, Keeper
@@ -41,6 +43,8 @@ logger = logging.getLogger(__name__)
 
 SAME_TIME_S = 2.0
 """By which a file's time and the clock may differ."""
+HELD_TRIES, HELD_EVERY_S = 4, 0.05
+"""A program that looks whether a case is open has it for a moment."""
 CLOSING_S = 60.0
 """So long Carina waits at its end for a disk that does not respond."""
 
@@ -206,6 +210,11 @@ class Saving(Subject):
             if keeper.held is not None and keeper.held.record.case_id == record.case_id:
                 keeper.end(CLOSING_S)
         held = self.records.hold(record)
+        for _ in range(HELD_TRIES):
+            if held is not None:
+                break
+            time.sleep(HELD_EVERY_S)
+            held = self.records.hold(record)
         if held is None:
             self.core.emit(
                 Said("this CT is already open in another window; changes made here are saved as a separate case")
@@ -529,6 +538,8 @@ class Saving(Subject):
                 num_missing = kept.save_to(path)
             except OSError as trouble:
                 raise disk_trouble(trouble, "cannot save the case to", path) from trouble
+            # Whoever opens the file from now on finds out that it is open here.
+            kept.settle()
             self.core.emit(Said(f"saved as {path}{_without(num_missing)}"))
 
         return self.core.jobs.start("save", "saving the case", work)
@@ -540,10 +551,7 @@ def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
 
 
 def _without(num_flights: int) -> str:
-    if num_flights == 0:
-        return ""
-    flights = "1 recorded flight" if num_flights == 1 else f"{num_flights} recorded flights"
-    return f", without {flights} that could not be read from the faulty disk"
+    return f", without {flight_count(num_flights)} that could not be read from the faulty disk" if num_flights else ""
 
 
 def _with_suffix(path: Path) -> Path:
