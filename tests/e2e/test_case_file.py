@@ -172,7 +172,14 @@ def test_a_case_is_continued_from_the_list_begun_anew_forgotten_and_brought_back
     assert listed("stored").count() == 1
     page.get_by_test_id("restore-case").click()
     page.get_by_test_id("forgotten").wait_for(state="detached")
-    page.keyboard.press("Escape")
+    # The button that was pressed has gone, and for a moment nothing has the focus.
+    page.evaluate(
+        """() => {
+            document.activeElement.blur();
+            document.body.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape', bubbles: true}));
+        }"""
+    )
+    page.get_by_test_id("storage").wait_for(state="detached")
     listed("recent").filter(has_text="1 change").get_by_role("button").click()
     workstation.wait_ready()
     assert shown(workstation)["steps"] == steps

@@ -1,6 +1,6 @@
 /** What the cases and their CTs take on this machine, and how they are named, forgotten and brought back. */
 
-import { useState } from "react";
+import { useEffect, useState } from "react";
 import { Button, Dialog, Form, Heading, Input, Modal, ModalOverlay, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { caseFacts, FORGOTTEN_FOR, sizeWords } from "../state/case-list";
@@ -14,6 +14,15 @@ const NONE: readonly RecentCase[] = [];
 export function StorageDialog() {
   const station = useStation();
   const open = useApp((state) => state.ui.storageOpen);
+  useEffect(() => {
+    if (!open) return;
+    // A button that is pressed goes with its row, and for a moment nothing in the dialog has the focus to hear a key.
+    const closeFromPage = (event: KeyboardEvent) => {
+      if (event.key === "Escape" && document.activeElement === document.body) station.ui({ storageOpen: false });
+    };
+    window.addEventListener("keydown", closeFromPage);
+    return () => window.removeEventListener("keydown", closeFromPage);
+  }, [open, station]);
   return (
     <ModalOverlay
       className="dialog-back"

@@ -42,6 +42,7 @@ import { type CellName, LEAD_VIEW } from "../wire/views";
 import { BrowserDevices } from "./devices";
 import { Pointing } from "./pointing";
 import { Previewing } from "./previewing";
+import { atNextRefresh } from "./refresh";
 import type { Station } from "./station";
 import { asConnection, SLABS, saveAs } from "./station-parts";
 
@@ -49,20 +50,6 @@ import { asConnection, SLABS, saveAs } from "./station-parts";
 const STEP_MM = 2;
 const PACE_MS = 500;
 const SPEED_MS = 250;
-
-/** Where a window is hidden the screen is not refreshed; what is told must not wait for that. */
-const HIDDEN_MS = 250;
-
-function atNextRefresh(task: () => void): void {
-  const late = setTimeout(() => {
-    cancelAnimationFrame(refresh);
-    task();
-  }, HIDDEN_MS);
-  const refresh = requestAnimationFrame(() => {
-    clearTimeout(late);
-    task();
-  });
-}
 
 export class Workstation implements Station {
   readonly store = new Store(INITIAL_STATE, atNextRefresh);
