@@ -38,8 +38,8 @@ from carina.track import (
     edits_to_json,
 )
 from carina.track.edit.folded import FoldedAirways
-from carina.track.edit.lumen import edited_core, found_core
 from carina.track.find.kept import KeptForVolume
+from carina.track.paths.rebuilt import edited_core, found_core
 from carina.track.paths.tracker import PathTracker
 from carina.volume import Note, Volume
 

@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import permutations, product
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ __all__ = [
     "refuse_other_ct",
     "same_geometry",
 ]
+
+V = TypeVar("V", np.uint8, np.int16)
 
 GEOMETRY_TOLERANCE_MM = 1e-3
 """By which a corner of one CT may differ between two files; float32 headers move it by about 1e-4 mm."""
@@ -81,7 +83,7 @@ class CanonicalAxes:
             found[axis] = ("LR", "PA", "SI")[along][flip]
         return "".join(found)
 
-    def view(self, values_zyx: NDArray[np.int16]) -> NDArray[np.int16]:
+    def view(self, values_zyx: NDArray[V]) -> NDArray[V]:
         """The array ``[S, P, L]``, without a copy."""
         along_x, along_y, along_z = (2 - axis for axis in self.axes_ijk)
         steps = tuple(slice(None, None, -1 if flip else 1) for flip in reversed(self.flipped))

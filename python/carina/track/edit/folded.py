@@ -13,8 +13,9 @@ from carina._core import lumen_states
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.track.edit.kinds import TreeEdit
-from carina.track.edit.lumen import EditedLumen, edited_core
+from carina.track.edit.lumen import EditedLumen
 from carina.track.find.found import Airways
+from carina.track.paths.rebuilt import edited_core
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty

@@ -29,8 +29,6 @@ __all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_vox
 
 Voxels = NDArray[np.uint16]
 """(n, 3) i, j, k."""
-Levels = tuple[float, float, float] | None
-"""As :attr:`carina.track.Airways.wall_levels`."""
 
 MAX_BRIDGE_MM = 60.0
 """A lobe's bronchus and its first division are shorter; what is farther is not bridged but guessed."""
@@ -99,33 +97,6 @@ class EditedLumen:
     def state_at(self, voxel: NDArray[np.int64]) -> int:
         """0 outside the lumen, 1 in lumen that no path reaches, 2 in the lumen."""
         return int(lumen_states(self.core, _triple(voxel), (1, 1, 1))[0, 0, 0])
-
-
-def found_core(
-    volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
-) -> LumenTracker:
-    """The compiled tracker as a search leaves it, of the lumen and the root that it came to."""
-    core = _unsolved(volume, lumen_zyx, root_ijk, levels)
-    core.solve_all()
-    return core
-
-
-def edited_core(
-    volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
-) -> LumenTracker:
-    """The compiled tracker as edits leave it: of equally cheap paths it takes the first."""
-    return reroot_lumen(_unsolved(volume, lumen_zyx, root_ijk, levels), root_ijk)
-
-
-def _unsolved(
-    volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
-) -> LumenTracker:
-    x, y, z = (float(v) for v in volume.to_lps(np.array(root_ijk, dtype=np.float64)))
-    # A voxel's own centre: a tenth of a voxel is far more than its rounding.
-    reach_mm = 0.1 * min(volume.spacing_mm)
-    return LumenTracker(
-        volume.hu_zyx, volume.lps_from_ijk, lumen_zyx, levels=levels, root_lps=(x, y, z), reach_mm=reach_mm
-    )
 
 
 def lumen_voxels(core: LumenTracker) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carina._core import LumenTracker
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import UsageError, check_type
+from carina.track.find.canonical import CanonicalOrder
 from carina.track.find.found import Airways
 from carina.track.find.growth import doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
@@ -18,7 +19,7 @@ from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse
 from carina.track.find.totals import doubt_of_totals
 from carina.track.levels import AirScale
 from carina.track.names.naming import name_tree
-from carina.track.paths.tracker import SNAP_MM, PathTracker, as_point, branches_from_rows, words
+from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows, words
 from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty, find_uncertain, with_confidence
@@ -97,15 +98,31 @@ def find_airways(
     if root is not None and not volume.contains_lps(np.array(root)):
         msg = f"the root {words(root)} lies outside the volume"
         raise UsageError(msg)
-    found_notes = list(notes)
+    given = None if lumen_zyx is None else given_lumen(volume, lumen_zyx)
+    order = CanonicalOrder.of(volume)
+    given = None if given is None else order.in_order(given)
+    airways = order.put_back(_found(order.volume, root, lumen_threshold, given, stage))
+    return dataclasses.replace(airways, notes=(*notes, *airways.notes))
+
+
+def _found(
+    volume: Volume,
+    root: Point | None,
+    lumen_threshold: float | None,
+    given: NDArray[np.uint8] | None,
+    stage: Stages,
+) -> Airways:
+    """What :func:`find_airways` finds, on a volume in canonical order."""
+    was_given_root = root is not None
+    found_notes: list[str] = []
     badges: list[Note] = []
     # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
     noise: float | None = None
     leaks = np.empty((0, 3))
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
-    if lumen_zyx is not None:
-        lumen, levels, end = given_lumen(volume, lumen_zyx), None, float("nan")
+    if given is not None:
+        lumen, levels, end = given, None, float("nan")
         badges += doubts_of_given(volume, lumen)
         if root is None:
             drawn = np.where(lumen != 0, -1000, 40).astype(np.int16)
@@ -123,11 +140,11 @@ def find_airways(
     core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
     tracker = PathTracker(volume, core)
     stage.begin("calculating the paths")
-    core.solve_all(cancel=cancel, progress=stage.share)
+    core.solve_all(cancel=stage.cancel, progress=stage.share)
     stage.begin("building the branches")
-    rows = core.branches(cancel=cancel, progress=stage.share)
+    rows = core.branches(cancel=stage.cancel, progress=stage.share)
     branches = branches_from_rows(rows)
-    if root_lps is None:
+    if not was_given_root:
         refuse_a_root_below_the_carina(volume, branches)
         if trachea_mm is not None:
             refuse_a_root_of_one_lung(volume, branches, trachea_mm)
@@ -147,7 +164,7 @@ def find_airways(
         tree = name_tree(tree)
     else:
         tree = dataclasses.replace(tree, branches=_named(tree.branches))
-    if lumen_zyx is not None:
+    if given is not None:
         tree = unnamed_where_doubted(tree)
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])

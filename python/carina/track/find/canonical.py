@@ -1,0 +1,69 @@
+"""One order of axes for the search: what it finds does not depend on how a file happens to store the voxels."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.find.found import Airways
+from carina.track.paths.rebuilt import edited_core
+from carina.track.paths.tracker import PathTracker
+from carina.track.tree.airway_tree import AirwayTree
+from carina.volume.digest import CanonicalAxes, canonical_axes, canonical_geometry
+from carina.volume.model import Volume
+
+__all__ = ["CanonicalOrder"]
+
+
+@dataclass(frozen=True, slots=True)
+class CanonicalOrder:
+    """A volume whose axes run nearest to L, P and S, beside the same one as it is stored.
+
+    Floods, queues and least-cost ways take voxels in the order in which they lie in memory, and of two that are equal
+    the first wins. So the search runs in this order alone, and what it found is put back.
+    """
+
+    stored: Volume
+    volume: Volume
+    """``stored`` itself where that is in this order; else a copy."""
+    _axes: CanonicalAxes
+
+    @classmethod
+    def of(cls, volume: Volume) -> CanonicalOrder:
+        """Of a volume in any order; only one in another order is copied."""
+        axes = canonical_axes(volume.lps_from_ijk)
+        if axes.letters == "LPS":
+            return cls(volume, volume, axes)
+        place = canonical_geometry(volume).lps_from_ijk
+        values = np.ascontiguousarray(axes.view(volume.hu_zyx))
+        return cls(volume, dataclasses.replace(volume, hu_zyx=values, lps_from_ijk=place), axes)
+
+    @property
+    def is_stored(self) -> bool:
+        """Whether the volume is stored in this order."""
+        return self.volume is self.stored
+
+    def in_order(self, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A mask on the stored grid, in this order."""
+        return lumen_zyx if self.is_stored else np.ascontiguousarray(self._axes.view(lumen_zyx))
+
+    def put_back(self, airways: Airways) -> Airways:
+        """Airways that were found in this order, on the stored grid.
+
+        Their paths are calculated there when they are first needed; the tree is the one that was found.
+        """
+        if self.is_stored:
+            return airways
+        stored = self.stored
+        lumen = np.empty(stored.shape_zyx, dtype=np.uint8)
+        self._axes.view(lumen)[...] = airways.lumen_zyx
+        lumen.flags.writeable = False
+        i, j, k = (int(v) for v in np.rint(stored.to_ijk(self.volume.to_lps(np.array(airways.tracker.root_ijk)))))
+        levels = airways.wall_levels
+        tracker = PathTracker(stored, lambda: edited_core(stored, lumen, (i, j, k), levels), root_ijk=(i, j, k))
+        tracker.follow_branches(airways.tree.branches)
+        tree = AirwayTree(airways.tree.branches, _smooth=tracker.smooth, notes=airways.tree.notes)
+        return dataclasses.replace(airways, lumen_zyx=lumen, tree=tree, tracker=tracker)
