@@ -514,6 +514,29 @@ def extend_lumen(
 ) -> dict[str, Any]:
     """Adds 2 to a lumen of 1 in place; num_voxels, num_reached, ran_out, enclosed, followed [points_lps, ...]."""
 
+def mix_with_blurs(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    *,
+    own: float,
+    blurs: Sequence[tuple[float, float]],
+    axes_ijk: tuple[bool, bool, bool],
+) -> NDArray[np.int16]:
+    """``own`` times each value, and blurs of the volume (weight, sigma in mm) along the chosen axes."""
+
+def keep_cut_off_air_of(
+    sharp_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    soft_zyx: NDArray[np.int16],
+    *,
+    floor: int,
+    air: int,
+    certain: int,
+    rise: int,
+    seam_mm: float,
+) -> int:
+    """Makes air, in place, of airways' lumen that a sharp volume has cut off at its floor; how many voxels."""
+
 @final
 class GraphTracker:
     """A graph with a cost, and the least-cost tree from one root."""

@@ -5,11 +5,13 @@
 )]
 
 use carina_airpath::find::extension::{ExtensionLimits, extend};
+use carina_airpath::find::soft::{Blur, CutOff, keep_cut_off_air, mixed};
 use carina_grid::{Ijk, VolumeView};
 use carina_leastcost::TrackError;
-use numpy::ndarray::Array2;
+use numpy::ndarray::{Array2, Array3};
 use numpy::{
-    IntoPyArray, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods,
+    IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
+    PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -97,6 +99,78 @@ fn extend_lumen<'py>(
     Ok(report)
 }
 
+/// A share of each value and blurs of the volume (weight, sigma in mm) along the chosen axes.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lps_from_ijk, *, own, blurs, axes_ijk))]
+fn mix_with_blurs<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    own: f64,
+    blurs: Vec<(f64, f64)>,
+    axes_ijk: [bool; 3],
+) -> PyResult<Bound<'py, PyArray3<i16>>> {
+    let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+    let data = arrays::values("values_zyx", &values_zyx)?;
+    let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
+    let blurs: Vec<Blur> = blurs
+        .into_iter()
+        .map(|(weight, sigma_mm)| Blur { weight, sigma_mm })
+        .collect();
+    let out = py.detach(|| mixed(view, own, &blurs, axes_ijk));
+    let shape = values_zyx.shape();
+    Ok(Array3::from_shape_vec((shape[0], shape[1], shape[2]), out)
+        .expect("as many values as the volume has")
+        .into_pyarray(py))
+}
+
+/// Make air of airways' lumen that the sharp volume has cut off at its floor, in a softened one; how many voxels.
+#[pyfunction]
+#[pyo3(signature = (sharp_zyx, lps_from_ijk, soft_zyx, *, floor, air, certain, rise, seam_mm))]
+fn keep_cut_off_air_of<'py>(
+    py: Python<'py>,
+    sharp_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    mut soft_zyx: PyReadwriteArray3<'py, i16>,
+    floor: i16,
+    air: i16,
+    certain: i16,
+    rise: i16,
+    seam_mm: f64,
+) -> PyResult<usize> {
+    let grid = arrays::grid(&sharp_zyx, &lps_from_ijk)?;
+    let data = arrays::values("sharp_zyx", &sharp_zyx)?;
+    let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
+    let expected = format!("a contiguous array of shape {:?}", sharp_zyx.shape());
+    let found = format!(
+        "shape {:?}, strides {:?}",
+        soft_zyx.shape(),
+        soft_zyx.strides()
+    );
+    let error = || {
+        TrackError::Argument {
+            what: "soft_zyx",
+            expected: expected.clone(),
+            found: found.clone(),
+        }
+        .into_py()
+    };
+    if soft_zyx.shape() != sharp_zyx.shape() {
+        return Err(error());
+    }
+    let soft = soft_zyx.as_slice_mut().map_err(|_| error())?;
+    let cut = CutOff {
+        floor,
+        air,
+        certain,
+        rise,
+        seam_mm,
+    };
+    Ok(py.detach(|| keep_cut_off_air(view, soft, &cut)))
+}
+
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(extend_lumen, module)?)
+    module.add_function(wrap_pyfunction!(extend_lumen, module)?)?;
+    module.add_function(wrap_pyfunction!(mix_with_blurs, module)?)?;
+    module.add_function(wrap_pyfunction!(keep_cut_off_air_of, module)?)
 }

@@ -141,6 +141,28 @@ impl Enclosure {
         }
         *rises.select_nth_unstable(NUM_OPEN).1
     }
+
+    /// Whether the values rise by `rise` or more on all but a fifth of the rays: [`Enclosure::at`] at least that, sooner known.
+    #[must_use]
+    pub fn reaches(&self, smooth: &[i16], voxel: usize, rise: i16) -> bool {
+        let [nx, ny, _] = self.shape;
+        let at = voxel as isize;
+        let ijk = [at % nx, at / nx % ny, at / nx / ny];
+        if !(0..3).all(|a| ijk[a] >= self.margin[a] && ijk[a] < self.shape[a] - self.margin[a]) {
+            return self.at(smooth, voxel) >= rise;
+        }
+        let wall = smooth[voxel].saturating_add(rise);
+        let mut num_open = 0;
+        for ray in &self.steps {
+            if !ray.iter().any(|step| smooth[(at + step) as usize] >= wall) {
+                num_open += 1;
+                if num_open > NUM_OPEN {
+                    return false;
+                }
+            }
+        }
+        true
+    }
 }
 
 /// Unit vectors spread evenly over the sphere (a Fibonacci lattice).
@@ -340,10 +362,11 @@ mod tests {
             let enclosure = Enclosure::new(&grid, REACH_MM);
             let smooth = VolumeView::new(&fast, &grid).unwrap();
             for voxel in 0..grid.num_voxels() {
-                prop_assert_eq!(
-                    enclosure.at(&fast, voxel),
-                    enclosed_slowly(&enclosure, smooth, voxel)
-                );
+                let found = enclosure.at(&fast, voxel);
+                prop_assert_eq!(found, enclosed_slowly(&enclosure, smooth, voxel));
+                for rise in [found - 1, found, found + 1, 100] {
+                    prop_assert_eq!(enclosure.reaches(&fast, voxel, rise), found >= rise);
+                }
             }
         }
     }

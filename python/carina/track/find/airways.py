@@ -118,6 +118,7 @@ def _found(
     badges: list[Note] = []
     # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
     noise: float | None = None
+    searched = volume
     leaks = np.empty((0, 3))
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
@@ -132,6 +133,7 @@ def _found(
     else:
         grown = grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
+        searched = grown.searched
         noise, leaks, trachea_mm = grown.noise, grown.leaks_lps, grown.trachea_mm
         badges += grown.badges
         found_notes += grown.notes
@@ -152,8 +154,8 @@ def _found(
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
         stage.begin("assessing the branches")
-        tree = with_confidence(volume, tree, noise)
-        uncertain = find_uncertain(volume, tree, leaks)
+        tree = with_confidence(searched, tree, noise)
+        uncertain = find_uncertain(searched, tree, leaks)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
         badges += [] if total is None else [total]
     elif volume.is_hu:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from carina._core import extend_lumen
 from carina.track.find.kernel import edge_undershoot_hu
 from carina.track.find.root_checks import LUNG_HU
+from carina.track.find.softened import Softened
 from carina.track.levels import AirScale
 from carina.track.stages import Stages
-from carina.volume.model import Note, Volume
+from carina.volume.model import Note
 
 __all__ = ["STOPPED", "Beyond", "follow_beyond"]
 
@@ -39,6 +40,8 @@ NOISE_SHARE = 0.15
 SHARP_BAR = 1.5
 # A search that ran out is made again, with ways that must be so many times as enclosed as the lung asks for.
 BARS = (1.0, 2.0, 4.0)
+# What softening leaves of the rims passes for an airway at once the lung's own bar (docs/decisions/0057).
+SOFTENED_BARS = (2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
 # Healthy searches reach 0.02 to 0.4 % of the lung and follow at most 0.35 m (eight CTs).
 MOST_REACHED = 0.02
@@ -58,12 +61,15 @@ class Beyond:
 
 
 def follow_beyond(
-    volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float, noise: float
+    searched: Softened, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float, noise: float
 ) -> Beyond:
     """Follow the airways beyond the flooded ``lumen`` (1 inside, changed in place); the bar rises till it holds."""
     stage.begin("tracing the small airways")
+    volume = searched.volume
+    most_hu = SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
+    is_softened = searched.raised > 0.0
     undershoot_hu = edge_undershoot_hu(volume, scale)
-    is_sharp = undershoot_hu is not None and undershoot_hu > SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
+    is_sharp = undershoot_hu is not None and undershoot_hu > most_hu
     least_rise = scale.span(LEAST_RISE_HU)
     if undershoot_hu is not None and is_sharp:
         least_rise = max(least_rise, scale.span(SHARP_BAR * undershoot_hu))
@@ -87,7 +93,7 @@ def follow_beyond(
 
     followed: list[dict[str, Any]] = []
     ran_out = False
-    for raised in SHARP_BARS if is_sharp else BARS:
+    for raised in SHARP_BARS if is_sharp else SOFTENED_BARS if is_softened else BARS:
         found = extended(raised)
         if not found["ran_out"] and _length_mm(found["followed"]) <= (
             SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
@@ -103,14 +109,19 @@ def follow_beyond(
             "shape of their walls where the lumen is no darker than the lung"
         )
     np.minimum(lumen, 1, out=lumen)
+    # What the CT shows, before it was softened.
+    rims_hu = searched.undershoot_hu if is_softened else undershoot_hu
+    rims = f"the sharp kernel of this CT produces dark rims ({rims_hu or 0.0:.0f} HU) next to vessels"
     if not (is_sharp or ran_out):
-        return Beyond(tuple(notes), None)
-    what = (
-        f"the sharp kernel of this CT produces dark rims ({undershoot_hu:.0f} HU) next to vessels, which look like "
-        "airways"
-        if is_sharp
-        else "it leaked from the airways into the lung"
-    )
+        if rims_hu is None or not is_softened:
+            return Beyond(tuple(notes), None)
+        words = f"{rims}; the airways were searched for in a softened copy of it"
+        if rims_hu <= most_hu:
+            return Beyond((*notes, words), None)
+        return Beyond(
+            tuple(notes), Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
+        )
+    what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
     kept = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True))

@@ -9,7 +9,7 @@ from carina.track.find.root_checks import LUNG_HU
 from carina.track.levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = ["edge_undershoot_hu"]
+__all__ = ["edge_undershoot_hu", "undershoots_hu"]
 
 TISSUE_HU, EDGE_HU = -300.0, -500.0
 # A kernel's undershoot lies within this of the edge; from the second distance to the third the lung is as it is.
@@ -35,15 +35,18 @@ def edge_undershoot_hu(volume: Volume, scale: AirScale) -> float | None:
         Median over edges along the two axes that show most of it; None where there are too few edges or voxels are too
         long.
     """
-    found = []
-    for axis in range(3):
-        voxel_mm = volume.spacing_mm[2 - axis]
-        if voxel_mm <= MOST_VOXEL_MM:
-            depth = _along(volume.hu_zyx, axis, voxel_mm, scale)
-            if depth is not None:
-                found.append(depth)
+    found = sorted(depth for depth in undershoots_hu(volume, scale) if depth is not None)
     # A kernel sharpens in the slice; across slices there may be less of it.
-    return None if not found else float(np.mean(sorted(found)[-2:]))
+    return None if not found else float(np.mean(found[-2:]))
+
+
+def undershoots_hu(volume: Volume, scale: AirScale) -> tuple[float | None, float | None, float | None]:
+    """The same along i, j and k, one each; None where there are too few edges or voxels are too long."""
+    x, y, z = (
+        _along(volume.hu_zyx, 2 - axis, spacing_mm, scale) if spacing_mm <= MOST_VOXEL_MM else None
+        for axis, spacing_mm in enumerate(volume.spacing_mm)
+    )
+    return x, y, z
 
 
 def _along(values: NDArray[np.int16], axis: int, voxel_mm: float, scale: AirScale) -> float | None:
