@@ -446,6 +446,17 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
     let generations: Vec<u32> = part.iter().map(|b| b.generation).collect();
     assert_eq!(generations.iter().max(), Some(&2), "{generations:?}");
     assert_eq!(part.len(), 4, "{generations:?}");
+    // Branches of an edited tree are looked up along their centrelines: nodes that come back to where they were make no circle.
+    let mut wavering = branches.clone();
+    for branch in &mut wavering {
+        let middle = branch.nodes.len() / 2;
+        if middle > 0 {
+            let back = [branch.nodes[middle - 1], branch.nodes[middle]];
+            branch.nodes.splice(middle + 1..middle + 1, back);
+        }
+    }
+    let same = branches::branches_to(&graph, &tracker, &grid, &limits, &tips, &wavering);
+    assert_eq!(same, part);
 }
 
 #[test]

@@ -98,9 +98,12 @@ pub fn branches_to(
     let mut before: BTreeMap<u32, u32> = BTreeMap::new();
     for branch in automatic {
         for pair in branch.nodes.windows(2) {
-            before.entry(pair[1]).or_insert(pair[0]);
+            // Nodes that were looked up along a centreline may come back to where it was: they would be their own ancestors.
+            if !whole.in_tree[pair[1] as usize] {
+                before.insert(pair[1], pair[0]);
+                whole.add(pair);
+            }
         }
-        whole.add(&branch.nodes);
     }
     let mut used = NodeTree::new(graph, tracker, grid);
     for &target in targets {
