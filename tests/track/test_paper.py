@@ -15,6 +15,7 @@ from carina.errors import CancelledError, UsageError
 from carina.track.targets.paper import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
 from carina.volume.model import Volume
 from carina_bench.track_paper import deviation_mm
+from made import made_phantom
 
 PAIRS = list(itertools.product(COSTS, GRAPHS))
 
@@ -53,6 +54,9 @@ def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, 
         assert path.cost == row.cost > 0.0
         inside = found.tracker.inside(path.voxel_path_lps)
         assert row.num_outside == int((~inside).sum())
+        if cost == "walls":
+            # The guarantee of paper 6.3, on a search that knows no lumen.
+            assert row.num_outside == 0
         if cost == "lumen":
             assert row.num_outside == 0
             assert row.outside_mm == 0.0
@@ -61,6 +65,38 @@ def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, 
     assert search.num_edges > search.num_nodes
     # With 12 HU of noise no cube of 27 voxels lies in one bin of 16 HU: the bins of the cost paper prune nothing.
     assert (search.num_centres > 0) == (graph == "isoregion" and search.labels == "lumen")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_where_walls_are_dear_paths_to_segments_stay_inside_and_with_walls_cheap_they_leave(seed):
+    """Paper 6.3: "the cost minimization process always prevents wall penetration"; 20 seeds in make soak."""
+    assert_no_wall_is_penetrated(seed)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(1, 21))
+def test_no_wall_is_penetrated_on_the_way_to_five_segments(seed):
+    assert_no_wall_is_penetrated(seed)
+
+
+def assert_no_wall_is_penetrated(seed):
+    made = made_phantom(seed=seed, spacing_mm=1.2, noise_hu=25.0)
+    airways = carina.find_airways(made.volume)
+    segments = [branch for branch in airways.tree.branches if branch.generation == 4]
+    ends = [branch.points[-1] for branch in segments[:: max(len(segments) // 5, 1)][:5]]
+    walls = track_on_graph(made.volume, airways, ends, cost="walls", graph="voxel").search
+    assert [row.num_outside for row in walls.targets] == [0] * 5
+    assert sum(row.num_path_nodes for row in walls.targets) > 500
+    printed = track_on_graph(made.volume, airways, ends[:1], cost="paper", graph="voxel").search
+    assert printed.targets[0].num_outside > 0.5 * printed.targets[0].num_path_nodes
+
+
+def test_metal_in_the_volume_does_not_open_walls(chest, found, ends):
+    values = chest.volume.hu_zyx.copy()
+    values[2:4, 2:4, 2:4] = 30000
+    volume = Volume(values, chest.volume.lps_from_ijk)
+    search = track_on_graph(volume, found, ends, cost="walls", graph="voxel").search
+    assert [row.num_outside for row in search.targets] == [0] * 4
 
 
 def test_the_voxel_graph_of_the_lumen_has_the_costs_of_the_tracker_that_the_tree_came_from(chest, found, ends):

@@ -12,6 +12,7 @@ use carina_leastcost::TrackError;
 use carina_leastcost::distance::VoxelBox;
 use carina_leastcost::graph_tracker::{GraphTracker as Inner, Labels, Terrain};
 use carina_leastcost::lumen::WallLevels;
+use carina_leastcost::paper_cost::Reading;
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
@@ -74,14 +75,22 @@ impl GraphTracker {
             None => None,
         };
         let terrain = match cost {
-            "paper" => Terrain::Paper(VoxelBox {
-                first_ijk: box_ijk.0,
-                shape_ijk: box_ijk.1,
-            }),
+            "paper" | "walls" => {
+                let voxel_box = VoxelBox {
+                    first_ijk: box_ijk.0,
+                    shape_ijk: box_ijk.1,
+                };
+                let reading = if cost == "walls" {
+                    Reading::Walls
+                } else {
+                    Reading::Printed
+                };
+                Terrain::Paper(voxel_box, reading)
+            }
             "lumen" => {
                 Terrain::Lumen(levels.map(|(core, wall, rise)| WallLevels { core, wall, rise }))
             }
-            other => return Err(refused("cost", "lumen or paper", other)),
+            other => return Err(refused("cost", "lumen, walls or paper", other)),
         };
         let pruned = match labels {
             None => None,

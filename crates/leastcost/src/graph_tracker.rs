@@ -1,4 +1,4 @@
-//! One tracker over the four pairs of a cost (`lumen`, `paper`) and a graph (`voxel`, `isoregion`).
+//! One tracker over the pairs of a cost (`lumen`, `paper`, `walls`) and a graph (`voxel`, `isoregion`).
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 use carina_isoregion::value_labels;
@@ -8,7 +8,7 @@ use crate::distance::VoxelBox;
 use crate::graph::Graph;
 use crate::isoregion_graph::{IsoRegionGraph, PrunedCost, count_edges, radii};
 use crate::lumen::{LumenCost, LumenGraph, WallLevels};
-use crate::paper_cost::{PaperCost, greatest_gradient};
+use crate::paper_cost::{PaperCost, Reading};
 use crate::tracker::Tracker;
 use crate::{TrackError, Watch};
 
@@ -24,8 +24,8 @@ pub enum Labels {
 /// Where paths are searched, and at what cost.
 #[derive(Debug, Clone, Copy)]
 pub enum Terrain {
-    /// Cost `paper` on all voxels of a box.
-    Paper(VoxelBox),
+    /// Cost `paper` or `walls` on all voxels of a box.
+    Paper(VoxelBox, Reading),
     /// Cost `lumen` on the lumen's voxels.
     Lumen(Option<WallLevels>),
 }
@@ -103,10 +103,10 @@ impl GraphTracker {
             });
         }
         let walk = match terrain {
-            Terrain::Paper(voxel_box) => {
+            Terrain::Paper(voxel_box, reading) => {
                 let graph = BoxGraph::new(&grid, voxel_box)?;
-                let greatest = greatest_gradient(values, watch)?;
-                let cost = PaperCost::build(values, &graph, greatest, watch)?;
+                let greatest = reading.scale(values, watch)?;
+                let cost = PaperCost::build(values, &graph, reading, greatest, watch)?;
                 match pruned {
                     None => Walk::Paper(graph, cost),
                     Some(labels) => {
@@ -131,7 +131,7 @@ impl GraphTracker {
             }
         };
         let root = place(&walk, &grid, root_ijk, reach_mm).ok_or_else(|| match terrain {
-            Terrain::Paper(voxel_box) => TrackError::Argument {
+            Terrain::Paper(voxel_box, _) => TrackError::Argument {
                 what: "root",
                 expected: format!(
                     "a voxel of the box of {:?} voxels from {:?}",
@@ -312,7 +312,11 @@ mod tests {
             first_ijk: [0; 3],
             shape_ijk: grid.shape_ijk(),
         };
-        for terrain in [Terrain::Paper(whole), Terrain::Lumen(None)] {
+        for terrain in [
+            Terrain::Paper(whole, Reading::Printed),
+            Terrain::Paper(whole, Reading::Walls),
+            Terrain::Lumen(None),
+        ] {
             let build = |pruned| {
                 let root = [8.2, 7.0, 1.0];
                 GraphTracker::build(view, terrain, pruned, Some(&lumen), root, 3.0, &Unwatched)
@@ -368,9 +372,19 @@ mod tests {
             .map(|_| ())
         };
         let outside = [8.0, 7.0, 20.0];
-        let refused = build(Terrain::Paper(half), Some(&lumen[..]), outside).unwrap_err();
+        let refused = build(
+            Terrain::Paper(half, Reading::Printed),
+            Some(&lumen[..]),
+            outside,
+        )
+        .unwrap_err();
         assert_eq!(refused.code(), "usage.track");
-        let refused = build(Terrain::Paper(half), None, [8.0, 7.0, 2.0]).unwrap_err();
+        let refused = build(
+            Terrain::Paper(half, Reading::Printed),
+            None,
+            [8.0, 7.0, 2.0],
+        )
+        .unwrap_err();
         assert_eq!(refused.code(), "usage.track");
         let refused = build(Terrain::Lumen(None), Some(&lumen[..]), [0.0; 3]).unwrap_err();
         assert_eq!(refused.code(), "track.no-result");

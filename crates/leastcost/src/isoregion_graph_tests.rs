@@ -11,7 +11,7 @@ use crate::distance::VoxelBox;
 use crate::graph::{Cost, Graph};
 use crate::isoregion_graph::{IsoRegionGraph, PrunedCost, count_edges, is_cut_away, radii};
 use crate::lumen::{LumenCost, LumenGraph};
-use crate::paper_cost::{PaperCost, greatest_gradient};
+use crate::paper_cost::{PaperCost, Reading, greatest_gradient};
 use crate::tracker::Tracker;
 
 /// Paper, Figure 12(a): the `IsoRegion` map.
@@ -261,7 +261,7 @@ proptest! {
         let binned = value_labels(&values, |_, _| false).labels;
         let graph = pruned(&grid, &binned);
         let greatest = greatest_gradient(view, &Unwatched).unwrap();
-        let table = PaperCost::build(view, graph.base(), greatest, &Unwatched).unwrap();
+        let table = PaperCost::build(view, graph.base(), Reading::Printed, greatest, &Unwatched).unwrap();
         let cost = PrunedCost::new(&graph, &table);
         let root = targets[0] % graph.num_nodes() as u32;
         let mut tracker = Tracker::new(&graph, &cost, root).unwrap();

@@ -1,8 +1,10 @@
-//! The cost `paper` (paper 6.2): edges are cheap where the gradient is high and the Laplacian changes its sign.
+//! The costs `paper` and `walls` (paper 6.2), from the gradient and the sign of the Laplacian.
 //!
 //! `cost(u, v) = |p(u) - p(v)| (w_g f_g(u, v) + w_z f_z(u, v))`, in mm. The printed formula makes *high* gradients cheap:
-//! a path follows the edges of things, the airway's wall among them, though 6.3 says that the wall is dear. It is built as
-//! printed, and whoever uses it counts the points that leave the lumen.
+//! a path follows the edges of things, the airway's wall among them. 6.3 says the opposite: "the wall of the airway has such a
+//! high cost that the cost minimization process always prevents wall penetration". [`Reading::Printed`] is the letter,
+//! [`Reading::Walls`] the sense: the same two functions with the sign turned round. Whoever uses either counts the points that
+//! leave the lumen.
 //!
 //! [`gradient`] and [`laplacian`] are the formulas as they read; [`PaperCost::build`] fills a table of them, row by row, and
 //! equals them.
@@ -69,6 +71,105 @@ pub fn weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
     (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
 }
 
+/// Weight per mm with the sign turned round: high gradients and zero crossings are dear (paper 6.3).
+///
+/// Departures: `f_g` is (G(u) + G(v)) / (2 max(G)); where a Laplacian is 0 there is no crossing, as nothing changes its sign in
+/// air without noise; no weight is below [`LEAST_WEIGHT`].
+#[must_use]
+pub fn wall_weight(gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
+    let f_g = 0.5 * (gradient_share[0] + gradient_share[1]);
+    let f_z = if laplacian[0].signum() * laplacian[1].signum() < 0 {
+        1.0
+    } else {
+        0.0
+    };
+    (GRADIENT_WEIGHT * f_g + ZERO_CROSSING_WEIGHT * f_z).max(LEAST_WEIGHT)
+}
+
+/// Which way the paper's cost is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reading {
+    /// As printed in 6.2: walls are cheap.
+    Printed,
+    /// As 6.3 needs it: walls are dear.
+    Walls,
+}
+
+/// What stands for max(G) where walls are dear: this share of the volume's voxels has no higher gradient.
+///
+/// Departure: metal or contrast sets the greatest gradient of a volume, and beside it walls would cost next to nothing.
+pub const CLIPPED_SHARE: f64 = 0.999;
+const NUM_BINS: usize = 1 << 14;
+
+impl Reading {
+    /// What gradients are divided by.
+    pub fn scale(self, values: VolumeView<'_, i16>, watch: &impl Watch) -> Result<f64, TrackError> {
+        let greatest = greatest_gradient(values, watch)?;
+        match self {
+            Self::Printed => Ok(greatest),
+            Self::Walls => clipped_gradient(values, greatest, watch),
+        }
+    }
+
+    fn weight(self, gradient_share: [f64; 2], laplacian: [i32; 2]) -> f64 {
+        match self {
+            Self::Printed => weight(gradient_share, laplacian),
+            Self::Walls => wall_weight(gradient_share, laplacian),
+        }
+    }
+}
+
+/// The gradient that [`CLIPPED_SHARE`] of the voxels do not pass, to a bin of 1 / 16384 of the greatest.
+fn clipped_gradient(
+    values: VolumeView<'_, i16>,
+    greatest: f64,
+    watch: &impl Watch,
+) -> Result<f64, TrackError> {
+    if greatest <= 0.0 {
+        return Ok(greatest);
+    }
+    let shape_ijk = values.grid().shape_ijk();
+    let whole = VoxelBox {
+        first_ijk: [0; 3],
+        shape_ijk,
+    };
+    let counts = (0..shape_ijk[2])
+        .into_par_iter()
+        .map_init(
+            || Rows::new(values, whole),
+            |rows, k| {
+                watch.go_on(0.0)?;
+                let mut counts = vec![0u32; NUM_BINS];
+                for j in 0..shape_ijk[1] {
+                    for squared in rows.squared_gradient(j, k) {
+                        let bin = (squared.sqrt() / greatest * NUM_BINS as f64) as usize;
+                        counts[bin.min(NUM_BINS - 1)] += 1;
+                    }
+                }
+                Ok(counts)
+            },
+        )
+        .try_reduce(
+            || vec![0u32; NUM_BINS],
+            |mut sum, counts| {
+                for (total, count) in sum.iter_mut().zip(counts) {
+                    *total += count;
+                }
+                Ok(sum)
+            },
+        )?;
+    let most = CLIPPED_SHARE * whole.num_voxels() as f64;
+    let mut below = 0.0;
+    let bin = counts
+        .iter()
+        .position(|count| {
+            below += f64::from(*count);
+            below >= most
+        })
+        .unwrap_or(NUM_BINS - 1);
+    Ok(greatest * (bin + 1) as f64 / NUM_BINS as f64)
+}
+
 /// max(G) over the whole volume.
 pub fn greatest_gradient(
     values: VolumeView<'_, i16>,
@@ -100,6 +201,7 @@ pub fn greatest_gradient(
 /// The cost of the edges of a [`BoxGraph`], 5 bytes for each of its voxels.
 #[derive(Debug)]
 pub struct PaperCost {
+    reading: Reading,
     /// G / max(G), 0 to 1. f32 keeps `f_g` right within 1e-7.
     gradient_share: Vec<f32>,
     /// Sign of the Laplacian: the zero crossing needs no more of it.
@@ -107,10 +209,12 @@ pub struct PaperCost {
 }
 
 impl PaperCost {
-    /// The table for the voxels of a graph, on the values of the whole volume; `greatest_gradient` is that of the volume.
+    /// The table for the voxels of a graph, on the values of the whole volume; `greatest_gradient` is [`Reading::scale`] of the
+    /// volume.
     pub fn build(
         values: VolumeView<'_, i16>,
         graph: &BoxGraph,
+        reading: Reading,
         greatest_gradient: f64,
         watch: &impl Watch,
     ) -> Result<Self, TrackError> {
@@ -149,6 +253,7 @@ impl PaperCost {
                 },
             )?;
         Ok(Self {
+            reading,
             gradient_share,
             laplacian_sign,
         })
@@ -158,7 +263,7 @@ impl PaperCost {
 impl Cost for PaperCost {
     fn weight(&self, u: u32, v: u32) -> f64 {
         let ends = [u as usize, v as usize];
-        weight(
+        self.reading.weight(
             ends.map(|n| f64::from(self.gradient_share[n])),
             ends.map(|n| i32::from(self.laplacian_sign[n])),
         )

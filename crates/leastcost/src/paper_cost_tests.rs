@@ -1,4 +1,4 @@
-//! The printed cost on random volumes: the table equals the formulas, weights keep their range, the tracker finds the
+//! The printed cost, and the one with walls dear, on random volumes: the table equals the formulas, weights keep their range, the tracker finds the
 //! costs of the plain search.
 
 use carina_grid::{Affine, Grid, VolumeView};
@@ -9,7 +9,9 @@ use crate::box_graph::{BoxGraph, VoxelGraph};
 use crate::dijkstra::least_costs;
 use crate::distance::VoxelBox;
 use crate::graph::{Cost, Graph};
-use crate::paper_cost::{LEAST_WEIGHT, PaperCost, gradient, greatest_gradient, laplacian, weight};
+use crate::paper_cost::{
+    LEAST_WEIGHT, PaperCost, Reading, gradient, greatest_gradient, laplacian, wall_weight, weight,
+};
 use crate::tracker::Tracker;
 
 /// Three spacings and a turn: swapped axes cannot pass.
@@ -89,7 +91,9 @@ proptest! {
         // The sum of three squares is added in another order.
         prop_assert!((found - greatest).abs() <= 1e-12 * greatest);
         let graph = BoxGraph::new(&grid, case.part).unwrap();
-        let cost = PaperCost::build(view, &graph, found, &Unwatched).unwrap();
+        for reading in [Reading::Printed, Reading::Walls] {
+        let formula = if reading == Reading::Walls { wall_weight } else { weight };
+        let cost = PaperCost::build(view, &graph, reading, found, &Unwatched).unwrap();
         for node in 0..graph.num_nodes() as u32 {
             let u = graph.voxel_of_node(node);
             let mut worst: f64 = 0.0;
@@ -97,7 +101,7 @@ proptest! {
             graph.for_each_edge(node, |other, _| {
                 let v = graph.voxel_of_node(other);
                 let share = [u, v].map(|at| if found > 0.0 { gradient(view, at) / found } else { 0.0 });
-                let printed = weight(share, [u, v].map(|at| laplacian(view, at)));
+                let printed = formula(share, [u, v].map(|at| laplacian(view, at)));
                 let table = cost.weight(node, other);
                 worst = worst.max((table - printed).abs());
                 range &= (LEAST_WEIGHT..=1.0).contains(&table) && table == cost.weight(other, node);
@@ -106,18 +110,21 @@ proptest! {
             prop_assert!(worst < 1e-6, "{worst}");
             prop_assert!(range);
         }
+        }
     }
 
     #[test]
     fn resumed_targets_cost_what_a_plain_search_finds(
         case in case(),
         targets in prop::collection::vec(any::<u32>(), 1..6),
+        walls in any::<bool>(),
     ) {
         let grid = grid(case.shape_zyx);
         let view = VolumeView::new(&case.values, &grid).unwrap();
         let graph = BoxGraph::new(&grid, case.part).unwrap();
-        let greatest = greatest_gradient(view, &Unwatched).unwrap();
-        let cost = PaperCost::build(view, &graph, greatest, &Unwatched).unwrap();
+        let reading = if walls { Reading::Walls } else { Reading::Printed };
+        let greatest = reading.scale(view, &Unwatched).unwrap();
+        let cost = PaperCost::build(view, &graph, reading, greatest, &Unwatched).unwrap();
         let mut tracker = Tracker::new(&graph, &cost, 0).unwrap();
         let truth = least_costs(&graph, &cost, tracker.quantum(), 0);
         for target in targets {
@@ -161,7 +168,7 @@ fn a_step_edge_gives_the_printed_numbers() {
     let graph = BoxGraph::new(&grid, whole(&grid)).unwrap();
     let greatest = greatest_gradient(view, &Unwatched).unwrap();
     assert!((greatest - 1000.0 / 1.4).abs() < 1e-9);
-    let cost = PaperCost::build(view, &graph, greatest, &Unwatched).unwrap();
+    let cost = PaperCost::build(view, &graph, Reading::Printed, greatest, &Unwatched).unwrap();
     let node = |i| graph.node_of_voxel([i, 2, 2]).unwrap();
     // Across the step: greatest gradient at both ends and a zero crossing, so the printed weight is 0.
     assert!((cost.weight(node(3), node(4)) - LEAST_WEIGHT).abs() < 1e-9);
@@ -175,12 +182,48 @@ fn a_step_edge_gives_the_printed_numbers() {
 }
 
 #[test]
+fn where_walls_are_dear_a_step_costs_all_there_is_and_even_values_next_to_nothing() {
+    let grid = grid([5, 5, 8]);
+    let values: Vec<i16> = (0..grid.num_voxels())
+        .map(|n| if grid.voxel(n)[0] < 4 { -1000 } else { 0 })
+        .collect();
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let graph = BoxGraph::new(&grid, whole(&grid)).unwrap();
+    let scale = Reading::Walls.scale(view, &Unwatched).unwrap();
+    // No metal here: the step itself is the greatest gradient.
+    assert!((scale - 1000.0 / 1.4).abs() < 0.1);
+    let cost = PaperCost::build(view, &graph, Reading::Walls, scale, &Unwatched).unwrap();
+    let node = |i| graph.node_of_voxel([i, 2, 2]).unwrap();
+    assert!((cost.weight(node(3), node(4)) - 1.0).abs() < 1e-4);
+    assert!((cost.weight(node(2), node(3)) - 0.35).abs() < 1e-4);
+    assert!((cost.weight(node(1), node(2)) - LEAST_WEIGHT).abs() < 1e-9);
+    let beside = graph.node_of_voxel([3, 3, 2]).unwrap();
+    assert!((cost.weight(node(3), beside) - 0.7).abs() < 1e-4);
+}
+
+#[test]
+fn metal_does_not_make_walls_cheap_where_they_are_dear() {
+    let grid = grid([20, 20, 20]);
+    let mut values: Vec<i16> = (0..grid.num_voxels())
+        .map(|n| if grid.voxel(n)[0] < 10 { -1000 } else { 0 })
+        .collect();
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let without = Reading::Walls.scale(view, &Unwatched).unwrap();
+    // One voxel of metal touches six others.
+    values[grid.index([15, 10, 10])] = 30_000;
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let printed = Reading::Printed.scale(view, &Unwatched).unwrap();
+    assert!(printed > 20.0 * without);
+    assert!((Reading::Walls.scale(view, &Unwatched).unwrap() - without).abs() < 2.0);
+}
+
+#[test]
 fn a_volume_of_one_value_has_a_cost_all_the_same() {
     let grid = grid([3, 3, 4]);
     let values = vec![17; grid.num_voxels()];
     let view = VolumeView::new(&values, &grid).unwrap();
     let graph = BoxGraph::new(&grid, whole(&grid)).unwrap();
-    let cost = PaperCost::build(view, &graph, 0.0, &Unwatched).unwrap();
+    let cost = PaperCost::build(view, &graph, Reading::Printed, 0.0, &Unwatched).unwrap();
     assert!((cost.weight(0, 1) - 0.7).abs() < 1e-12);
 }
 

@@ -149,7 +149,13 @@ def track(
     ],
     root_: Annotated[str, typer.Option("--root", help="Start point x,y,z in mm (LPS), or auto.")] = "auto",
     cost: Annotated[
-        str, typer.Option(help=("Cost function of the path search: lumen, or paper (section 6.2 of the paper)."))
+        str,
+        typer.Option(
+            help=(
+                "Cost function of the path search: lumen, walls (walls are costly, section 6.3 of the paper), or paper "
+                "(section 6.2 of the paper as printed, where walls are cheap)."
+            )
+        ),
     ] = "lumen",
     graph: Annotated[
         str, typer.Option(help=("Graph of the path search: voxel, or isoregion (section 6.1 of the paper)."))
@@ -162,7 +168,8 @@ def track(
     """Find the least-cost airway path from the start to each target (Intelligent Path Tracker, section 6 of the paper).
 
     A target outside the lumen is snapped to it if it is within 5 mm. If a target has no path, the exit code is 4; the
-    other targets are still written. With --cost paper, paths may leave the lumen; the part outside is reported.
+    other targets are still written. With --cost walls or paper, the search ignores the lumen; any
+    part of a path outside it is reported.
 
     Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
     """

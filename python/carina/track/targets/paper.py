@@ -23,7 +23,7 @@ from carina.volume.model import Volume
 
 __all__ = ["COSTS", "GRAPHS", "check_choice", "search_box", "track_on_graph"]
 
-COSTS = ("lumen", "paper")
+COSTS = ("lumen", "paper", "walls")
 GRAPHS = ("voxel", "isoregion")
 
 Points = NDArray[np.float64]
@@ -31,7 +31,7 @@ Labels = Literal["bins", "lumen"]
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 MAX_BYTES = 1 << 30
-"""Memory that a search with the cost ``paper`` may take, its queue aside."""
+"""Memory that a search with the cost ``paper`` or ``walls`` may take, its queue aside."""
 BYTES_PER_VOXEL = {"voxel": 22, "isoregion": 38}
 """Of the box that is searched: 5 for the cost, 17 for the tree; 16 for what was pruned, where nothing can be."""
 MARGINS_MM = (20.0, 10.0, 5.0, 2.0)
@@ -47,14 +47,16 @@ def check_choice(cost: str, graph: str) -> None:
     """
     for what, value, allowed in (("cost", cost, COSTS), ("graph", graph, GRAPHS)):
         if value not in allowed:
-            msg = f"{what}: expected {' or '.join(allowed)}, found {value!r}"
+            *others, last = allowed
+            msg = f"{what}: expected {', '.join(others)} or {last}, found {value!r}"
             raise UsageError(msg)
 
 
 def search_box(
     volume: Volume, points_lps: Sequence[Sequence[float] | Points], *, graph: str = "voxel", max_bytes: int = MAX_BYTES
 ) -> Box:
-    """The box of voxels in which the cost ``paper`` is searched: the whole volume where it fits in the memory.
+    """The box of voxels in which the costs ``paper`` and ``walls`` are searched: the whole volume where it fits in the
+    memory.
 
     Else the box round root and targets with a margin of 20 mm, or the largest of 10, 5 and 2 mm that fits.
 
@@ -82,7 +84,7 @@ def search_box(
         else:
             num = int(np.prod(last - first + 1))
             msg = (
-                f"cost paper: the box around the root and the targets has {num / 1e6:.0f} million voxels; expected at "
+                f"the box around the root and the targets has {num / 1e6:.0f} million voxels; expected at "
                 f"most {most / 1e6:.0f} million ({max_bytes >> 20} MiB); use fewer or closer targets at a time, a root "
                 "closer to them, or the cost lumen"
             )
@@ -107,22 +109,23 @@ def track_on_graph(
 ) -> TrackResult:
     """Least-cost paths from the airways' root to targets, on any pair of a cost and a graph.
 
-    One search from the root stops at each target and goes on for the next (Algorithm 1). The lumen is only looked at to
-    say where a path of the cost ``paper`` leaves it.
+    One search from the root stops at each target and goes on for the next (Algorithm 1). The costs ``paper`` and
+    ``walls`` know no lumen: it is only looked at to say where their paths leave it.
 
     Parameters
     ----------
     targets
-        LPS mm, in the volume. Cost ``lumen``: moved to the nearest lumen voxel within ``snap_mm``. Cost ``paper``: any
-        voxel.
+        LPS mm, in the volume. Cost ``lumen``: moved to the nearest lumen voxel within ``snap_mm``. Costs ``paper`` and
+        ``walls``: any voxel.
     cost, graph
-        ``lumen`` or ``paper``; ``voxel`` or ``isoregion``.
+        ``lumen``, ``paper`` (6.2 as printed: walls are cheap) or ``walls`` (as 6.3 needs it: walls are dear);
+        ``voxel`` or ``isoregion``.
     labels
-        What an IsoRegion's voxels have in common: ``bins`` of 16 HU (unless told, for the cost ``paper``) or the class
-        of the ``lumen`` (for the cost ``lumen``).
+        What an IsoRegion's voxels have in common: ``bins`` of 16 HU (unless told, for the costs ``paper`` and
+        ``walls``) or the class of the ``lumen`` (for the cost ``lumen``).
     box_ijk
-        First voxel and shape of the box in which the cost ``paper`` is searched; :func:`search_box` unless told. It
-        must hold the root; a target outside it has no path.
+        First voxel and shape of the box in which the costs ``paper`` and ``walls`` are searched; :func:`search_box`
+        unless told. It must hold the root; a target outside it has no path.
 
     Returns
     -------
@@ -145,13 +148,13 @@ def track_on_graph(
     if labels not in (None, "bins", "lumen"):
         msg = f"labels: expected bins or lumen, found {labels!r}"
         raise UsageError(msg)
-    which = None if graph == "voxel" else labels or ("bins" if cost == "paper" else "lumen")
+    which = None if graph == "voxel" else labels or ("lumen" if cost == "lumen" else "bins")
     root = as_point(airways.root_lps)
     points = [as_point(target) for target in targets]
     notes: list[str] = []
     shape = volume.shape_zyx[::-1]
     box: Box = ((0, 0, 0), (shape[0], shape[1], shape[2]))
-    if cost == "paper":
+    if cost != "lumen":
         box = box_ijk or search_box(volume, [root, *points], graph=graph)
         if box[1] != shape:
             notes.append(

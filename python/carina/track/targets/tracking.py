@@ -45,8 +45,9 @@ def track_paths(
         Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result
         says so.
     cost
-        ``lumen``: keep to the middle of the airway. ``paper``: the paper's formula (6.2) on all voxels; it follows
-        edges and may leave the lumen, ``search`` says where. Its targets are not moved.
+        ``lumen``: keep to the middle of the airway. ``walls``: the paper's gradient and Laplacian on all voxels, with
+        walls dear as its section 6.3 needs them. ``paper``: its formula (6.2) as printed, in which walls are cheap: it
+        follows edges. Both know no lumen and may leave it, ``search`` says where; their targets are not moved.
     graph
         ``voxel``, or ``isoregion``: pruned as in paper 6.1.
     airways
