@@ -69,7 +69,7 @@ def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_where_walls_are_dear_paths_to_segments_stay_inside_and_with_walls_cheap_they_leave(seed):
-    """Paper 6.3: "the cost minimization process always prevents wall penetration"; 20 seeds in make soak."""
+    """Paper 6.3: the cost "always prevents wall penetration"; 20 seeds in make soak."""
     assert_no_wall_is_penetrated(seed)
 
 

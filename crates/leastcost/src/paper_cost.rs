@@ -2,7 +2,7 @@
 //!
 //! `cost(u, v) = |p(u) - p(v)| (w_g f_g(u, v) + w_z f_z(u, v))`, in mm. The printed formula makes *high* gradients cheap:
 //! a path follows the edges of things, the airway's wall among them. 6.3 says the opposite: "the wall of the airway has such a
-//! high cost that the cost minimization process always prevents wall penetration". [`Reading::Printed`] is the letter,
+//! high cost" that no path goes through it. [`Reading::Printed`] is the letter,
 //! [`Reading::Walls`] the sense: the same two functions with the sign turned round. Whoever uses either counts the points that
 //! leave the lumen.
 //!
