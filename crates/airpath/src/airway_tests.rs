@@ -452,7 +452,9 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         let middle = branch.nodes.len() / 2;
         if middle > 0 {
             let back = [branch.nodes[middle - 1], branch.nodes[middle]];
-            branch.nodes.splice(middle..=middle, [back[1], back[0], back[1]]);
+            branch
+                .nodes
+                .splice(middle..=middle, [back[1], back[0], back[1]]);
         }
     }
     let same = branches::branches_to(&graph, &tracker, &grid, &limits, &tips, &wavering);
