@@ -25,7 +25,7 @@ from carina.export import (
     write_mask,
     write_tree,
 )
-from carina.track import Airways, drawn_tree, kind_words
+from carina.track import Absence, Airways, drawn_tree, kind_words
 from carina.volume import open_mask
 
 __all__ = ["find", "write"]
@@ -90,6 +90,7 @@ def find(
                 "lumen_ml": lumen_ml,
                 "threshold": float(airways.threshold) if np.isfinite(airways.threshold) else None,
                 "notes": list(airways.notes),
+                "absent": [_absence_row(absence) for absence in airways.absent],
                 "badges": badges.to_json(),
                 "added": list(added.rows),
                 "branches": rows,
@@ -105,7 +106,21 @@ def find(
         name, kind = row["name"] or "-", kind_words(row["kind"])
         wide = f"{row['lumen_mm']:4.1f} mm wide" if kind is None else f"{kind}: the CT shows no airway here"
         print(f"{'  ' * row['generation']}{row['id']:>4} {name:<18} {row['length_mm']:6.1f} mm long, {wide}")
+    for absence in airways.absent:
+        print(absence.words)
     return exit_code
+
+
+def _absence_row(absence: Absence) -> dict[str, Any]:
+    return {
+        "name": absence.name,
+        "kind": absence.kind,
+        "carrier": absence.carrier,
+        "beyond_mm": absence.beyond_mm,
+        "lps": None if absence.lps is None else list(absence.lps),
+        "width_mm": absence.width_mm,
+        "words": absence.words,
+    }
 
 
 def print_formats() -> None:

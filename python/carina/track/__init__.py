@@ -25,6 +25,7 @@ from carina.track.find.airways import find_airways
 from carina.track.find.found import Airways
 from carina.track.levels import lumen_threshold_from_histogram
 from carina.track.measures.tree import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
+from carina.track.names.absent import Absence, find_absent
 from carina.track.names.naming import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
 from carina.track.paths.field import FieldPath, FieldPaths, aimed_path
 from carina.track.paths.live import LivePath
@@ -40,6 +41,7 @@ from carina.track.tree.drawn import DrawnPart, drawn_part, drawn_tree, kind_word
 from carina.track.tree.uncertain import Uncertainty
 
 __all__ = [
+    "Absence",
     "AddBranch",
     "AirwayTree",
     "Airways",
@@ -84,6 +86,7 @@ __all__ = [
     "edit_words",
     "edits_from_json",
     "edits_to_json",
+    "find_absent",
     "find_airways",
     "fold_airways",
     "kind_words",

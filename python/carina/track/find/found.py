@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carina.commands.tree import AnyTreeEdit as TreeEdit
 from carina.display import as_words
 from carina.track.find.kept import KeptForVolume
+from carina.track.names.absent import Absence, find_absent
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.uncertain import Uncertainty
@@ -70,7 +71,13 @@ class Airways:
         if self.uncertain:
             first = self.uncertain[0].reason
             more.append(f"{len(self.uncertain)} uncertain places; the widest of them: {first}")
+        more += [absence.words for absence in self.absent]
         return self.tree.to_html(more)
+
+    @property
+    def absent(self) -> tuple[Absence, ...]:
+        """Lobes and segments of which no bronchus was found, and why; see :func:`carina.track.find_absent`."""
+        return find_absent(self.tree, self.uncertain)
 
     @property
     def badges(self) -> tuple[Note, ...]:

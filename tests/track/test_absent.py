@@ -1,0 +1,159 @@
+"""Absence is a finding: what a tree lacks is listed, each with a reason that the CT gives."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import carina
+from carina.track import AirwayTree, Branch, find_absent
+from carina.track.tree.uncertain import Uncertainty
+from carina.volume import Volume
+from made import made_phantom
+from made import patient as the_patient
+
+CHEST = {"seed": 1, "spacing_mm": 1.2, "noise_hu": 25.0}
+
+
+@pytest.fixture(scope="module")
+def chest():
+    made = made_phantom(**CHEST)
+    return made, carina.find_airways(made.volume)
+
+
+def named(airways, name):
+    return next(branch for branch in airways.tree.branches if branch.name == name)
+
+
+def without(tree, name):
+    """The tree with a named branch and all that hangs on it cut off."""
+    gone = {branch.id for branch in tree.branches if branch.name == name}
+    for branch in tree.branches:
+        if branch.parent in gone:
+            gone.add(branch.id)
+    kept = tuple(
+        dataclasses.replace(branch, children=tuple(child for child in branch.children if child not in gone))
+        for branch in tree.branches
+        if branch.id not in gone
+    )
+    return dataclasses.replace(tree, branches=kept)
+
+
+def plugged(made, branch, length_mm):
+    """The CT with mucus in the first part of a branch: tissue as far as its wall."""
+    volume, values = made.volume, made.volume.hu_zyx.copy()
+    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    chosen = branch.points[(along > 2.0) & (along < 2.0 + length_mm)]
+    nz, ny, nx = np.indices(values.shape, sparse=True)
+    for point in chosen:
+        i, j, k = volume.to_ijk(point)
+        sx, sy, sz = volume.spacing_mm
+        off = ((nx - i) * sx) ** 2 + ((ny - j) * sy) ** 2 + ((nz - k) * sz) ** 2
+        values[off <= (branch.radius.max() + 1.5) ** 2] = 30
+    return Volume(values, volume.lps_from_ijk)
+
+
+def test_a_whole_tree_lacks_nothing(chest):
+    assert chest[1].absent == ()
+
+
+def test_a_tree_without_names_says_nothing(chest):
+    bare = tuple(dataclasses.replace(branch, name=None) for branch in chest[1].tree.branches)
+    assert find_absent(AirwayTree(bare)) == ()
+
+
+@pytest.mark.parametrize("name", ["RB6", "LB3", "RB10", "LB1+2"])
+def test_a_segment_that_nothing_leads_to_is_told_with_the_airway_that_would(chest, name):
+    (absence,) = find_absent(without(chest[1].tree, name))
+    assert absence.name == name
+    assert absence.kind in ("nothing", "unnamed", "fine")
+    assert absence.carrier != name
+    assert absence.words.startswith(f"{name} (")
+
+
+@pytest.mark.parametrize("name", ["RML", "LLL", "RUL"])
+def test_a_lobe_of_which_nothing_was_found_is_told_once(chest, name):
+    absences = find_absent(without(chest[1].tree, name))
+    assert [absence.name for absence in absences] == [name]
+    assert absences[0].carrier in ("BI", "LMB", "RMB")
+
+
+@pytest.mark.parametrize(("name", "lacking", "carrier"), [("RML", {"RML", "RLL"}, "BI"), ("LB6", {"LB6"}, "LLL")])
+def test_mucus_in_a_bronchus_is_said_with_its_place(chest, name, lacking, carrier):
+    made, whole = chest
+    branch = named(whole, name)
+    airways = carina.find_airways(plugged(made, branch, 6.0))
+    assert {one.name for one in airways.absent} == lacking
+    for absence in airways.absent:
+        assert (absence.kind, absence.carrier) == ("blocked", carrier)
+        assert absence.beyond_mm < 25.0
+        assert np.linalg.norm(np.array(absence.lps) - branch.points[0]) < 10.0
+
+
+def test_an_ordinary_tip_far_out_is_no_reason_for_a_segment_that_is_missing(chest):
+    made, whole = chest
+    airways = carina.find_airways(plugged(made, named(whole, "LB3"), 6.0))
+    assert {one.name for one in airways.absent} == {"LB1+2", "LB3"}
+    for absence in airways.absent:
+        # Without LB3 nothing tells LB1+2 from a common stem of all three.
+        assert (absence.kind, absence.carrier) == ("unnamed", "Upper division")
+
+
+def test_a_scan_that_ends_above_the_bases_says_so(chest):
+    made, _ = chest
+    cut = made.volume.hu_zyx.shape[0] * 2 // 5
+    place = made.volume.lps_from_ijk.copy()
+    place[:3, 3] += cut * place[:3, 2]
+    airways = carina.find_airways(Volume(np.ascontiguousarray(made.volume.hu_zyx[cut:]), place))
+    assert airways.absent
+    assert {"volume"} <= {absence.kind for absence in airways.absent}
+
+
+def end(kind, branch_id, width_mm):
+    return Uncertainty(
+        lps=(1.0, 2.0, 3.0),
+        kind=kind,
+        branch_id=branch_id,
+        width_mm=width_mm,
+        confidence=None,
+        num_ends=None,
+        voxel_mm=None,
+    )
+
+
+def test_where_an_airway_ends_is_told_along_it():
+    trunk = Branch(0, None, (1, 2), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
+    right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
+    left = Branch(2, 0, (), 1, "LMB", "tracked", np.array([[0.0, 0, -90], [40, 0, -110]]), np.full(2, 6.0))
+    absences = find_absent(AirwayTree((trunk, right, left)), [end("blocked", 1, 7.2), end("volume", 2, 9.0)])
+    assert [(one.name, one.kind, one.carrier) for one in absences] == [
+        ("RUL", "blocked", "RMB"),
+        ("RML", "blocked", "RMB"),
+        ("RLL", "blocked", "RMB"),
+        ("LUL", "volume", "LMB"),
+        ("LLL", "volume", "LMB"),
+    ]
+    assert absences[0].beyond_mm == pytest.approx(50.0)
+    assert "50 mm beyond the start of RMB, where it is 7.2 mm wide" in absences[0].words
+
+
+def test_in_a_mirrored_chest_the_three_lobed_lung_is_the_left_one(chest):
+    made, _ = chest
+    place = made.volume.lps_from_ijk.copy()
+    place[0, :] *= -1.0
+    airways = carina.find_airways(Volume(made.volume.hu_zyx, place))
+    assert {absence.name for absence in airways.absent} == set()
+    lacking = find_absent(without(airways.tree, "LML"))
+    assert [absence.name for absence in lacking] == ["LML"]
+
+
+def test_the_bundled_patient_lacks_the_segments_of_a_middle_lobe_whose_bronchus_is_lost():
+    airways = the_patient()[1]
+    assert {absence.name for absence in airways.absent} <= {"RB4", "RB5"}
+    for absence in airways.absent:
+        assert absence.carrier == "RML"
+        assert absence.beyond_mm > 5.0
+        assert absence.words in airways._repr_html_()
