@@ -36,9 +36,10 @@ def test_an_edit_in_one_is_seen_in_the_other_which_takes_it_back(two):
     first.page.get_by_test_id("list-airways").click()
     first.page.get_by_role("row").nth(3).click()
     second.wait_for("window.__carina.state.session.can_undo.startsWith('route to')")
-    assert first.once("window.__carina.state.route !== null", "window.__carina.state.route.route_id") == second.state(
-        "route.route_id"
-    )
+    # The state comes first, the route itself after it, and in each window by itself.
+    first.wait_for("window.__carina.state.route.route_id === window.__carina.state.session.route_id")
+    second.wait_for("window.__carina.state.route.route_id === window.__carina.state.session.route_id")
+    assert first.state("route.route_id") == second.state("route.route_id")
     second.page.keyboard.press("Shift+h")
     steps = second.page.get_by_test_id("history").get_by_role("button")
     assert "Route to" in steps.first.inner_text() or "Route to" in steps.last.inner_text()

@@ -9,7 +9,7 @@ import pytest
 
 from carina.server import messages as wire
 from carina.server.tree_words import branch_detail_message, branch_measures, tree_message
-from carina.track import Uncertainty
+from carina.track import AirwayTree, Branch, Uncertainty
 from small_case import small_airways, small_volume
 
 
@@ -73,7 +73,7 @@ def test_the_tree_comes_without_measures_first_and_with_them_when_they_are_ready
     sent = tree_message(airways, SimpleNamespace(of=measured))
     assert [m.branch_id for m in sent.measures] == [b.id for b in airways.tree.branches]
     wire.parse_server_message(wire.encode_message(sent))
-    assert tree_message(None) == wire.Tree(None, (), None, ())
+    assert tree_message(None) == wire.Tree(None, (), None, (), ())
 
 
 @pytest.mark.parametrize("branch_id", [3, None])
@@ -92,4 +92,18 @@ def test_places_that_could_not_be_followed_are_sent(branch_id):
     )
     message = tree_message(airways)
     assert message.uncertain == airways.uncertain
+    assert wire.parse_server_message(wire.encode_message(message)) == message
+
+
+def test_what_was_not_found_is_sent_with_its_reason():
+    airways = small_airways(small_volume())
+    trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
+    right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
+    airways.tree = AirwayTree((trunk, right))
+    message = tree_message(airways)
+    assert [one.name for one in message.absent][:2] == [
+        "RUL (right upper lobe bronchus)",
+        "RML (middle lobe bronchus)",
+    ]
+    assert all(one.reason for one in message.absent)
     assert wire.parse_server_message(wire.encode_message(message)) == message

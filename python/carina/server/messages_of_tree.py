@@ -82,6 +82,16 @@ class BranchTitle(FrozenValue, frozen=True):
     lobe: Literal["RUL", "RML", "RLL", "LUL", "LML", "LLL"] | None
 
 
+class AbsentAirway(FrozenValue, frozen=True):
+    """A lobe or a segment of which no bronchus was found."""
+
+    name: Words
+    """RB4 (lateral segment, RML)"""
+    reason: Words
+    lps: PointLps | None
+    """Where the airway ends that would lead there; null where none does."""
+
+
 class Tree(ServerMessage, frozen=True):
     """The airway tree, when it or its measures changed."""
 
@@ -92,6 +102,8 @@ class Tree(ServerMessage, frozen=True):
     """Null until they are ready."""
     uncertain: tuple[Uncertainty, ...]
     """What could not be followed, the widest first; what holds for the whole tree last."""
+    absent: tuple[AbsentAirway, ...]
+    """Lobes and segments that were not found, the right lung first."""
 
 
 class LivePath(ServerMessage, frozen=True):

@@ -9,7 +9,7 @@ import numpy as np
 
 from carina.server import messages as wire
 from carina.server.wire_codec import read_fields
-from carina.track import branch_side_and_lobe, name_words
+from carina.track import branch_side_and_lobe, find_absent, name_words
 
 __all__ = ["branch_detail_message", "branch_measures", "tree_message"]
 
@@ -25,11 +25,14 @@ def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
         :class:`carina.track.TreeMeasures` of just these airways, or None.
     """
     if airways is None:
-        return wire.Tree(None, (), None, ())
+        return wire.Tree(None, (), None, (), ())
     tree = airways.tree
     measured = None if measures is None else tuple(branch_measures(measures.of(b.id)) for b in tree.branches)
     document = read_fields(wire.TreeDocument, tree.to_json(), "tree")
-    return wire.Tree(document, _titles(tree), measured, tuple(airways.uncertain))
+    absent = tuple(
+        wire.AbsentAirway(one.full_name, one.reason, one.lps) for one in find_absent(tree, airways.uncertain)
+    )
+    return wire.Tree(document, _titles(tree), measured, tuple(airways.uncertain), absent)
 
 
 def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:

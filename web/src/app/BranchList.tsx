@@ -11,6 +11,7 @@ import { filterTree, kindWords, lumenMm, marksOf, tooltipOf } from "../state/bra
 import { fixed, plural, sentence } from "../state/format";
 import { wantsBranch } from "../state/tools";
 import { below } from "../state/tree-index";
+import { AbsentAirways } from "./AbsentAirways";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 import { Icon } from "./icons";
@@ -136,6 +137,7 @@ export function BranchList() {
           </Tree>
         </div>
       )}
+      <AbsentAirways />
       <UncertainPlaces />
     </section>
   );

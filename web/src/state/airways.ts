@@ -1,6 +1,14 @@
 /** The airway tree as a person reads it: rows of a list, sides, and the ways on at a fork. */
 
-import type { BranchMeasures, BranchTitle, RouteInfo, TreeBranch, TreeDocument, Uncertainty } from "../wire/messages";
+import type {
+  AbsentAirway,
+  BranchMeasures,
+  BranchTitle,
+  RouteInfo,
+  TreeBranch,
+  TreeDocument,
+  Uncertainty,
+} from "../wire/messages";
 import type { BranchNode, BranchTree, Side } from "./branch-tree";
 import { clockHour } from "./letters";
 import { indexOf } from "./tree-index";
@@ -13,6 +21,7 @@ export interface TreeExtras {
   readonly titles?: readonly BranchTitle[];
   readonly measures?: readonly BranchMeasures[] | null;
   readonly uncertain?: readonly Uncertainty[];
+  readonly absent?: readonly AbsentAirway[];
 }
 
 function lengthOf(branch: TreeBranch): number {
@@ -85,7 +94,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
     }
   }
   for (const [child, side] of best.sides) giveSide(child, side);
-  return { root, byId, index: indexOf(byId.values()), uncertain: extras.uncertain ?? [] };
+  return { root, byId, index: indexOf(byId.values()), uncertain: extras.uncertain ?? [], absent: extras.absent ?? [] };
 }
 
 /** How many tips lie below a child, and how far to the patient's left of the fork (mean, mm). */

@@ -250,7 +250,7 @@ describe("cases and jobs", () => {
   });
 
   it("leaves nothing of a closed case on the screen", () => {
-    const tree = from({ type: "tree", tree: null, titles: [], measures: null, uncertain: [] });
+    const tree = from({ type: "tree", tree: null, titles: [], measures: null, uncertain: [], absent: [] });
     const state = following(INITIAL_STATE, from(OPEN), tree, from(pose(3)), { kind: "ui", change: { full: "axial" } });
     const closed = following(state, from(EMPTY));
     expect([closed.pose, closed.tree, closed.route, closed.frames]).toEqual([null, null, null, {}]);

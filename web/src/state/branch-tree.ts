@@ -1,6 +1,6 @@
 /** The airway tree as values: branches with what is said of them, and their centrelines in flat lists. */
 
-import type { BranchMeasures, BranchTitle, TreeBranch, Uncertainty } from "../wire/messages";
+import type { AbsentAirway, BranchMeasures, BranchTitle, TreeBranch, Uncertainty } from "../wire/messages";
 
 export type Side = "right" | "left" | "middle";
 
@@ -35,4 +35,6 @@ export interface BranchTree {
   index: TreeIndex;
   /** What could not be followed. */
   uncertain: readonly Uncertainty[];
+  /** Lobes and segments that were not found. */
+  absent: readonly AbsentAirway[];
 }

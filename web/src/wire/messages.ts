@@ -1373,6 +1373,13 @@ export interface Uncertainty {
   readonly voxel_mm: number | null;
 }
 
+/** A lobe or a segment of which no bronchus was found. */
+export interface AbsentAirway {
+  readonly name: string;
+  readonly reason: string;
+  readonly lps: readonly [number, number, number] | null;
+}
+
 /** The airway tree, when it or its measures changed. */
 export interface TreeMessage {
   readonly type: "tree";
@@ -1380,6 +1387,7 @@ export interface TreeMessage {
   readonly titles: readonly BranchTitle[];
   readonly measures: readonly BranchMeasures[] | null;
   readonly uncertain: readonly Uncertainty[];
+  readonly absent: readonly AbsentAirway[];
 }
 
 /** Answer to `live_path`: the way from the root to the place under the cursor, or why there is none. */

@@ -91,10 +91,15 @@ class Absence:
                 )
 
     @property
+    def full_name(self) -> str:
+        """RB4 (lateral segment, RML)"""
+        known = name_words(self.name)
+        return self.name if known is None else known.full
+
+    @property
     def words(self) -> str:
         """RB4 (lateral segment, RML) was not found: ..."""
-        known = name_words(self.name)
-        return f"{self.name if known is None else known.full} was not found: {self.reason}"
+        return f"{self.full_name} was not found: {self.reason}"
 
 
 def find_absent(tree: AirwayTree, uncertain: Sequence[Uncertainty] = ()) -> tuple[Absence, ...]:
