@@ -38,3 +38,13 @@ def _blurred(values: NDArray[np.float32]) -> NDArray[np.float32]:
             blurred += weight * padded[n : n + length]
         values = np.moveaxis(blurred, 0, axis)
     return values
+
+
+def grown(lumen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A lumen and the voxels that touch it by a face."""
+    wide = lumen.copy()
+    for axis in range(3):
+        a, b = np.moveaxis(wide, axis, 0), np.moveaxis(lumen, axis, 0)
+        a[1:] |= b[:-1]
+        a[:-1] |= b[1:]
+    return wide

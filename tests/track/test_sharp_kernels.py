@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from sharp_kernel import sharpened
+from sharp_kernel import grown, sharpened
 
 import carina
 from carina.errors import NoResultError
@@ -34,16 +34,6 @@ def sharp(patient):
     """The bundled patient through a kernel that flooded both lungs before."""
     volume = sharpened(patient[0], 0.8, 15.0)
     return volume, carina.find_airways(volume)
-
-
-def grown(lumen):
-    """A lumen and the voxels that touch it by a face."""
-    wide = lumen.copy()
-    for axis in range(3):
-        a, b = np.moveaxis(wide, axis, 0), np.moveaxis(lumen, axis, 0)
-        a[1:] |= b[:-1]
-        a[:-1] |= b[1:]
-    return wide
 
 
 def length_mm(airways):
@@ -136,6 +126,25 @@ def test_under_the_sharpest_kernels_most_airways_are_found_and_a_note_says_that_
     assert "small airways are missing" in badge.words
     assert spoilt(airways.lumen_zyx != 0, grown(patient[1].lumen_zyx != 0)) < 0.02
     assert length_mm(airways) > 0.6 * length_mm(patient[1])
+
+
+@pytest.mark.slow
+def test_where_noise_opens_the_walls_the_search_is_made_in_a_smoothed_copy(patient):
+    """Two litres of lung came out as lumen: with 180 HU of noise, air cut off at -1024 HU is as bright as lung."""
+    volume, soft = patient
+    airways = carina.find_airways(sharpened(volume, 2.0, 60.0))
+    found, truth = airways.lumen_zyx != 0, soft.lumen_zyx != 0
+    assert spoilt(found, grown(truth)) < 0.02
+    assert np.count_nonzero(found) > 0.6 * np.count_nonzero(truth)
+    (badge,) = airways.badges
+    assert badge.code == CODE
+    assert "noise hides the walls" in badge.words
+
+
+@pytest.mark.slow
+def test_a_threshold_that_a_person_gave_is_not_made_good_by_smoothing(patient):
+    airways = carina.find_airways(patient[0], lumen_threshold=-700)
+    assert not any("smoothed" in note for note in airways.notes)
 
 
 @pytest.mark.slow

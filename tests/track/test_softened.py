@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from sharp_kernel import sharpened
+from sharp_kernel import grown, sharpened
 
 import carina
 from carina.track.find.kernel import edge_undershoot_hu
@@ -39,15 +39,6 @@ def blurred(values, sigmas):
         out = sum(weight * padded[n : n + values.shape[axis]] for n, weight in enumerate(weights))
         values = np.moveaxis(out, 0, axis)
     return values
-
-
-def wider(lumen):
-    out = lumen.copy()
-    for axis in range(3):
-        a, b = np.moveaxis(out, axis, 0), np.moveaxis(lumen, axis, 0)
-        a[1:] |= b[:-1]
-        a[:-1] |= b[1:]
-    return out
 
 
 @pytest.mark.parametrize("raised", [0.05, 0.4, 1.0, 2.3, 3.2])
@@ -87,8 +78,8 @@ def test_under_the_sharpest_kernel_the_airways_are_found_that_a_soft_one_shows()
     soft_volume, soft = the_patient()
     airways = carina.find_airways(in_plane(soft_volume, 1.6, 1.1, 30.0))
     found, truth = airways.lumen_zyx != 0, soft.lumen_zyx != 0
-    assert np.count_nonzero(found & wider(wider(truth))) > 0.98 * np.count_nonzero(found)
-    assert np.count_nonzero(truth & wider(found)) > 0.9 * np.count_nonzero(truth)
+    assert np.count_nonzero(found & grown(grown(truth))) > 0.98 * np.count_nonzero(found)
+    assert np.count_nonzero(truth & grown(found)) > 0.9 * np.count_nonzero(truth)
     (badge,) = airways.badges
     assert "softened copy" in badge.words
 
@@ -102,7 +93,7 @@ def test_lumens_darker_than_the_least_value_of_a_file_stay_air():
     soft = carina.find_airways(made.volume)
     at = np.concatenate([branch.points for branch in soft.tree.branches])
     i, j, k = np.rint(made.volume.to_ijk(at)).astype(int).T
-    assert wider(found)[k, j, i].mean() > 0.9
+    assert grown(found)[k, j, i].mean() > 0.9
 
 
 def test_a_threshold_that_a_person_gives_is_one_of_the_cts_own_values():

@@ -112,6 +112,12 @@ def follow_beyond(
     # What the CT shows, before it was softened.
     rims_hu = searched.undershoot_hu if is_softened else undershoot_hu
     rims = f"the sharp kernel of this CT produces dark rims ({rims_hu or 0.0:.0f} HU) next to vessels"
+    if searched.smoothed_mm > 0.0:
+        words = (
+            "noise hides the walls of the airways in this CT; they were searched for in a smoothed copy of it, and "
+            f"small airways are missing. {SOFT_KERNEL}"
+        )
+        return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
     if not (is_sharp or ran_out):
         if rims_hu is None or not is_softened:
             return Beyond(tuple(notes), None)

@@ -51,9 +51,24 @@ class Softened:
     """How much darker lung is beside edges in the CT; None where that was not to be found."""
     raised: float
     """How much the kernel raises the finest detail, as a factor less 1; 0 where it is soft."""
+    smoothed_mm: float
+    """Sigma of the Gaussian that took noise away; 0 where there was no need."""
     _sharp: Volume
     _values: NDArray[np.int16] | None
     """Those of ``volume``, to write to; None where it is the CT itself."""
+
+    def smoothed(self, sigma_mm: float) -> Softened:
+        """The same with less noise: smoothed by a Gaussian of ``sigma_mm``, or of as many voxels if they are larger."""
+        sigma_mm *= max(min(self.volume.spacing_mm), 1.0)
+        values = mix_with_blurs(
+            self.volume.hu_zyx,
+            self.volume.lps_from_ijk,
+            own=0.0,
+            blurs=[(1.0, sigma_mm)],
+            axes_ijk=(True, True, True),
+        )
+        volume = dataclasses.replace(self.volume, hu_zyx=values)
+        return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None)
 
     def keep_cut_off_lumen(self, scale: AirScale, noise: float) -> None:
         """Make air of the airways' lumen that was cut off at the least value of the CT.
@@ -83,7 +98,7 @@ class Softened:
 
 def as_it_is(volume: Volume) -> Softened:
     """The CT itself, whatever its kernel."""
-    return Softened(volume, None, 0.0, volume, None)
+    return Softened(volume, None, 0.0, 0.0, volume, None)
 
 
 def softened(volume: Volume, scale: AirScale) -> Softened:
@@ -95,12 +110,12 @@ def softened(volume: Volume, scale: AirScale) -> Softened:
     """
     undershoot = edge_undershoot_hu(volume, scale)
     if undershoot is None or undershoot <= SOFT_HU:
-        return Softened(volume, undershoot, 0.0, volume, None)
+        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
     slab = _middle_of(volume)
     x, y, z = (depth is not None and depth > SOFT_HU for depth in undershoots_hu(slab, scale))
     axes = (x, y, z)
     if not any(axes):
-        return Softened(volume, undershoot, 0.0, volume, None)
+        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
 
     def is_soft(raised: float) -> bool:
         lowered = dataclasses.replace(slab, hu_zyx=_lowered(slab, raised, axes))
@@ -114,7 +129,7 @@ def softened(volume: Volume, scale: AirScale) -> Softened:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if is_soft(middle) else (middle, high)
     values = _lowered(volume, high, axes)
-    return Softened(dataclasses.replace(volume, hu_zyx=values), undershoot, high, volume, values)
+    return Softened(dataclasses.replace(volume, hu_zyx=values), undershoot, high, 0.0, volume, values)
 
 
 def _middle_of(volume: Volume) -> Volume:

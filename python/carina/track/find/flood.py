@@ -1,0 +1,155 @@
+"""The flood from the trachea; where noise has opened the airways' walls it is made again in a smoothed copy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import flood_lumen
+from carina.errors import NoResultError, UsageError
+from carina.track.find.root_checks import LUNG_HU
+from carina.track.find.softened import Softened
+from carina.track.levels import AirScale
+from carina.track.stages import Stages
+from carina.volume.model import Volume
+
+__all__ = ["Flood", "flood"]
+
+MIN_WALL_CONTRAST_HU = 60.0
+# A trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
+LEAK_MM3 = 60_000.0
+SMALL_LEAK_MM3 = 3_000.0
+CLOSED_RADIUS_MM = 10.0
+# Trachea and bronchi hold 40 to 100 ml, 0.8 to 2 % of what the lungs hold; tracheas twice as wide as most 200 ml, 5 %.
+MOST_LUMEN_MM3 = 150_000.0
+MOST_OF_LUNG = 0.1
+# A flood that ran out is made again in a copy smoothed by so much (sigma).
+SMOOTHED_MM = (0.7, 1.0, 1.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flood:
+    searched: Softened
+    """What was flooded."""
+    lumen: NDArray[np.uint8]
+    leaks_lps: NDArray[np.float64]
+    num_voxels: int
+    air: float
+    """The value of air in the trachea, and its noise, in the volume's numbers."""
+    noise: float
+    core: int
+    """Air and its noise end here."""
+
+
+def flood(
+    soft: Softened,
+    seeds: Sequence[tuple[int, int, int]],
+    scale: AirScale,
+    stage: Stages,
+    *,
+    end: int,
+    is_default: bool,
+) -> Flood:
+    """Flood the airways' lumen from the trachea.
+
+    Parameters
+    ----------
+    end
+        Where the lumen ends, in the volume's numbers.
+    is_default
+        No person gave ``end``. A flood that fills the lung is then made again in copies smoothed more and more: noise
+        is what opens walls (docs/decisions/0057).
+
+    Raises
+    ------
+    UsageError
+        If ``end`` is darker than air.
+    NoResultError
+        If it fills the lung in every copy.
+    """
+    air, noise = _air_and_noise(soft.volume, seeds, scale)
+    if end < air:
+        msg = (
+            f"the lumen threshold {end} is below the CT value of the air in the trachea ({air:.0f}), so too little "
+            f"would count as lumen; choose at least {round(air + 2.5 * noise)}"
+        )
+        raise UsageError(msg)
+    soft.keep_cut_off_lumen(scale, noise)
+    noise_hu, min_contrast = noise / scale.span(1.0), scale.span(MIN_WALL_CONTRAST_HU)
+    for sigma_mm in (0.0, *SMOOTHED_MM):
+        searched = soft
+        if sigma_mm > 0.0:
+            searched = soft.smoothed(sigma_mm)
+            air, noise = _air_and_noise(searched.volume, seeds, scale)
+            if end < air:
+                break
+        found = _flooded(searched, seeds, stage, end=end, air=air, noise=noise, min_contrast=min_contrast)
+        if not is_default or not _is_lung(soft.volume, found.lumen, scale):
+            return found
+    msg = (
+        f"the airways cannot be told from the lung: noise of {noise_hu:.0f} HU in the trachea hides their walls. "
+        "Open a reconstruction with a softer kernel or thicker slices"
+    )
+    raise NoResultError(msg)
+
+
+def _flooded(
+    searched: Softened,
+    seeds: Sequence[tuple[int, int, int]],
+    stage: Stages,
+    *,
+    end: int,
+    air: float,
+    noise: float,
+    min_contrast: float,
+) -> Flood:
+    volume = searched.volume
+    core = min(round(air + 2.5 * noise), end)
+    lumen, report = flood_lumen(
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        list(seeds),
+        first_level=round(air - noise),
+        core_level=core,
+        last_level=end,
+        leak_mm3=LEAK_MM3,
+        small_leak_mm3=SMALL_LEAK_MM3,
+        closed_radius_mm=CLOSED_RADIUS_MM,
+        min_contrast=min_contrast,
+        cancel=stage.cancel,
+        progress=stage.share,
+    )
+    leaks = np.array([place for place, _ in report["leaks"]], dtype=np.float64).reshape(-1, 3)
+    return Flood(searched, lumen, leaks, int(report["num_voxels"]), air, noise, core)
+
+
+def _is_lung(volume: Volume, lumen: NDArray[np.uint8], scale: AirScale) -> bool:
+    """Whether a lumen holds more than airways can: the flood ran out through walls that noise had opened."""
+    voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
+    flooded = int(np.count_nonzero(lumen))
+    if flooded * voxel_mm3 <= MOST_LUMEN_MM3:
+        return False
+    low, high = (scale.level(hu) for hu in LUNG_HU)
+    # Slice by slice, so that no second volume is made. With the flood itself, which may have filled the lung.
+    lung = sum(int(np.count_nonzero((values >= low) & (values <= high))) for values in volume.hu_zyx)
+    return flooded > MOST_OF_LUNG * (lung + flooded)
+
+
+def _air_and_noise(volume: Volume, seeds: Sequence[tuple[int, int, int]], scale: AirScale) -> tuple[float, float]:
+    """The value of air round the seeds and its noise, in the volume's numbers."""
+    sample = _values_round(volume, seeds)
+    middle = float(np.median(sample))
+    # Median deviation, so that a drop of mucus or the tube of a ventilator does not widen the range.
+    return middle, max(1.4826 * float(np.median(np.abs(sample - middle))), scale.span(5.0), 0.7)
+
+
+def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:
+    """Values of the seeds and their neighbours within one voxel, all well inside the air."""
+    at = np.array(seeds)
+    offsets = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    voxels = (at[:, None, :] + offsets[None]).reshape(-1, 3)
+    voxels = np.unique(np.clip(voxels, 0, np.array(volume.shape_zyx[::-1]) - 1), axis=0)
+    return volume.hu_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]].astype(np.float64)
