@@ -6,11 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from carina.display import one_line
 from carina.track.names.model import LOBES
-from carina.track.names.words import bare_name, name_words
+from carina.track.names.words import MIRRORED_CHEST, bare_name, name_words
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty
 
@@ -132,7 +130,7 @@ def find_absent(tree: AirwayTree, uncertain: Sequence[Uncertainty] = ()) -> tupl
     names = [None if branch.name is None else bare_name(branch.name) for branch in tree.branches]
     if not {"RMB", "LMB"} & set(names):
         return ()
-    is_mirrored = "LML" in names or "mirrored" in (tree.root.variant or "")
+    is_mirrored = "LML" in names or (tree.root.variant or "").startswith(MIRRORED_CHEST)
     found = _Found(tree, names, uncertain)
     absent = []
     for lobe, keys in LOBES.items():
@@ -228,7 +226,7 @@ class _Found:
         at: int | None = branch_id
         while at is not None:
             branch = self._branches[at]
-            length_mm += float(np.linalg.norm(np.diff(branch.points, axis=0), axis=1).sum())
+            length_mm += branch.length_mm
             at = None if at == start.id else branch.parent
         return length_mm
 

@@ -18,7 +18,7 @@ from carina.track.names.letters import LetterRule, letter_order
 from carina.track.names.model import LOBES, Grammar, grammar
 from carina.track.names.shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
 from carina.track.names.solve import Solution, Solver
-from carina.track.names.words import NameWords, bare_name, name_words, segment_of
+from carina.track.names.words import MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
 from carina.track.tree.airway_tree import AirwayTree
 
 __all__ = ["LetterRule", "NameWords", "branch_side_and_lobe", "name_tree", "name_words"]
@@ -306,7 +306,7 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
     if read.mirrored:
         notes = {number: _told_note(note) for number, note in notes.items()}
         notes[0] = (
-            "mirrored: the three-lobed lung is on the patient's left. Check whether this is situs inversus or "
+            f"{MIRRORED_CHEST}: the three-lobed lung is on the patient's left. Check whether this is situs inversus or "
             "left and right are swapped in the volume"
         )
     return names, notes

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 from carina.display import one_line
 
-__all__ = ["NameWords", "bare_name", "name_words", "segment_of"]
+__all__ = ["MIRRORED_CHEST", "NameWords", "bare_name", "name_words", "segment_of"]
+
+MIRRORED_CHEST = "mirrored"
+"""How the variant of a trachea begins where the three-lobed lung is on the left."""
 
 # Segment: (Jackson and Huber, lobe).
 _SEGMENTS = {
