@@ -90,7 +90,7 @@ def flood(
         if not is_default or not _is_lung(soft.volume, found.lumen, scale):
             return found
     msg = (
-        f"the airways cannot be told from the lung: noise of {noise_hu:.0f} HU in the trachea hides their walls. "
+        f"the airways cannot be distinguished from the lung: noise of {noise_hu:.0f} HU in the trachea hides their walls. "
         "Open a reconstruction with a softer kernel or thicker slices"
     )
     raise NoResultError(msg)
