@@ -90,8 +90,8 @@ def flood(
         if not is_default or not _is_lung(soft.volume, found.lumen, scale):
             return found
     msg = (
-        f"the airways cannot be distinguished from the lung: noise of {noise_hu:.0f} HU in the trachea hides their walls. "
-        "Open a reconstruction with a softer kernel or thicker slices"
+        f"the airways cannot be distinguished from the lung: noise of {noise_hu:.0f} HU in the trachea hides their "
+        "walls. Open a reconstruction with a softer kernel or thicker slices"
     )
     raise NoResultError(msg)
 
