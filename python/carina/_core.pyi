@@ -478,6 +478,15 @@ def lumen_mesh(
 ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Closed mesh: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
 
+def lumen_mask(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    lumen_zyx: NDArray[np.uint8],
+    *,
+    levels: tuple[float, float, float] | None,
+) -> NDArray[np.uint8]:
+    """Voxels whose centres lie inside that mesh, 1 inside."""
+
 @final
 class LumenSurface:
     """The surface of one lumen, to be cut by planes; the arrays must not change."""

@@ -3,12 +3,13 @@
 //! Marching cubes (Lorensen and Cline 1987) over the lumen voxels, with two differences. The cases are not a printed
 //! table: each face of a cube joins the crossings of its edges by one rule that looks at that face only, so that both
 //! cubes of a face agree and the mesh has no holes; and a vertex lies where the wall's half-maximum lies between the
-//! two voxels of its grid edge, as the radii of the tree have it.
+//! two voxels of its grid edge, as the radii of the tree have it (docs/decisions/0016-measures.md, 0059).
 
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
 use carina_grid::{Ijk, VolumeView};
+use rayon::prelude::*;
 
 use crate::tree::smooth::Point;
 use carina_leastcost::lumen::WallLevels;
@@ -218,6 +219,39 @@ pub fn lumen_mesh(
     Ok(mesh)
 }
 
+/// The voxels whose centres lie inside the surface of [`lumen_mesh`]: 1 inside, 0 not.
+///
+/// The flood stops below the wall's half-maximum, so its last voxels are missing from the lumen; what is handed out as a mask
+/// has them.
+pub fn lumen_mask(
+    values: VolumeView<'_, i16>,
+    lumen: &[u8],
+    levels: Option<WallLevels>,
+) -> Vec<u8> {
+    let reach = Reach::new(values, lumen, levels);
+    let [nx, ny, _] = values.grid().shape_ijk();
+    let mut mask: Vec<u8> = lumen.iter().map(|v| u8::from(*v != 0)).collect();
+    if levels.is_none() {
+        return mask;
+    }
+    mask.par_chunks_mut(nx * ny)
+        .enumerate()
+        .for_each(|(k, slice)| {
+            // Only beside lumen: a row of nothing has nothing beside it.
+            for (j, row) in slice.chunks_mut(nx).enumerate() {
+                if !reach.has_lumen_round(j, k) {
+                    continue;
+                }
+                for (i, voxel) in row.iter_mut().enumerate() {
+                    if *voxel == 0 {
+                        *voxel = u8::from(reach.holds([i, j, k].map(|v| v as isize)));
+                    }
+                }
+            }
+        });
+    mask
+}
+
 fn mean(points: impl ExactSizeIterator<Item = Point>) -> Point {
     let count = points.len() as f64;
     let sum = points.fold([0.0; 3], |sum: Point, p| {
@@ -267,7 +301,9 @@ impl<'a> Reach<'a> {
         // Of the air and the wall all round: along a line that grazes the wall three voxels do not reach its top.
         let (air, _) = self.range_round(from);
         let (_, wall) = self.range_round(place(1));
-        let level = f64::from(levels.wall).min(0.5 * (air + wall));
+        let Some(level) = levels.edge_level(air, wall) else {
+            return 0.0;
+        };
         if here >= level {
             0.0
         } else if level <= next {
@@ -291,6 +327,21 @@ impl<'a> Reach<'a> {
             (low, high) = (low.min(value), high.max(value));
         }
         (f64::from(low), f64::from(high))
+    }
+
+    /// Whether a row of voxels or one of the four beside it has any lumen.
+    fn has_lumen_round(&self, j: usize, k: usize) -> bool {
+        let [nx, ny, nz] = self.shape;
+        [[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]]
+            .into_iter()
+            .map(|[dj, dk]| [j as isize + dj, k as isize + dk])
+            .filter(|[j, k]| (0..ny).contains(j) && (0..nz).contains(k))
+            .any(|[j, k]| {
+                let first = ((k * ny + j) * nx) as usize;
+                self.lumen[first..first + nx as usize]
+                    .iter()
+                    .any(|v| *v != 0)
+            })
     }
 
     fn holds(&self, at: [isize; 3]) -> bool {

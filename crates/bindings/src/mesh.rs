@@ -1,4 +1,4 @@
-//! Binding of the mesh of the lumen.
+//! Bindings of the surface of the lumen: as a mesh, as a mask.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "pyo3 hands arguments over by value"
@@ -7,8 +7,8 @@
 use carina_airpath::mesh;
 use carina_grid::VolumeView;
 use carina_leastcost::lumen::WallLevels;
-use numpy::ndarray::Array2;
-use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use numpy::ndarray::{Array2, Array3};
+use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
 use crate::arrays;
@@ -33,13 +33,7 @@ fn lumen_mesh<'py>(
     let view = VolumeView::new(arrays::values("values_zyx", &values_zyx)?, &grid)
         .map_err(IntoPy::into_py)?;
     let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
-    if lumen_zyx.shape() != values_zyx.shape() {
-        return Err(pyo3::exceptions::PyValueError::new_err(format!(
-            "lumen_zyx: expected the volume's shape {:?}, found {:?}",
-            values_zyx.shape(),
-            lumen_zyx.shape()
-        )));
-    }
+    check_shape(&values_zyx, &lumen_zyx)?;
     let levels = levels.map(|(core, wall, rise)| WallLevels { core, wall, rise });
     let watch = PyWatch::new(cancel, progress);
     let found = py
@@ -51,7 +45,45 @@ fn lumen_mesh<'py>(
     Ok((vertices.into_pyarray(py), triangles.into_pyarray(py)))
 }
 
+/// The voxels whose centres lie inside that mesh: [z, y, x], 1 inside.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, levels))]
+fn lumen_mask<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    lumen_zyx: PyReadonlyArray3<'py, u8>,
+    levels: Option<(f32, f32, f32)>,
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+    let view = VolumeView::new(arrays::values("values_zyx", &values_zyx)?, &grid)
+        .map_err(IntoPy::into_py)?;
+    let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
+    check_shape(&values_zyx, &lumen_zyx)?;
+    let levels = levels.map(|(core, wall, rise)| WallLevels { core, wall, rise });
+    let found = py.detach(|| mesh::lumen_mask(view, lumen, levels));
+    let [nx, ny, nz] = grid.shape_ijk();
+    let mask = Array3::from_shape_vec((nz, ny, nx), found)
+        .map_err(|e| pyo3::exceptions::PyValueError::new_err(e.to_string()))?;
+    Ok(mask.into_pyarray(py))
+}
+
+fn check_shape(
+    values_zyx: &PyReadonlyArray3<'_, i16>,
+    lumen_zyx: &PyReadonlyArray3<'_, u8>,
+) -> PyResult<()> {
+    if lumen_zyx.shape() == values_zyx.shape() {
+        return Ok(());
+    }
+    Err(pyo3::exceptions::PyValueError::new_err(format!(
+        "lumen_zyx: expected the volume's shape {:?}, found {:?}",
+        values_zyx.shape(),
+        lumen_zyx.shape()
+    )))
+}
+
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(lumen_mesh, module)?)?;
+    module.add_function(wrap_pyfunction!(lumen_mask, module)?)?;
     Ok(())
 }

@@ -26,6 +26,13 @@ pub struct WallLevels {
 }
 
 impl WallLevels {
+    /// The value at the true edge of a lumen of `air` whose wall shows a `peak`; `None` where there is no air.
+    #[must_use]
+    pub fn edge_level(self, air: f64, peak: f64) -> Option<f64> {
+        let tissue = 2.0 * (f64::from(self.wall) - air);
+        (tissue > 0.0).then(|| air + tissue * edge_of_shown((peak - air) / tissue))
+    }
+
     /// Where the lumen ends on the way out through three voxels (lumen, not lumen, the next), in voxels from the first.
     ///
     /// That is half-way up from the lumen to the wall's tissue. A wall thinner than the blur shows less than its tissue, and at
@@ -33,13 +40,10 @@ impl WallLevels {
     /// (docs/decisions/0016-measures.md). The lumen's last voxel may lie short of it: the flood stops lower.
     fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
         let [low, next, beyond] = [low, next, beyond].map(f64::from);
-        let peak = next.max(beyond);
-        let tissue = 2.0 * (f64::from(self.wall) - low);
-        if tissue <= 0.0 {
+        let Some(level) = self.edge_level(low, next.max(beyond)) else {
             // No air: lumen that a person painted.
             return 0.5;
-        }
-        let level = low + tissue * edge_of_shown((peak - low) / tissue);
+        };
         if low < level && level <= next {
             (level - low) / (next - low)
         } else if next < level && level <= beyond {

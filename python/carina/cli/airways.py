@@ -25,7 +25,7 @@ from carina.export import (
     write_mask,
     write_tree,
 )
-from carina.track import Absence, Airways, drawn_tree, kind_words
+from carina.track import Absence, Airways, drawn_tree, kind_words, lumen_mask
 from carina.volume import open_mask
 
 __all__ = ["find", "write"]
@@ -71,12 +71,13 @@ def find(
     if output is not None:
         write_tree(output, airways.tree, badges=badges.notes)
         say(f"wrote {output}")
+    inside_zyx = lumen_mask(volume, airways)
     if mask is not None:
         note = None if drawn.words is None else f"{drawn.words}: not from the CT"
-        write_mask(mask, airways.lumen_zyx, volume, note=note, badges=badges.notes)
+        write_mask(mask, inside_zyx, volume, note=note, badges=badges.notes)
         say(f"wrote {mask}")
     rows = _rows(airways)
-    lumen_ml = float(np.count_nonzero(airways.lumen_zyx)) * abs(np.linalg.det(volume.lps_from_ijk[:3, :3])) / 1000.0
+    lumen_ml = float(np.count_nonzero(inside_zyx)) * abs(np.linalg.det(volume.lps_from_ijk[:3, :3])) / 1000.0
     deepest = max(branch.generation for branch in airways.tree.branches)
     length_mm = sum(branch.length_mm for branch in airways.tree.branches)
     if as_json:

@@ -43,7 +43,9 @@ def airways(
     resample: ResampleOption = False,
     mask: Annotated[
         Path | None,
-        typer.Option("--mask", help=("Lumen mask to write, on the scan's grid: .nii.gz, .nii, .nrrd or .mha.")),
+        typer.Option(
+            "--mask", help=("Lumen mask to write, up to the walls, on the scan's grid: .nii.gz, .nii, .nrrd or .mha.")
+        ),
     ] = None,
     add_branch: Annotated[
         list[str] | None,

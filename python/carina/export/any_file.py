@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carina.errors import check_type
 from carina.export.format_table import export_format
-from carina.track import Airways, AirwayTree, drawn_tree, lumen_mesh
+from carina.track import Airways, AirwayTree, drawn_tree, lumen_mask, lumen_mesh
 from carina.volume import Note, Volume, badges_of
 
 __all__ = ["export_airways", "export_tree", "is_tree_file"]
@@ -92,4 +92,4 @@ def export_airways(
     if to.kind == "surface":
         mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
         return to.write(path, mesh, note=note, badges=lasting)
-    return to.write(path, airways.lumen_zyx, volume, note=note, badges=lasting)
+    return to.write(path, lumen_mask(volume, airways), volume, note=note, badges=lasting)

@@ -30,7 +30,7 @@ from carina.track.names.naming import LetterRule, NameWords, branch_side_and_lob
 from carina.track.paths.field import FieldPath, FieldPaths, aimed_path
 from carina.track.paths.live import LivePath
 from carina.track.paths.tracker import PathTracker, TrackedPath
-from carina.track.surface.mesh import Mesh, lumen_mesh
+from carina.track.surface.mesh import Mesh, lumen_mask, lumen_mesh
 from carina.track.surface.outline import LumenOutline
 from carina.track.surface.wall import wall_field
 from carina.track.targets.results import TargetResult, TrackResult
@@ -90,6 +90,7 @@ __all__ = [
     "find_airways",
     "fold_airways",
     "kind_words",
+    "lumen_mask",
     "lumen_mesh",
     "lumen_threshold_from_histogram",
     "measure_tree",

@@ -34,7 +34,8 @@ class Airways:
     """
 
     lumen_zyx: NDArray[np.uint8]
-    """(nz, ny, nx), 1 inside the lumen, read-only."""
+    """(nz, ny, nx), 1 inside the lumen, read-only. Where it was found in the CT it ends where a wall begins to show;
+    :func:`carina.track.lumen_mask` goes to the half-maximum, as files and volumes in ml do."""
     root_lps: NDArray[np.float64]
     """Where all paths begin, LPS mm."""
     tree: AirwayTree

@@ -1,4 +1,4 @@
-"""The lumen as a closed surface, its vertices on the sub-voxel wall."""
+"""The lumen as a closed surface, its vertices on the sub-voxel wall, and as the voxels inside that."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.track.levels import air_scale
 from carina.track.stages import Cancel, Progress
 from carina.volume.model import Volume
 
-__all__ = ["Mesh", "lumen_mesh"]
+__all__ = ["Mesh", "lumen_mask", "lumen_mesh"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,17 +78,55 @@ def lumen_mesh(
     """
     if cancel is not None and cancel():
         raise CancelledError("stopped while building the surface")
-    levels = None
-    if np.isfinite(airways.threshold):
-        scale = air_scale(volume)
-        wall = max(float(scale.level(HALF_WALL_HU)), airways.threshold)
-        levels = (airways.threshold, wall, scale.span(STEP_RISE_HU))
 
     def share(fraction: float) -> None:
         if progress is not None:
             progress("building the surface", fraction)
 
     vertices, triangles = _core.lumen_mesh(
-        volume.hu_zyx, volume.lps_from_ijk, airways.lumen_zyx, levels=levels, cancel=cancel, progress=share
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        airways.lumen_zyx,
+        levels=_levels(volume, airways),
+        cancel=cancel,
+        progress=share,
     )
     return Mesh(vertices, triangles)
+
+
+def lumen_mask(volume: Volume, airways: Airways) -> NDArray[np.uint8]:
+    """The inside of the airways as voxels: those whose centres lie inside :func:`lumen_mesh`.
+
+    This is what files and volumes in ml are made from. The search stops where a wall begins to show, short of the
+    half-maximum at which the lumen ends; :attr:`Airways.lumen_zyx`, in which paths run, has fewer voxels for that.
+
+    Parameters
+    ----------
+    volume
+        The CT in which the airways were found.
+    airways
+        Their lumen. One from another tool is as that tool drew it.
+
+    Returns
+    -------
+    numpy.ndarray
+        (nz, ny, nx) uint8, 1 inside.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> bool((lumen_mask(phantom.volume, airways) >= airways.lumen_zyx).all())
+    True
+    """
+    return _core.lumen_mask(volume.hu_zyx, volume.lps_from_ijk, airways.lumen_zyx, levels=_levels(volume, airways))
+
+
+def _levels(volume: Volume, airways: Airways) -> tuple[float, float, float] | None:
+    """Where its wall begins; None for a lumen from another tool."""
+    if not np.isfinite(airways.threshold):
+        return None
+    scale = air_scale(volume)
+    wall = max(float(scale.level(HALF_WALL_HU)), airways.threshold)
+    return airways.threshold, wall, scale.span(STEP_RISE_HU)

@@ -1,0 +1,65 @@
+"""The mask that is handed out: the voxels inside the surface, which lies on the half-maximum."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import carina
+from carina.track import lumen_mask, lumen_mesh
+from made import MASKED_CHEST, SMALL_CHEST, made_airways, made_phantom
+
+
+def dice(found, truth):
+    return 2.0 * np.count_nonzero(found & truth) / (np.count_nonzero(found) + np.count_nonzero(truth))
+
+
+@pytest.mark.parametrize("chest", [SMALL_CHEST, MASKED_CHEST], ids=["small", "masked"])
+def test_the_mask_ends_where_the_lumen_truly_does(chest):
+    made, airways = made_phantom(**chest), made_airways(**chest)
+    truth, found, mask = made.lumen_zyx != 0, airways.lumen_zyx != 0, lumen_mask(made.volume, airways) != 0
+    assert dice(mask, truth) > 0.96
+    assert dice(mask, truth) > dice(found, truth) + 0.02
+    assert not (found & ~mask).any()
+
+
+def test_the_mask_holds_as_much_as_the_mesh():
+    made, airways = made_phantom(**MASKED_CHEST), made_airways(**MASKED_CHEST)
+    voxel_mm3 = float(np.prod(made.volume.spacing_mm))
+    mask_mm3 = np.count_nonzero(lumen_mask(made.volume, airways)) * voxel_mm3
+    assert mask_mm3 == pytest.approx(lumen_mesh(made.volume, airways).volume_mm3, rel=0.03)
+
+
+def test_a_mask_from_another_tool_stays_as_it_was_drawn():
+    made = made_phantom(**SMALL_CHEST)
+    airways = carina.find_airways(made.volume, lumen_zyx=made.lumen_zyx)
+    assert np.array_equal(lumen_mask(made.volume, airways), airways.lumen_zyx)
+
+
+def tube(wall_hu, lung_hu):
+    """A tube of air along k with a wall two voxels thick in even lung, and the lumen of its inner part."""
+    off = np.hypot(*(np.mgrid[:24, :24] - 11.5))
+    plane = np.where(off < 5.0, -1000, np.where(off < 7.0, wall_hu, lung_hu))
+    return np.repeat(plane[None].astype(np.int16), 12, axis=0), np.repeat((off < 4.0)[None], 12, axis=0)
+
+
+def in_tube(wall_hu, lung_hu):
+    made, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
+    values, lumen = tube(wall_hu, lung_hu)
+    volume = dataclasses.replace(made.volume, hu_zyx=values)
+    return lumen, lumen_mask(volume, dataclasses.replace(airways, lumen_zyx=lumen.astype(np.uint8))) != 0
+
+
+def test_the_last_voxels_of_air_before_a_wall_are_in_the_mask():
+    lumen, mask = in_tube(-100, -870)
+    off = np.hypot(*(np.mgrid[:24, :24] - 11.5))
+    assert np.count_nonzero(mask) > 1.3 * np.count_nonzero(lumen)
+    assert not mask[:, off >= 5.0].any()
+
+
+def test_where_no_wall_is_seen_nothing_is_added():
+    """A closed breach: the search ended there for another reason."""
+    lumen, mask = in_tube(-1000, -1000)
+    assert np.array_equal(mask, lumen)
