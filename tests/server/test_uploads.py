@@ -147,6 +147,15 @@ def test_any_name_comes_back_as_json_that_parses(stem, suffix):
     assert all(ord(c) >= 0x20 for c in shown[0])
 
 
+def test_a_name_without_its_ending_comes_back_too():
+    """Readers of a header and its data speak of both by their stem."""
+    names = DroppedNames()
+    names.begin("01234567")
+    place = names.neutral("01234567", PurePosixPath("scan.nii.gz"), "scan.nii.gz")
+    stem = place.name.removesuffix(".nii.gz")
+    assert json.loads(names.restored(json.dumps(f"reading {stem} failed"))) == "reading scan failed"
+
+
 def test_what_lies_beside_a_file_under_the_same_stem_still_does(uploads):
     upload_id = uploads.begin()
     for name in ("a/scan.hdr", "a/scan.img", "b/scan.img"):
