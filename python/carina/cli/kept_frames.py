@@ -87,8 +87,10 @@ class KeptFrames:
             msg = f"{file}: this frame cannot be read; delete it and all later frames, then start again"
             raise VolumeImportError(msg, code="fly.kept") from trouble
         if rgb.shape != (size[1], size[0], 3) or rgb.dtype != np.uint8:
+            height, width = rgb.shape[:2]
             msg = (
-                f"{file}: expected an image of {size[0]} x {size[1]} pixels; found shape {rgb.shape}; delete the folder"
+                f"{file}: expected a frame of {size[0]} x {size[1]} pixels in 8-bit colour, found {width} x {height}; "
+                f"delete the kept frames in {self._folder} and render them again"
             )
             raise VolumeImportError(msg, code="fly.kept")
         return np.asarray(rgb, np.uint8)

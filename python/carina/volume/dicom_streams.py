@@ -154,7 +154,7 @@ def rle_problem(frame: bytes, num_pixels: int) -> str | None:
         return "its header is truncated"
     count, *offsets = struct.unpack_from("<16I", frame)
     if not 1 <= count <= 15:
-        return f"it claims {count} segments instead of 1 to 15"
+        return f"it should contain 1 to 15 segments; its header claims {count}"
     starts = [*offsets[:count], len(frame)]
     for begin, end in itertools.pairwise(starts):
         if not 64 <= begin <= end <= len(frame):
