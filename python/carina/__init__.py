@@ -23,7 +23,14 @@ if TYPE_CHECKING:
     from carina.export import export_airways, read_tree, write_film, write_tree
     from carina.navigate import FlightPath, Navigator
     from carina.phantom import generate_phantom, write_phantom
-    from carina.render import Renderer, TransferFunction, render_surface, render_view, transfer_preset
+    from carina.render import (
+        Renderer,
+        TransferFunction,
+        isoregion_map,
+        render_surface,
+        render_view,
+        transfer_preset,
+    )
     from carina.scopes import Pose, ScopeDrive, WallField
     from carina.session import Case
     from carina.track import Airways, AirwayTree, edit_airways, find_airways, track_paths, wall_field
@@ -51,6 +58,7 @@ _HOME = {
     "find_airways": "track",
     "generate_phantom": "phantom",
     "inspect_path": "volume",
+    "isoregion_map": "render",
     "open_mask": "volume",
     "open_volume": "volume",
     "read_tree": "export",
@@ -87,6 +95,7 @@ __all__ = [
     "find_airways",
     "generate_phantom",
     "inspect_path",
+    "isoregion_map",
     "open_mask",
     "open_volume",
     "read_tree",

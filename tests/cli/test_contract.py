@@ -117,6 +117,10 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
         ["render", "CT", "-o", "x.png", "--at", "here"],
         ["render", "CT", "-o", "x.png", "--view", "axial", "--at", "9999,0,0"],
         ["render", "CT", "-o", "x.png", "--series", "no-such-series", "--view", "axial"],
+        ["isoregion", "CT"],
+        ["isoregion", "CT", "-o", "map.png"],
+        ["isoregion", "CT", "-o", "no-such-folder/map.nrrd"],
+        ["isoregion", "CT", "-o", "map.nrrd", "--transfer", "no-such-preset"],
         ["phantom"],
         ["phantom", "-o", "d", "--seed", "-1"],
         ["phantom", "-o", "d", "--seed", "99999999999999999999999"],
@@ -154,7 +158,7 @@ def test_a_wrong_log_level_exits_2_in_words(carina, monkeypatch):
 
 
 def test_help_of_every_verb_has_an_example_and_exits_0(carina):
-    verbs = ("open", "demo", "info", "track", "render", "phantom", "doctor")
+    verbs = ("open", "demo", "info", "track", "render", "isoregion", "phantom", "doctor")
     for verb in (*verbs, "bench render", "bench isoregion", "bench track"):
         ended = carina(*verb.split(), "--help")
         assert ended.code == 0
@@ -186,12 +190,13 @@ def test_a_file_that_is_none_exits_3_and_is_named(carina, tmp_path, name, conten
         ["info", path],
         ["track", path, "--target", RMB],
         ["render", path, "-o", tmp_path / "x.png"],
+        ["isoregion", path, "-o", tmp_path / "x.nrrd"],
         ["open", path, "--no-browser"],
     ):
         ended = carina(*arguments, "--json")
         assert ended.code == 3, ended.err
         assert name in ended.json()["error"]["message"]
-    assert not (tmp_path / "x.png").exists()
+    assert not list(tmp_path.glob("x.*"))
 
 
 @pytest.mark.parametrize(

@@ -410,6 +410,37 @@ def render(
 
 
 @app.command()
+def isoregion(
+    path: PathArgument,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Map to write, on the scan's grid: .nii.gz, .nii, .nrrd or .mha.")
+    ],
+    transfer: Annotated[
+        str | None,
+        typer.Option(
+            help=(
+                "Compare voxels as this transfer function shows them: a preset (endoscopic, paper, ct-grey, "
+                "see-through) or a JSON file (default: by 16 HU, as in the paper)."
+            )
+        ),
+    ] = None,
+    series: SeriesOption = None,
+    ct: CtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the IsoRegion map of a scan: for each voxel, the radius of the largest cube of equal voxels around it.
+
+    See section 4 of the paper.
+
+    Example: carina isoregion ~/scans/thorax --transfer endoscopic -o map.nrrd
+    """
+    with exit_codes(as_json):
+        from carina.cli.isoregion import write
+
+        raise SystemExit(write(path, output=output, transfer=transfer, series=series, ct=ct, as_json=as_json))
+
+
+@app.command()
 def phantom(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write the files to.")],
     seed: Annotated[int, typer.Option(help="Random seed; the same seed always gives the same case.", min=0)] = 0,

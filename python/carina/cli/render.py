@@ -38,14 +38,15 @@ from carina.render import (
 from carina.scopes import PathFrames, Pose
 from carina.track import kind_words
 
-__all__ = ["report"]
+__all__ = ["chosen_transfer", "report"]
 
 MAX_TRANSFER_BYTES = 1_000_000
 # Stands for the path while the arguments are checked.
 _ANY_PATH = PathFrames(np.array([0.0, 1.0]), np.stack([np.eye(4)] * 2))
 
 
-def _transfer(text: str | None) -> TransferFunction | None:
+def chosen_transfer(text: str | None) -> TransferFunction | None:
+    """The preset or the JSON file that ``--transfer`` names; None where it was not given."""
     if text is None:
         return None
     if not text.endswith(".json"):
@@ -171,7 +172,7 @@ def report(
         if view != LEAD_VIEW:
             raise UsageError(f"--surface only applies to the airway view; the view is {view!r}")
     check_case_options(path, ct, tree=tree)
-    chosen = _transfer(transfer)
+    chosen = chosen_transfer(transfer)
     options: dict[str, Any] = {
         "view": view,
         "fov_deg": fov_deg,

@@ -12,7 +12,7 @@ from carina.render.pictures import mark_tip, render_surface, render_view, view_s
 from carina.render.png_text import read_png_badges, read_png_pose
 from carina.render.renderer import Renderer, can_cut
 from carina.render.sight import Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
-from carina.render.structures import build_isoregion_map, project_maximum, sample_plane
+from carina.render.structures import build_isoregion_map, isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.view_settings import ViewSettings
@@ -98,6 +98,7 @@ __all__ = [
     "build_isoregion_map",
     "can_cut",
     "find_adapters",
+    "isoregion_map",
     "letter_edges",
     "mark_path",
     "mark_tip",

@@ -1,0 +1,46 @@
+"""``carina isoregion``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import carina
+from carina.cli.arguments import check_output_file
+from carina.cli.console import print_json, progress_printer, say
+from carina.cli.opened import check_case_options, opened
+from carina.cli.render import chosen_transfer
+from carina.errors import UsageError
+from carina.volume import GRID_SUFFIXES, write_grid
+
+__all__ = ["write"]
+
+
+def write(path: Path, *, output: Path, transfer: str | None, series: str | None, ct: Path | None, as_json: bool) -> int:
+    """Build the map and write it on the scan's grid."""
+    check_output_file(output)
+    if not output.name.lower().endswith(GRID_SUFFIXES):
+        msg = f"-o: expected a file name that ends in {', '.join(GRID_SUFFIXES)}; found {output.name!r}"
+        raise UsageError(msg)
+    chosen = chosen_transfer(transfer)
+    check_case_options(path, ct)
+    source = opened(path, series=series, progress=progress_printer(), ct=ct)
+    radii = carina.isoregion_map(source.volume, chosen)
+    what = "16 HU" if transfer is None else f"the transfer function {transfer}"
+    note = f"IsoRegion radii in voxels, equal by {what}; the cube of a voxel has 2 r + 1 voxels on each side"
+    write_grid(output, radii, source.volume.lps_from_ijk, what="the IsoRegion map", note=note)
+    share = float(np.count_nonzero(radii)) / radii.size
+    largest = int(radii.max())
+    say(f"wrote {output}: {100.0 * share:.1f} % of the voxels have equal neighbours; largest radius {largest}")
+    if as_json:
+        print_json(
+            {
+                "file": str(output),
+                "equal_by": "values" if transfer is None else "classes",
+                "share_with_equal_neighbours": share,
+                "largest_radius": largest,
+                "badges": source.badges.to_json(),
+            }
+        )
+    return 0

@@ -1,0 +1,38 @@
+"""``carina isoregion``: the map of a scan as a file of other tools (paper 4.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+import carina as product
+from carina.render import build_isoregion_map, isoregion_map, transfer_preset
+
+
+@pytest.mark.parametrize("name", ["map.nrrd", "map.nii.gz"])
+@pytest.mark.parametrize("transfer", [None, "endoscopic"])
+def test_the_file_holds_the_map_on_the_scans_grid(carina, ct, tmp_path, name, transfer):
+    output = tmp_path / name
+    options = [] if transfer is None else ["--transfer", transfer]
+    ended = carina("isoregion", ct, "-o", output, *options, "--json")
+    assert ended.code == 0, ended.err
+    volume = product.open_volume(ct)
+    radii = isoregion_map(volume, None if transfer is None else transfer_preset(transfer))
+    image = sitk.ReadImage(str(output))
+    assert np.array_equal(sitk.GetArrayFromImage(image), radii)
+    place = volume.to_lps(np.array([1.0, 2.0, 3.0])).tolist()
+    assert image.TransformIndexToPhysicalPoint((1, 2, 3)) == pytest.approx(place, abs=1e-3)
+    said = ended.json()
+    assert said["equal_by"] == ("values" if transfer is None else "classes")
+    assert said["largest_radius"] == radii.max()
+    assert said["share_with_equal_neighbours"] == pytest.approx((radii > 0).mean())
+
+
+def test_by_the_papers_bins_equal_are_values_within_16_hu(ct):
+    volume = product.open_volume(ct)
+    bins = (volume.hu_zyx.astype(np.int32) + 32768) // 16
+    # A label per bin; more than 255 bins would not fit, and are no CT.
+    labels = np.unique(bins, return_inverse=True)[1].reshape(bins.shape)
+    assert labels.max() < 255
+    assert np.array_equal(isoregion_map(volume), build_isoregion_map((labels + 1).astype(np.uint8)))
