@@ -184,7 +184,7 @@ def test_angles_and_directions_are_those_of_the_lines():
     np.testing.assert_allclose(directions(point.points, point.radius, trunk.points[-2]), [[0.0, 0.0, -1.0]])
 
 
-def test_a_fine_branchs_directions_follow_its_bends():
+def test_the_directions_of_a_fine_branch_follow_its_bends():
     """Over a diameter, not farther: 1.2 mm before a right angle nothing is seen of it."""
     at = np.linspace(0.0, 5.0, 51)
     points = np.concatenate(
