@@ -168,11 +168,10 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 10")
     workstation.wait_picture("coronal", unlike=thin)
     workstation.picture("views-slab")
-    # One press after the other. Of three at once one was lost in one run, and the cause is not known.
-    for thickness_mm, kind in ((10, "max"), (5, "mean"), (0, "min")):
+    # Three at once: each goes on from what the last one asked for, whether the server has answered it or not.
+    for _ in range(3):
         workstation.page.keyboard.press("i")
-        slab = "window.__carina.state.session.sight.slab"
-        workstation.wait_for(f"{slab}.thickness_mm === {thickness_mm} && {slab}.kind === '{kind}'")
+    workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 0")
     assert workstation.faults == []
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import threading
+import time
 
 import pytest
 from live_server import SHOWN, WAIT_S, open_case, running
+from starlette.websockets import WebSocket
 
 from carina.errors import VolumeImportError
 from carina.server import messages as wire
 from carina.server.hub import MAX_WINDOWS
+from carina.session import Session
 from small_case import LEFT_TIP, small_volume
 
 
@@ -172,6 +176,36 @@ def test_what_was_handled_is_said_after_what_came_of_it(two):
     first.send(*(wire.SetFov(80.0 + n / 10.0) for n in range(30)), wire.Probe(LEFT_TIP), wire.RemoveTarget("nobody"))
     first.until(lambda m: isinstance(m, wire.Handled) and m.number == before + 31)
     assert newest(first, wire.State).look.fov_deg == pytest.approx(82.9)
+
+
+def test_nothing_is_called_handled_ahead_of_what_came_of_it_whenever_the_sender_goes_on(live, monkeypatch):
+    do, send_text, held = Session.do, WebSocket.send_text, []
+
+    async def send_when_let(self, text):
+        if wire.encode_message(wire.Value(LEFT_TIP, None))[:15] == text[:15]:
+            held.append(asyncio.get_running_loop().create_future())
+            await held[-1]
+        await send_text(self, text)
+
+    def let_send_and_do(self, command, **options):
+        if isinstance(command, wire.SetSlab):
+            # The sender's turn comes before that of the events of this command.
+            held.pop().set_result(None)
+        return do(self, command, **options)
+
+    with live.window() as window:
+        open_case(window)
+        before = newest(window, wire.Handled).number
+        monkeypatch.setattr(WebSocket, "send_text", send_when_let)
+        monkeypatch.setattr(Session, "do", let_send_and_do)
+        for number, thickness_mm in enumerate((10.0, 5.0, 0.0), before + 1):
+            window.send(wire.Probe(LEFT_TIP))
+            deadline_s = time.monotonic() + WAIT_S
+            while not held and time.monotonic() < deadline_s:
+                threading.Event().wait(0.001)
+            window.send(wire.SetSlab(thickness_mm=thickness_mm, kind="max"))
+            window.until(lambda m, number=number: isinstance(m, wire.Handled) and m.number == number)
+            assert newest(window, wire.State).sight.slab.thickness_mm == thickness_mm
 
 
 def test_a_window_that_does_not_read_stalls_no_other(two):

@@ -47,10 +47,13 @@ class Inbox:
     ----------
     handle
         Does one message, at once; must not raise.
+    handled
+        Told after each command how many have been done or refused, those included of which a newer one took the place.
     """
 
-    def __init__(self, handle: Callable[[Any], None]) -> None:
+    def __init__(self, handle: Callable[[Any], None], handled: Callable[[int], None] = lambda _number: None) -> None:
         self._handle = handle
+        self._handled = handled
         self._waiting: deque[tuple[int, Any]] = deque()
         """Each with the number of commands that have come with it, those that went into it included."""
         self._num_commands = 0
@@ -64,11 +67,6 @@ class Inbox:
     def num_waiting(self) -> int:
         """How many have not been done."""
         return len(self._waiting)
-
-    @property
-    def num_handled(self) -> int:
-        """How many commands have been done or refused, those included of which a newer one took the place."""
-        return self._num_handled
 
     async def put(self, message: Any) -> None:
         """One more; waits while there are too many."""
@@ -118,7 +116,9 @@ class Inbox:
             if not self._waiting:
                 self._changed.clear()
             self._handle(message)
-            self._num_handled = num_commands
+            if num_commands != self._num_handled:
+                self._num_handled = num_commands
+                self._handled(num_commands)
 
 
 def _merged(before: Any, after: Any) -> Any:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, Protocol, assert_never
 
-from carina.commands import Command, VoxelAt, WallAt
+from carina.commands import VoxelAt, WallAt
 from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, UsageError
 from carina.server import messages as wire
@@ -83,7 +83,8 @@ class Window:
         self._host = host
         self._session = host.session
         self.outbox = Outbox()
-        self.inbox = Inbox(self.handle)
+        self.inbox = Inbox(self.handle, lambda number: host.in_loop(self._confirm, number))
+        self._num_handled = 0
         self.pump = FramePump(
             partial(host.session.scene, number),
             lambda data: host.in_loop(self.outbox.push_picture, data),
@@ -167,7 +168,7 @@ class Window:
             case "history":
                 return self._history_text(self._session.snapshot())
             case "handled":
-                return wire.encode_message(wire.Handled(self.inbox.num_handled))
+                return wire.encode_message(wire.Handled(self._num_handled))
         info = self._session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
 
@@ -224,8 +225,15 @@ class Window:
                 log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
                 words = f"the command failed: internal error in Carina ({type(trouble).__name__})"
                 self.outbox.push(wire.Error("carina.fault", words, None))
-        if isinstance(message, Command):
-            self.outbox.mark("handled")
+
+    def _confirm(self, num_handled: int) -> None:
+        """So many commands are done; comes by way of the loop, as the session's events do, and so behind them.
+
+        A sender takes what is marked when its turn comes. Marked at once, the confirmation of a slab could go out ahead
+        of the state with that slab: the page showed the old one for a moment, and a key pressed then went on from it.
+        """
+        self._num_handled = num_handled
+        self.outbox.mark("handled")
 
     def _do(self, message: Any) -> None:
         match message:
