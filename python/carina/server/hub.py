@@ -249,7 +249,7 @@ class Hub:
             window.outbox.push(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
             log_fault(logger, "the page for watchers could not be opened", trouble)
-            words = f"the page for watchers failed: internal error in Carina ({type(trouble).__name__})"
+            words = f"the viewing page failed: internal error in Carina ({type(trouble).__name__})"
             window.outbox.push(wire.Error("carina.fault", words, None))
         if self.session.snapshot().case_number != self._watched_case:
             # Another case was opened meanwhile.

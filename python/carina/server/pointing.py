@@ -88,7 +88,7 @@ class Pointing:
         except CarinaError as trouble:
             answer = _no_path(message.request_id, str(trouble))
         except Exception as trouble:
-            log_fault(logger, "calculating the live path failed", trouble)
+            log_fault(logger, "could not calculate the live path", trouble)
             answer = _no_path(
                 message.request_id,
                 f"no path through the airways could be calculated: internal error in Carina ({type(trouble).__name__})",

@@ -51,4 +51,4 @@ class Warming:
         except CarinaError as trouble:
             logger.debug("no path to the root: %s", trouble)
         except Exception as trouble:
-            log_fault(logger, "calculating the live path failed", trouble)
+            log_fault(logger, "could not calculate the live path", trouble)

@@ -199,7 +199,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     except msgspec.MsgspecError as error:
         raise DamagedFileError("its header was written by another version") from error
     if header.name != name.file_name:
-        raise DamagedFileError("its content and its name belong to different CTs")
+        raise DamagedFileError("its content does not match the CT in its name")
     return header, _begin_of_voxels(num_bytes)
 
 

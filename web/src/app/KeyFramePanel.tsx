@@ -300,7 +300,7 @@ function Flight({ told }: { told: KeyFramesMessage }) {
     <div className="group">
       <Figure
         label="Speed"
-        words="Speed of every leg that has no speed set"
+        words="Speed for every leg without its own"
         unit="mm/s"
         value={told.speed_mm_s}
         choices={KEY_SPEEDS_MM_S}

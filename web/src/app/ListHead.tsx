@@ -8,7 +8,7 @@ import { Tip } from "./controls";
 
 const LISTS = [
   { list: "airways", title: "Airways", words: "The branches of the airway tree" },
-  { list: "history", title: "History", words: "Your changes: go back to any of them" },
+  { list: "history", title: "History", words: "Edit history: return to any step" },
 ] as const;
 
 export function ListHead({ children }: { children?: ReactNode }) {

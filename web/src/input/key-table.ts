@@ -408,7 +408,7 @@ const PAGE: readonly Binding[] = [
     key: "h",
     shift: true,
     label: "Shift+H",
-    words: "History of your changes: go back to any of them",
+    words: "Edit history: return to any step",
     group: "Plan",
     command: press("history"),
   },

@@ -38,6 +38,6 @@ describe("the cluster in words", () => {
     expect(needsLook(cluster([member("ready"), member("late")]))).toBe(true);
     expect(needsLook(cluster([member("ready"), member("away")]))).toBe(true);
     expect(needsLook(cluster([], { alone: true }))).toBe(true);
-    expect(memberWords(member("late"))).toContain("others");
+    expect(memberWords(member("late"))).toContain("other machines");
   });
 });

@@ -18,7 +18,7 @@ export function memberWords(member: MemberStatus): string {
     case "ready":
       return "rendering";
     case "late":
-      return "late: others render its part";
+      return "late: other machines are rendering its share";
     case "away":
       return "not responding";
     case "loading":
