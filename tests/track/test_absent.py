@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from plugged_chest import CHEST, named, plugged
 
 import carina
 from carina.track import AirwayTree, Branch, find_absent
@@ -14,17 +15,11 @@ from carina.volume import Volume
 from made import made_phantom
 from made import patient as the_patient
 
-CHEST = {"seed": 1, "spacing_mm": 1.2, "noise_hu": 25.0}
-
 
 @pytest.fixture(scope="module")
 def chest():
     made = made_phantom(**CHEST)
     return made, carina.find_airways(made.volume)
-
-
-def named(airways, name):
-    return next(branch for branch in airways.tree.branches if branch.name == name)
 
 
 def without(tree, name):
@@ -39,21 +34,6 @@ def without(tree, name):
         if branch.id not in gone
     )
     return dataclasses.replace(tree, branches=kept)
-
-
-def plugged(made, branch, length_mm):
-    """The CT with mucus in the first part of a branch: tissue as far as its wall."""
-    volume, values = made.volume, made.volume.hu_zyx.copy()
-    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    chosen = branch.points[(along > 2.0) & (along < 2.0 + length_mm)]
-    nz, ny, nx = np.indices(values.shape, sparse=True)
-    for point in chosen:
-        i, j, k = volume.to_ijk(point)
-        sx, sy, sz = volume.spacing_mm
-        off = ((nx - i) * sx) ** 2 + ((ny - j) * sy) ** 2 + ((nz - k) * sz) ** 2
-        values[off <= (branch.radius.max() + 1.5) ** 2] = 30
-    return Volume(values, volume.lps_from_ijk)
 
 
 def test_a_whole_tree_lacks_nothing(chest):
@@ -85,7 +65,7 @@ def test_a_lobe_of_which_nothing_was_found_is_told_once(chest, name):
 def test_mucus_in_a_bronchus_is_said_with_its_place(chest, name, lacking, carrier):
     made, whole = chest
     branch = named(whole, name)
-    airways = carina.find_airways(plugged(made, branch, 6.0))
+    airways = carina.find_airways(plugged(made.volume, branch, 6.0))
     assert {one.name for one in airways.absent} == lacking
     for absence in airways.absent:
         assert (absence.kind, absence.carrier) == ("blocked", carrier)
@@ -95,7 +75,7 @@ def test_mucus_in_a_bronchus_is_said_with_its_place(chest, name, lacking, carrie
 
 def test_an_ordinary_tip_far_out_is_no_reason_for_a_segment_that_is_missing(chest):
     made, whole = chest
-    airways = carina.find_airways(plugged(made, named(whole, "LB3"), 6.0))
+    airways = carina.find_airways(plugged(made.volume, named(whole, "LB3"), 6.0))
     assert {one.name for one in airways.absent} == {"LB1+2", "LB3"}
     for absence in airways.absent:
         # Without LB3 nothing tells LB1+2 from a common stem of all three.

@@ -18,23 +18,39 @@ export function AbsentAirways() {
       <summary>{plural(absent.length, "bronchus", "bronchi")} not found</summary>
       <div className="places">
         <ul>
-          {absent.map(({ name, reason, lps }) => (
-            <li key={name}>
-              {lps === null ? (
-                <>
-                  <span className="quiet">{`${name}: `}</span>
-                  {sentence(reason)}
-                </>
-              ) : (
-                <Button className="plain-text" onPress={() => showPlace(station, asVec3(lps), null)}>
-                  <span className="quiet">{`${name}: `}</span>
-                  {sentence(reason)}
-                </Button>
-              )}
-            </li>
-          ))}
+          {togetherLost(absent).map(({ names, reason, lps }) => {
+            const words = (
+              <>
+                <span className="quiet">{`${names.join(", ")}: `}</span>
+                {sentence(reason)}
+              </>
+            );
+            return (
+              <li key={names[0]}>
+                {lps === null ? (
+                  <p className="plain-text">{words}</p>
+                ) : (
+                  <Button className="plain-text" onPress={() => showPlace(station, asVec3(lps), null)}>
+                    {words}
+                  </Button>
+                )}
+              </li>
+            );
+          })}
         </ul>
       </div>
     </details>
   );
+}
+
+/** What one closed bronchus leads to is lost for one reason, which is said once. */
+function togetherLost(absent: readonly AbsentAirway[]) {
+  const groups = new Map<string, { names: string[]; reason: string; lps: AbsentAirway["lps"] }>();
+  for (const { name, reason, lps } of absent) {
+    const key = `${reason} ${lps?.join(" ")}`;
+    const group = groups.get(key) ?? { names: [], reason, lps };
+    group.names.push(name);
+    groups.set(key, group);
+  }
+  return [...groups.values()];
 }
