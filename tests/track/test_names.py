@@ -425,6 +425,16 @@ def test_words_of_names():
     assert name_words("") is None
 
 
+def test_every_bronchus_of_one_lung_is_expected_to_run_to_its_own_side():
+    rules = grammar()
+    for name in ("RMB", "BI", *LOBES, "LMB"):
+        right_or_left = -1.0 if name == "BI" or name.startswith("R") else 1.0
+        states = [number for number, of in enumerate(rules.names) if of == name]
+        assert states
+        assert set(rules.side[states]) == {right_or_left}
+        assert (rules.direction[states, 0] * right_or_left > 0.2).all(), name
+
+
 def test_the_odds_of_all_divisions_sum_to_one():
     rules = grammar()
     division = rules.division
