@@ -5,7 +5,7 @@
 )]
 
 use carina_airpath::mesh;
-use carina_grid::VolumeView;
+use carina_grid::{Grid, VolumeView};
 use carina_leastcost::lumen::WallLevels;
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
@@ -17,6 +17,8 @@ use crate::arrays;
 use crate::errors::IntoPy;
 use crate::watch::PyWatch;
 
+/// Core, wall and rise.
+type Levels = (f32, f32, f32);
 type VerticesAndTriangles<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>);
 
 /// Closed mesh of the lumen: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside.
@@ -27,16 +29,12 @@ fn lumen_mesh<'py>(
     values_zyx: PyReadonlyArray3<'py, i16>,
     lps_from_ijk: PyReadonlyArray2<'py, f64>,
     lumen_zyx: PyReadonlyArray3<'py, u8>,
-    levels: Option<(f32, f32, f32)>,
+    levels: Option<Levels>,
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<VerticesAndTriangles<'py>> {
     let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
-    let view = VolumeView::new(arrays::values("values_zyx", &values_zyx)?, &grid)
-        .map_err(IntoPy::into_py)?;
-    let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
-    check_shape(&values_zyx, &lumen_zyx)?;
-    let levels = levels.map(|(core, wall, rise)| WallLevels { core, wall, rise });
+    let (view, lumen, levels) = inputs(&values_zyx, &grid, &lumen_zyx, levels)?;
     let watch = PyWatch::new(cancel, progress);
     let found = py
         .detach(|| mesh::lumen_mesh(view, lumen, levels, &watch))
@@ -55,14 +53,10 @@ fn lumen_mask<'py>(
     values_zyx: PyReadonlyArray3<'py, i16>,
     lps_from_ijk: PyReadonlyArray2<'py, f64>,
     lumen_zyx: PyReadonlyArray3<'py, u8>,
-    levels: Option<(f32, f32, f32)>,
+    levels: Option<Levels>,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
-    let view = VolumeView::new(arrays::values("values_zyx", &values_zyx)?, &grid)
-        .map_err(IntoPy::into_py)?;
-    let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
-    check_shape(&values_zyx, &lumen_zyx)?;
-    let levels = levels.map(|(core, wall, rise)| WallLevels { core, wall, rise });
+    let (view, lumen, levels) = inputs(&values_zyx, &grid, &lumen_zyx, levels)?;
     let found = py.detach(|| mesh::lumen_mask(view, lumen, levels));
     let [nx, ny, nz] = grid.shape_ijk();
     let mask = Array3::from_shape_vec((nz, ny, nx), found)
@@ -70,18 +64,25 @@ fn lumen_mask<'py>(
     Ok(mask.into_pyarray(py))
 }
 
-fn check_shape(
-    values_zyx: &PyReadonlyArray3<'_, i16>,
-    lumen_zyx: &PyReadonlyArray3<'_, u8>,
-) -> PyResult<()> {
-    if lumen_zyx.shape() == values_zyx.shape() {
-        return Ok(());
+/// What both take: the volume, the lumen in it, and what its walls are compared with.
+fn inputs<'a>(
+    values_zyx: &'a PyReadonlyArray3<'_, i16>,
+    grid: &'a Grid,
+    lumen_zyx: &'a PyReadonlyArray3<'_, u8>,
+    levels: Option<Levels>,
+) -> PyResult<(VolumeView<'a, i16>, &'a [u8], Option<WallLevels>)> {
+    let view = VolumeView::new(arrays::values("values_zyx", values_zyx)?, grid)
+        .map_err(IntoPy::into_py)?;
+    let lumen = arrays::values("lumen_zyx", lumen_zyx)?;
+    if lumen_zyx.shape() != values_zyx.shape() {
+        return Err(pyo3::exceptions::PyValueError::new_err(format!(
+            "lumen_zyx: expected the volume's shape {:?}, found {:?}",
+            values_zyx.shape(),
+            lumen_zyx.shape()
+        )));
     }
-    Err(pyo3::exceptions::PyValueError::new_err(format!(
-        "lumen_zyx: expected the volume's shape {:?}, found {:?}",
-        values_zyx.shape(),
-        lumen_zyx.shape()
-    )))
+    let levels = levels.map(|(core, wall, rise)| WallLevels { core, wall, rise });
+    Ok((view, lumen, levels))
 }
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
