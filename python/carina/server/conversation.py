@@ -12,6 +12,7 @@ import carina
 from carina.errors import ProtocolError
 from carina.server import messages as wire
 from carina.server.closing import close_socket
+from carina.server.receiving import receive_text
 from carina.server.senders import start_sender
 from carina.server.window import Window
 
@@ -35,7 +36,7 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
     worker: asyncio.Task[None] | None = None
     try:
         async with asyncio.timeout(HELLO_WITHIN_S):
-            hello = wire.parse_client_message(await _receive_text(websocket))
+            hello = wire.parse_client_message(await receive_text(websocket, who="client"))
         if not isinstance(hello, wire.ClientHello):
             raise ProtocolError("the first message must be hello", code="protocol.order")
         if hello.wire_version != wire.WIRE_VERSION:
@@ -50,7 +51,7 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
         sender = start_sender(websocket, "the window", _send_all(websocket, window))
         worker = asyncio.create_task(window.inbox.work())
         while not worker.done():
-            await window.inbox.put(wire.parse_client_message(await _receive_text(websocket)))
+            await window.inbox.put(wire.parse_client_message(await receive_text(websocket, who="client")))
         worker.result()
     except ProtocolError as trouble:
         await close_socket(websocket, trouble.code, str(trouble))
@@ -70,16 +71,6 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
             sender.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await sender
-
-
-async def _receive_text(websocket: WebSocket) -> str:
-    message = await websocket.receive()
-    if message["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
-    text = message.get("text")
-    if text is None:
-        raise ProtocolError("the client sent a binary message; only text messages are accepted", code="protocol.type")
-    return str(text)
 
 
 async def _send_all(websocket: WebSocket, window: Window) -> None:

@@ -16,6 +16,7 @@ from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, NoEvidenceError, ProtocolError, kind_of
 from carina.server import messages as wire
 from carina.server.closing import close_socket
+from carina.server.receiving import receive_text
 from carina.server.security import Gate, is_loopback
 from carina.session import Changed, Door, Errand, Event, Session, log_fault
 
@@ -123,7 +124,7 @@ async def serve_program(websocket: WebSocket, session: Session) -> None:
     """One program, from its first message until it leaves or its case is closed."""
     try:
         async with asyncio.timeout(JOIN_WITHIN_S):
-            join = wire.parse_join_message(await _receive_text(websocket))
+            join = wire.parse_join_message(await receive_text(websocket, who="program"))
         if not isinstance(join, wire.Join):
             raise ProtocolError("the first message must be join", code="protocol.order")
         if join.wire_version != wire.WIRE_VERSION:
@@ -159,7 +160,7 @@ async def _work(websocket: WebSocket, session: Session, case_number: int) -> Non
 
     async def read() -> None:
         while True:
-            message = wire.parse_join_message(await _receive_text(websocket))
+            message = wire.parse_join_message(await receive_text(websocket, who="program"))
             if isinstance(message, wire.Join):
                 raise ProtocolError("join can only be the first message", code="protocol.order")
             await waiting.put(message)
@@ -190,13 +191,3 @@ async def _work(websocket: WebSocket, session: Session, case_number: int) -> Non
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         thread.shutdown(wait=False, cancel_futures=True)
-
-
-async def _receive_text(websocket: WebSocket) -> str:
-    message = await websocket.receive()
-    if message["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
-    text = message.get("text")
-    if text is None:
-        raise ProtocolError("the program sent a binary message; only text messages are accepted", code="protocol.type")
-    return str(text)

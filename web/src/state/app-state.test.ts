@@ -11,6 +11,7 @@ import {
 } from "../wire/messages";
 import { type AppEvent, type AppState, crosshairLps, INITIAL_STATE, pathMm, reduce } from "./app-state";
 import { NOT_SENT } from "./optimistic";
+import { NOTHING_SAVED } from "./saving.testing";
 
 const EMPTY: StateMessage = {
   type: "state",
@@ -34,20 +35,7 @@ const EMPTY: StateMessage = {
   airways_from: null,
   badges: [],
   mask_question: null,
-  saving: {
-    keeps: false,
-    saved_s: null,
-    begun_s: null,
-    problem: null,
-    copied_s: null,
-    copy_name: null,
-    copy_folder: null,
-    copy_problem: null,
-    suggested: null,
-    title: null,
-    continued_s: null,
-    continued_changes: 0,
-  },
+  saving: { ...NOTHING_SAVED, keeps: false },
 };
 
 const OPEN: StateMessage = {

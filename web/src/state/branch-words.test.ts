@@ -11,28 +11,10 @@ import {
   routeDoubts,
   tooltipOf,
 } from "./branch-words";
+import { testBranch } from "./branches.testing";
 
 function branch(id: number, parent: number | null, children: number[], change: Partial<TreeBranch> = {}): TreeBranch {
-  return {
-    id,
-    parent,
-    children,
-    generation: parent === null ? 0 : 1,
-    name: null,
-    kind: "tracked",
-    points: [
-      [0, 0, 0],
-      [0, 0, -30],
-    ],
-    radius: [3, 3],
-    cost: null,
-    confidence: 0.9,
-    name_confidence: null,
-    name_from: null,
-    variant: null,
-    doubtful_mm: 0,
-    ...change,
-  };
+  return testBranch(id, parent, children, { confidence: 0.9, ...change });
 }
 
 const MEASURES: BranchMeasures = {

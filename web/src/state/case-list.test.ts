@@ -2,6 +2,7 @@ import { describe, expect, it } from "vitest";
 import type { RecentCase, SavingInfo } from "../wire/messages";
 import { caseFacts, changesWords, continuedWords, sizeWords } from "./case-list";
 import { clock } from "./format";
+import { NOTHING_SAVED } from "./saving.testing";
 
 const NOW_S = 1_800_000_000;
 const NOW_MS = 1000 * NOW_S;
@@ -18,20 +19,7 @@ const ENTRY: RecentCase = {
   scanned_on: null,
   named: false,
 };
-const SAVING: SavingInfo = {
-  keeps: true,
-  saved_s: null,
-  begun_s: null,
-  problem: null,
-  copied_s: null,
-  copy_name: null,
-  copy_folder: null,
-  copy_problem: null,
-  suggested: null,
-  title: null,
-  continued_s: NOW_S,
-  continued_changes: 12,
-};
+const SAVING: SavingInfo = { ...NOTHING_SAVED, continued_s: NOW_S, continued_changes: 12 };
 
 describe("a case in the list", () => {
   it("says its changes and when it was used", () => {

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
-import type { RouteInfo, TreeBranch } from "../wire/messages";
+import type { RouteInfo } from "../wire/messages";
 import { buildTree, lineage, mainLeaf, neighbourWay, waysOn } from "./airways";
+import { testBranch } from "./branches.testing";
 import { forkAhead } from "./fork";
 import { coordinates, fixed, parseCoordinates, timeLeft } from "./format";
 import { directionAt, narrowest, nearestMm, nextStopMm, pointAt, pointsBetween } from "./route";
@@ -33,23 +34,7 @@ const ROUTE: RouteInfo = {
 };
 
 function branch(id: number, parent: number | null, children: number[], points: [number, number, number][], r: number) {
-  const made: TreeBranch = {
-    id,
-    parent,
-    children,
-    generation: parent === null ? 0 : 1,
-    name: null,
-    kind: "tracked",
-    points,
-    radius: points.map(() => r),
-    cost: null,
-    confidence: null,
-    name_confidence: null,
-    name_from: null,
-    variant: null,
-    doubtful_mm: 0,
-  };
-  return made;
+  return testBranch(id, parent, children, { points, radius: points.map(() => r) });
 }
 
 const TREE = buildTree({

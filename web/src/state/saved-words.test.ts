@@ -1,34 +1,26 @@
 import { describe, expect, it } from "vitest";
-import type { SavingInfo } from "../wire/messages";
 import { clock } from "./format";
 import { savedWords } from "./saved-words";
+import { NOTHING_SAVED } from "./saving.testing";
 
 const NOW_S = 1_800_000_000;
 const NOW_MS = 1000 * NOW_S;
-const NOTHING: SavingInfo = {
-  keeps: true,
-  saved_s: null,
-  begun_s: null,
-  problem: null,
-  copied_s: null,
-  copy_name: null,
-  copy_folder: null,
-  copy_problem: null,
-  suggested: null,
-  title: null,
-  continued_s: null,
-  continued_changes: 0,
-};
 
 describe("what is saved", () => {
   it("is said while a case is open", () => {
     expect(savedWords(null, NOW_MS)).toBeNull();
-    expect(savedWords(NOTHING, NOW_MS)?.label).toBe("not changed");
-    expect(savedWords({ ...NOTHING, saved_s: NOW_S }, NOW_MS)?.label).toBe(`saved ${clock(NOW_S, NOW_MS)}`);
+    expect(savedWords(NOTHING_SAVED, NOW_MS)?.label).toBe("not changed");
+    expect(savedWords({ ...NOTHING_SAVED, saved_s: NOW_S }, NOW_MS)?.label).toBe(`saved ${clock(NOW_S, NOW_MS)}`);
   });
 
   it("tells of the copy and where it lies", () => {
-    const copied = { ...NOTHING, saved_s: NOW_S, copied_s: NOW_S, copy_name: "n.carina", copy_folder: "/data/Cases" };
+    const copied = {
+      ...NOTHING_SAVED,
+      saved_s: NOW_S,
+      copied_s: NOW_S,
+      copy_name: "n.carina",
+      copy_folder: "/data/Cases",
+    };
     expect(savedWords(copied, NOW_MS)?.label).toBe(
       `saved ${clock(NOW_S, NOW_MS)} \u00b7 copy from ${clock(NOW_S, NOW_MS)} in Cases`,
     );
@@ -39,17 +31,17 @@ describe("what is saved", () => {
   });
 
   it("never hides that nothing can be written", () => {
-    const told = savedWords({ ...NOTHING, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
+    const told = savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full" }, NOW_MS);
     expect(told).toMatchObject({ warns: true, words: "the disk is full" });
     expect(told?.label).toContain(clock(NOW_S, NOW_MS));
     const elsewhere = { copied_s: NOW_S + 60, copy_name: "n.carina", copy_folder: "/media/stick" };
-    expect(savedWords({ ...NOTHING, saved_s: NOW_S, problem: "the disk is full", ...elsewhere }, NOW_MS)).toMatchObject(
-      {
-        warns: true,
-        label: `cannot save on this machine \u00b7 copy from ${clock(NOW_S + 60, NOW_MS)} in stick`,
-      },
-    );
-    expect(savedWords({ ...NOTHING, keeps: false }, NOW_MS)).toMatchObject({ warns: true, label: "not saved" });
+    expect(
+      savedWords({ ...NOTHING_SAVED, saved_s: NOW_S, problem: "the disk is full", ...elsewhere }, NOW_MS),
+    ).toMatchObject({
+      warns: true,
+      label: `cannot save on this machine \u00b7 copy from ${clock(NOW_S + 60, NOW_MS)} in stick`,
+    });
+    expect(savedWords({ ...NOTHING_SAVED, keeps: false }, NOW_MS)).toMatchObject({ warns: true, label: "not saved" });
   });
 
   it("has a date where it was not today", () => {

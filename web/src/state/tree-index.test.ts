@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { TreeBranch } from "../wire/messages";
 import { type BranchTree, buildTree } from "./airways";
+import { testBranch } from "./branches.testing";
 import { forkOf } from "./fork-choice";
 import type { SeenGeometry } from "./projection";
 import { below, branchAhead, nearestPlace, placeFromOutside, placeInLumen, pointsFrom } from "./tree-index";
@@ -19,22 +20,7 @@ function branch(
     const t = n / 20;
     return [from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1]), from[2] + t * (to[2] - from[2])];
   });
-  return {
-    id,
-    parent,
-    children,
-    generation: parent === null ? 0 : 1,
-    name: null,
-    kind: "tracked",
-    points,
-    radius: points.map(() => radius),
-    cost: null,
-    confidence: null,
-    name_confidence: null,
-    name_from: null,
-    variant: null,
-    doubtful_mm: 0,
-  };
+  return testBranch(id, parent, children, { points, radius: points.map(() => radius) });
 }
 
 /** A trunk down to a fork; right (-x), left (+x); behind the left one, seen from the front, another. */

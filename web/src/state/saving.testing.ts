@@ -1,0 +1,18 @@
+/** A case of which nothing has been saved yet, for tests. */
+
+import type { SavingInfo } from "../wire/messages";
+
+export const NOTHING_SAVED: SavingInfo = {
+  keeps: true,
+  saved_s: null,
+  begun_s: null,
+  problem: null,
+  copied_s: null,
+  copy_name: null,
+  copy_folder: null,
+  copy_problem: null,
+  suggested: null,
+  title: null,
+  continued_s: null,
+  continued_changes: 0,
+};
