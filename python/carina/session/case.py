@@ -358,8 +358,8 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
     lumen_mm: float | None = None
     if path_mm is not None and route is not None:
         n = int(np.argmin(np.abs(route.cumulative_mm - path_mm)))
-        branch = None if index is None else index.branch(int(route.branch_ids[n]))
-        lumen_mm = 2.0 * float(route.radius_mm[n])
+        branch = None if index is None or not route.lumen_known else index.branch(int(route.branch_ids[n]))
+        lumen_mm = 2.0 * float(route.radius_mm[n]) if route.lumen_known else None
     elif index is not None and inside:
         branch, radius_mm, _ = index.nearest(at)
         lumen_mm = 2.0 * radius_mm

@@ -21,7 +21,16 @@ from carina.track.targets.results import GraphSearch, TargetResult, TargetSearch
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Note, Volume
 
-__all__ = ["COSTS", "GRAPHS", "NO_LUMEN", "check_choice", "search_box", "track_on_graph"]
+__all__ = [
+    "COSTS",
+    "GRAPHS",
+    "NO_LUMEN",
+    "along_branches",
+    "check_choice",
+    "outside_mm",
+    "search_box",
+    "track_on_graph",
+]
 
 COSTS = ("lumen", "paper", "walls")
 GRAPHS = ("voxel", "isoregion")
@@ -162,8 +171,8 @@ def track_on_graph(
         raise UsageError(msg)
     which = None if graph == "voxel" else labels or ("lumen" if cost == "lumen" else "bins")
     if airways is None and (cost == "lumen" or which == "lumen"):
-        what = "cost" if cost == "lumen" else "labels"
-        msg = f"expected an airway lumen for the {what} lumen; found none; choose the cost walls or paper, and labels bins"
+        what = "cost lumen" if cost == "lumen" else "labels lumen"
+        msg = f"expected an airway lumen for the {what}; found none; choose the cost walls or paper, and labels bins"
         raise UsageError(msg)
     root = _root(volume, airways, cost, root_lps)
     points = [as_point(target) for target in targets]
@@ -312,9 +321,14 @@ def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
     whole = way.whole
     if len(whole) < 2:
         return num, 0.0
-    dense = _densely(whole, 0.25 * min(volume.spacing_mm))
+    return num, outside_mm(whole, airways, volume)
+
+
+def outside_mm(points: Points, airways: Airways, volume: Volume) -> float:
+    """Length of a polyline of two points or more, (n, 3) LPS mm, outside the lumen, mm."""
+    dense = _densely(points, 0.25 * min(volume.spacing_mm))
     pieces = np.linalg.norm(np.diff(dense, axis=0), axis=1)
-    return num, float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
+    return float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
 
 
 def _value_range(volume: Volume, points: Points) -> tuple[int, int]:
@@ -354,7 +368,7 @@ def _as_path(
         points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
     else:
         points = _densely(way.whole, STEP_MM)
-    branch_ids, generation = _along_branches(points, tracked if airways is None else airways.tree)
+    branch_ids, generation = along_branches(points, tracked if airways is None else airways.tree)
     unknown = np.zeros(len(points))
     return TrackedPath(
         points_lps=points,
@@ -370,8 +384,8 @@ def _as_path(
     )
 
 
-def _along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Branch and generation of each point: of the branches on the way to the last point the nearest, in order."""
+def along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Branch and generation of (n, 3) points: of the branches on the way to the last point the nearest, in order."""
     lineage = tree.lineage(tree.nearest_branch(points[-1])[0].id)
     distance = np.stack(
         [
