@@ -160,7 +160,13 @@ def track(
         ),
     ] = "lumen",
     graph: Annotated[
-        str, typer.Option(help=("Graph of the path search: voxel, or isoregion (section 6.1 of the paper)."))
+        str,
+        typer.Option(
+            help=(
+                "Graph of the path search: voxel, or isoregion (section 6.1 of the paper: at most as many nodes, but "
+                "slower; figures in benchmarks/README.md)."
+            )
+        ),
     ] = "voxel",
     series: SeriesOption = None,
     ct: CtOption = None,

@@ -51,7 +51,8 @@ def track_paths(
         follows edges. Both know no lumen and may leave it, ``search`` says where if there is one; their targets are not
         moved.
     graph
-        ``voxel``, or ``isoregion``: pruned as in paper 6.1.
+        ``voxel``, or ``isoregion``: pruned as in paper 6.1. Smaller where values are equal over some voxels, slower
+        wherever it was measured (benchmarks/README.md).
     airways
         Airways found before; they keep their root unless ``root`` is given.
 
