@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import place_in_slice, show_slices_at
+from places import place_in_slice, place_in_tri_plane, show_slices_at
 from playwright.sync_api import expect
 
 from carina.volume import write_grid
@@ -94,6 +94,29 @@ def test_without_a_start_it_says_what_is_missing_and_undo_takes_a_path_back(open
     assert opened.state("session.targets[0].cost") == "paper"
     page.keyboard.press("Control+z")
     opened.wait_for("window.__carina.state.session.targets.length === 0 && window.__carina.state.route === null")
+
+
+def test_start_and_target_are_clicked_in_the_three_dimensional_views(opened, vessel):
+    _, _, _, root, _, _ = vessel
+    page = opened.page
+    page.get_by_role("radio", name="Walls").click()
+    page.keyboard.press("Escape")
+    # The planes of the tri-plane view meet at the crosshair.
+    show_slices_at(opened, root)
+    page.keyboard.press("t")
+    opened.wait_for("() => document.querySelector('canvas[data-view=tri-plane]')?.dataset.full === 'true'")
+    page.locator("[data-testid=arm-start]").click()
+    page.mouse.click(*place_in_tri_plane(opened, root))
+    opened.wait_for("window.__carina.state.ui.pathStart !== null")
+    assert np.linalg.norm(np.subtract(opened.state("ui.pathStart"), root)) < 1.5
+    page.locator("[data-testid=arm-target]").click()
+    # In the airway view: where the vessel's wall is seen, a voxel before it.
+    opened.click_airway(0.72, 0.5)
+    opened.wait_for("window.__carina.state.session.targets.length === 1")
+    assert opened.state("session.targets[0].problem") is None
+    assert opened.state("ui.armed") is None
+    opened.wait_for("window.__carina.state.route !== null")
+    opened.picture("any-scan-airway-click")
 
 
 @pytest.mark.data

@@ -403,6 +403,10 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, status: message };
     case "devices":
       return { ...state, devices: message };
+    case "start_marked": {
+      const armed = state.ui.armed === "start" ? null : state.ui.armed;
+      return { ...state, ui: { ...state.ui, armed, pathStart: asVec3(message.lps) } };
+    }
     case "pen":
       return { ...state, pen: message.device === null ? null : message };
     case "key_frames":

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Target } from "../wire/messages";
-import { pathWords, startOf, targetMessage } from "./path-search";
+import { isSamePen, pathWords, penMessage, startOf, targetMessage } from "./path-search";
 
 const TARGET: Target = {
   target_id: "target-1",
@@ -41,6 +41,22 @@ describe("the command for a target", () => {
     const asked = { type: "add_target", lps: [1, 2, 3], cost: "paper", root_lps: [0, 0, 1] };
     expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual(asked);
     expect(targetMessage([1, 2, 3], { ...search, pathStart: null }, NOTHING)).toBeNull();
+  });
+});
+
+describe("what the pen is to mark", () => {
+  it("is the tool in the hand, a target with its cost and start", () => {
+    const search = { pathCost: "walls", pathStart: [0, 0, 1] } as const;
+    expect(penMessage({ ...search, armed: "start" }, NOTHING)).toEqual({ type: "arm_pen", tool: "start" });
+    expect(penMessage({ ...search, armed: "cut" }, NOTHING)).toEqual({ type: "arm_pen", tool: null });
+    const target = penMessage({ ...search, armed: "target" }, NOTHING);
+    expect(target).toEqual({ type: "arm_pen", tool: "target", cost: "walls", root_lps: [0, 0, 1] });
+    expect(isSamePen(target, { ...target, root_lps: [0, 0, 1] })).toBe(true);
+    expect(isSamePen(target, { ...target, root_lps: [0, 0, 2] })).toBe(false);
+    expect(penMessage({ pathCost: "lumen", pathStart: null, armed: "target" }, NOTHING)).toEqual({
+      type: "arm_pen",
+      tool: "target",
+    });
   });
 });
 

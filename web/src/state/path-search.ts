@@ -1,7 +1,9 @@
 /** How the path to the next target is searched: through the lumen, or by the paper's costs through any scan. */
 
-import type { AddTargetMessage, StateMessage, Target } from "../wire/messages";
+import type { AddTargetMessage, ArmPenMessage, StateMessage, Target } from "../wire/messages";
 import { mm } from "./format";
+import { marksByPen } from "./pen";
+import type { Armed } from "./tools";
 import { asVec3, type Vec3 } from "./vec";
 
 export type PathCost = Target["cost"];
@@ -41,6 +43,21 @@ export function targetMessage(
   if (ui.pathCost === "lumen") return { type: "add_target", lps };
   const start = startOf(ui, session);
   return start === null ? null : { type: "add_target", lps, cost: ui.pathCost, root_lps: start };
+}
+
+/** What the pen's button is to mark. */
+export function penMessage(
+  ui: Search & { readonly armed: Armed | null },
+  session: Pick<StateMessage, "targets" | "root_lps"> | null,
+): ArmPenMessage {
+  const tool = marksByPen(ui.armed) ? ui.armed : null;
+  if (tool !== "target" || ui.pathCost === "lumen") return { type: "arm_pen", tool };
+  return { type: "arm_pen", tool, cost: ui.pathCost, root_lps: startOf(ui, session) };
+}
+
+export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
+  const start = (message: ArmPenMessage) => message.root_lps?.join(" ") ?? null;
+  return one.tool === other.tool && one.cost === other.cost && start(one) === start(other);
 }
 
 /** What is known of a target's path, in words. */

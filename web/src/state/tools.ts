@@ -1,8 +1,7 @@
 /** What the next click does: marks a target or a root, or mends the airway tree. */
 
-import type { ViewName } from "../wire/messages";
+import type { Target, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
-import type { PathCost } from "./path-search";
 
 export const TREE_TOOLS = ["add", "bridge", "cut", "fork", "smooth", "paint", "erase", "reroot"] as const;
 export type TreeTool = (typeof TREE_TOOLS)[number];
@@ -119,7 +118,7 @@ export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
   armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
 
 /** Whether the way to the cursor is shown while this is in the hand; tools for the tree show what they would make. */
-export function wantsPath(armed: Armed | null, cost: PathCost = "lumen"): boolean {
+export function wantsPath(armed: Armed | null, cost: Target["cost"] = "lumen"): boolean {
   return armed === "target" && cost === "lumen";
 }
 
