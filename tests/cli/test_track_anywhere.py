@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from carina.session import Case
 from carina.volume import write_grid
 from vessel import made_vessel
 
@@ -43,6 +44,18 @@ def test_without_a_start_it_says_that_one_is_needed(carina, vessel):
     ended = carina("track", scan, "--cost", "walls", f"--target={end}")
     assert ended.code == 4
     assert "a start point (root)" in ended.err
+
+
+def test_a_case_without_airways_is_tracked_from_a_start_and_says_that_it_needs_one(carina, vessel, tmp_path):
+    scan, root, end = vessel
+    with Case.open(scan) as opened:
+        case = opened.save(tmp_path / "vessel.carina")
+    tracked = carina("track", case, "--cost", "walls", f"--root={root}", f"--target={end}", "--json")
+    assert tracked.code == 0
+    assert tracked.json()["targets"][0]["search"]["num_outside"] is None
+    ended = carina("track", case, "--cost", "walls", f"--target={end}")
+    assert ended.code == 4
+    assert "--root" in ended.err
 
 
 def test_a_target_outside_the_volume_is_refused(carina, vessel):

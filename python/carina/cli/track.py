@@ -129,7 +129,10 @@ def _airways_of_case(
 ) -> Airways | None:
     """None where the case has none and a root that was given makes them needless."""
     document = source.document
-    if cost != "lumen" and root is not None and (document is None or document.airways is None):
+    if cost != "lumen" and (document is None or document.airways is None):
+        if root is None:
+            msg = "this case has no airways to begin in; give the start point of the paths with --root x,y,z"
+            raise NoResultError(msg, code="track.no-airways")
         return None
     return source.airways(progress)
 
