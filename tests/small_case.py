@@ -131,6 +131,13 @@ class SmallTracker:
             snapped_mm=0.0 if distance < 1e-9 else distance,
         )
 
+    @property
+    def core(self) -> Any:
+        return SimpleNamespace(radius_mm=lambda points: np.full(len(points), 2.0))
+
+    def calibres(self, points_lps: Any, _branch_ids: Any) -> Any:
+        return np.full(len(points_lps), 2.0)
+
     def inside(self, points_lps: Any) -> Any:
         return np.array([self.tree.nearest_branch(point)[2] <= 3.0 for point in points_lps])
 
@@ -170,6 +177,7 @@ def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three br
         tracker=SmallTracker(tree),
         report=[note],
         uncertain=(),
+        badges=(),
         threshold=-800.0,
         wall_levels=None,
     )

@@ -219,8 +219,9 @@ def bench_cluster(
 ) -> None:
     """Many machines: the paper's Tables 1 and 2, simulated, on machines that sleep, and on real ones; what Ray costs.
 
-    Sections: simulation, sleeping, real, transport, kills. All but the first need the extra `cluster`. Plots of
-    Figures 9, 10 and 11 go to the folder.
+    Sections: network, simulation, sleeping, real, transport, kills. All but the first two need the extra `cluster`.
+    Each is printed as it ends; one that fails is named at its place, and the others go on. Plots of Figures 9, 10 and
+    11 go to the folder.
 
     Example: carina bench cluster --only simulation
     """

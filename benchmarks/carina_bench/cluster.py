@@ -9,8 +9,10 @@ import os
 import statistics
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -30,9 +32,10 @@ from carina.volume import Volume
 from carina_bench.machine import load_average, machine_facts
 from carina_bench.plot_svg import line_plot, timeline
 
-__all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report"]
+__all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report", "serial_share"]
 
-SECTIONS = ("simulation", "sleeping", "real", "transport", "kills")
+SECTIONS = ("network", "simulation", "sleeping", "real", "transport", "kills")
+WITHOUT_RAY = ("network", "simulation")
 SIDE = 512
 GRIDS = {"head, 128x128x64": (64, 128, 128), "lung, 256x256x200": (200, 256, 256)}
 CONCURRENCY = (1, 2, 4, 8)
@@ -70,13 +73,16 @@ SCHEMES = (
 
 
 def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> int:
-    """Run the sections and print what came of them; plots and ``cluster.json`` go to ``folder``."""
+    """Run the sections and print what came of each as it ends; plots and ``cluster.json`` go to ``folder``.
+
+    A section that fails is told and named under ``failed``; what the others found is printed and kept. 1 if one failed.
+    """
     unknown = [name for name in only if name not in SECTIONS]
     if unknown:
         raise UsageError(f"--only: expected {', '.join(SECTIONS)}; found {', '.join(unknown)}")
     wanted = [name for name in SECTIONS if not only or name in only]
     can_ray = sys.platform.startswith("linux") and find_spec("ray") is not None
-    left_out = [] if can_ray else [name for name in wanted if name != "simulation"]
+    left_out = [] if can_ray else [name for name in wanted if name not in WITHOUT_RAY]
     if left_out:
         say(f"left out, since Ray is not installed (pip install 'carina[cluster]'): {', '.join(left_out)}")
     make_folder(folder, what="the measurements")
@@ -89,26 +95,88 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
         "quick": quick,
         "left_out": left_out,
     }
-    lines: list[str] = []
-    if {"simulation", "sleeping"} & set(wanted):
-        costs = {name: _measure(name, quick) for name in GRIDS}
-    if "simulation" in wanted:
-        result["simulation"] = _simulated(costs, quick, lines)
-    if can_ray and "sleeping" in wanted:
-        result["sleeping"] = _sleeping(costs, quick, folder, lines)
-    if {"simulation", "sleeping"} & set(result):
-        _plot_tables(result, folder)
-    if can_ray and "real" in wanted:
-        result["real"] = _real(quick, folder, lines)
-    if can_ray and {"transport", "kills"} & set(wanted):
-        result |= _stand_ins(wanted, quick, folder, lines)
-    text = json.dumps(result, indent=2, allow_nan=False) + "\n"
-    write_whole(folder / "cluster.json", text.encode(), what="the measurements")
+    failed: dict[str, dict[str, str]] = {}
+    result["failed"] = failed
+    # Measured once, by the first section that wants it.
+    costs = cache(lambda: {name: _measure(name, quick) for name in GRIDS})
+    sections: dict[str, Callable[[list[str]], Any]] = {
+        "network": _network,
+        "simulation": lambda lines: _simulated(costs(), quick, lines),
+        "sleeping": lambda lines: _sleeping(costs(), quick, folder, lines),
+        "real": lambda lines: _real(quick, folder, lines),
+        "transport": lambda lines: _transport(quick, None if "sleeping" in result else folder, lines),
+        "kills": lambda lines: _kills(quick, lines),
+    }
+    for name in wanted:
+        if name in left_out:
+            continue
+        lines: list[str] = []
+        try:
+            result[name] = sections[name](lines)
+        except Exception as trouble:
+            words = f"{type(trouble).__name__}: {trouble}"
+            failed[name] = {"words": words, "trace": traceback.format_exc()}
+            lines.append(f"{name}: failed ({words}); the other sections go on")
+        if {"simulation", "sleeping"} & set(result):
+            _plot_tables(result, folder)
+        text = json.dumps(result, indent=2, allow_nan=False) + "\n"
+        write_whole(folder / "cluster.json", text.encode(), what="the measurements")
+        if as_json:
+            say(f"{name}: {'failed' if name in failed else 'done'}")
+        else:
+            print("\n".join(lines), flush=True)
     if as_json:
         print_json(result)
-    else:
-        print("\n".join(lines))
-    return 0
+    return 1 if failed else 0
+
+
+def serial_share(speedups: Sequence[tuple[float, float]]) -> float:
+    """The serial share s of Amdahl's 1 / S(n) = s + (1 - s) / n that fits pairs (n, S): least squares in 1 / S."""
+    slopes = [(1.0 - 1.0 / n, 1.0 / speedup - 1.0 / n) for n, speedup in speedups]
+    return sum(a * b for a, b in slopes) / sum(a * a for a, _ in slopes)
+
+
+def _network(lines: list[str]) -> list[dict[str, Any]]:
+    """One serial share for the paper's network, fitted on 2 and 8 machines, against its rows for 4 and 16."""
+    rows: list[dict[str, Any]] = []
+    lines.append(
+        "The paper's network as one serial share (Amdahl), fitted on its 2 and 8 machines, checked on 4 and 16:"
+    )
+    # Of 16 machines that differ, so many of the fastest.
+    counts = {2: 2.0, 4: 4.0, 8: 8.0, 16: sum(ASSUMED_SPEEDS)}
+    for grid, table in PAPER_TABLE_1.items():
+        fps, _, _, response_us = zip(*(table[n] for n in CONCURRENCY), strict=True)
+        of_16 = PAPER_TABLE_2[grid]
+        printed = {
+            "speed-up": dict(zip((*CONCURRENCY, 16), (*(one / fps[0] for one in fps), of_16[0] / fps[0]), strict=True)),
+            "response": dict(
+                zip((*CONCURRENCY, 16), (response_us[0] / one for one in (*response_us, of_16[3])), strict=True)
+            ),
+        }
+        for what, paper in printed.items():
+            share = serial_share([(counts[n], paper[n]) for n in (2, 8)])
+            words = []
+            for n in (2, 4, 8, 16):
+                model = 1.0 / (share + (1.0 - share) / counts[n])
+                off = 100.0 * (model / paper[n] - 1.0)
+                rows.append(
+                    {
+                        "grid": grid,
+                        "of": what,
+                        "renderers": n,
+                        "serial_share": round(share, 4),
+                        "fitted": n in (2, 8),
+                        "model": round(model, 2),
+                        "paper": round(paper[n], 2),
+                        "off_percent": round(off, 1),
+                    }
+                )
+                words.append(
+                    f"{n}{'' if n in (2, 8) else ' (checked)'}: x{model:.2f}, paper x{paper[n]:.2f}, {off:+.0f} %"
+                )
+            lines.append(f"  {grid:<18} paper's network, {what}, serial share {100 * share:.1f} %: {'; '.join(words)}")
+    lines.append(f"  16 machines count as {counts[16]:g} of the fastest: assumed speeds, the paper does not give them")
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,8 +405,11 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
                         renderer = ClusterRenderer(local, console, spread_all=True)
                         renderer.prepare()
                         wait_ready(console, n)
-                        fly(renderer, console, view_of, seconds=1.5, rate_hz=None)
-                        flown = fly(renderer, console, view_of, seconds=3.0 if quick else 8.0, rate_hz=None)
+                        # One machine has one frame open: another would only wait.
+                        ahead = 1 if n == 1 else 3
+                        fly(renderer, console, view_of, seconds=1.5, rate_hz=None, ahead=ahead)
+                        seconds = 3.0 if quick else 8.0
+                        flown = fly(renderer, console, view_of, seconds=seconds, rate_hz=None, ahead=ahead)
                     alone = alone or flown.fps
                     row = _row(flown.fps, alone, n, flown.response_s)
                     row |= {"grid": name, "machine": "real", "scheme": scheme.name, "load_average": load_average()}
@@ -347,33 +418,37 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
     return rows
 
 
-def _stand_ins(wanted: Sequence[str], quick: bool, folder: Path, lines: list[str]) -> dict[str, Any]:
-    from carina_bench.cluster_real import lost_renderers, real_head, transport
+def _transport(quick: bool, folder: Path | None, lines: list[str]) -> list[dict[str, Any]]:
+    """Draws the timeline into ``folder`` where there is one."""
+    from carina_bench.cluster_real import real_head, transport
 
-    found: dict[str, Any] = {}
+    say("transport: eight renderers that sleep 4 ms a strip, 30 pictures a second")
     with real_head(8) as head:
-        if "transport" in wanted:
-            say("transport: eight renderers that sleep 4 ms a strip, 30 pictures a second")
-            found["transport"], flown = transport(head, num=8, seconds=5.0 if quick else 20.0)
-            paced, free = found["transport"]
-            lines.append(
-                f"Eight sleeping renderers on a real Ray, paced at 30/s: {paced['fps']} fps, scheduling and transport "
-                f"{paced['overhead_ms_p50']} ms p50, {paced['overhead_ms_p95']} ms p95, console "
-                f"{paced['console_cpu_ms_per_frame']} ms CPU a frame, load {paced['load_average']}; "
-                f"unpaced {free['fps']} fps"
-            )
-            if "sleeping" not in wanted:
-                title = "Job assignment (paper, Figure 11), real Ray, 8 sleeping machines"
-                write_whole(folder / "timeline.svg", _timeline(flown, title).encode(), what="the plot")
-        if "kills" in wanted:
-            say("kill -9 of one renderer after the other")
-            found["kills"] = lost_renderers(head, num=8, kills=3 if quick else 10)
-            lost = found["kills"]
-            lines.append(
-                f"kill -9, {lost['kills']} times: gap between shown frames {lost['gap_ms_median']} ms median, "
-                f"{lost['gap_ms_worst']} ms worst, load {lost['load_average']}"
-            )
-    return found
+        rows, flown = transport(head, num=8, seconds=5.0 if quick else 20.0)
+    paced, free = rows
+    lines.append(
+        f"Eight sleeping renderers on a real Ray, paced at 30/s: {paced['fps']} fps, scheduling and transport "
+        f"{paced['overhead_ms_p50']} ms p50, {paced['overhead_ms_p95']} ms p95, console "
+        f"{paced['console_cpu_ms_per_frame']} ms CPU a frame, load {paced['load_average']}; "
+        f"unpaced {free['fps']} fps"
+    )
+    if folder is not None:
+        title = "Job assignment (paper, Figure 11), real Ray, 8 sleeping machines"
+        write_whole(folder / "timeline.svg", _timeline(flown, title).encode(), what="the plot")
+    return rows
+
+
+def _kills(quick: bool, lines: list[str]) -> dict[str, Any]:
+    from carina_bench.cluster_real import lost_renderers, real_head
+
+    say("kill -9 of one renderer after the other")
+    with real_head(8) as head:
+        lost = lost_renderers(head, num=8, kills=3 if quick else 10)
+    lines.append(
+        f"kill -9, {lost['kills']} times: gap between shown frames {lost['gap_ms_median']} ms median, "
+        f"{lost['gap_ms_worst']} ms worst, load {lost['load_average']}"
+    )
+    return lost
 
 
 def _timeline(flown: Any, title: str) -> str:

@@ -79,7 +79,9 @@ def sleeping_runs(
                 wait_ready(console, len(speeds), 240.0)
                 for grid, seconds in frame_s.items():
                     _set_pace(console, speeds, seconds / SIDE, tuple(row_costs[grid]))
-                    flown = _flown(renderer, console, seconds / sum(speeds), settings.open_frames, len(speeds), quick)
+                    # One machine has one frame open: another would only wait.
+                    ahead = 1 if len(speeds) == 1 else settings.open_frames
+                    flown = _flown(renderer, console, seconds / sum(speeds), ahead, len(speeds), quick)
                     yield SleepingRun(grid, scheme, speeds, flown)
 
 

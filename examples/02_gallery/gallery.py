@@ -1,18 +1,34 @@
 """Gallery: the airway view with each preset, at the places of a real airway that a bronchoscopist knows.
 
 You should see a trachea, a sharp carina, a lobar opening, a segmental fork and a small airway; then the carina through
-a round mask, without texture, in grey, with vessels behind the wall, and as the paper drew it; last a radiograph from
-the front and the airway straightened along the route (docs/gallery.md).
+a round mask, without texture, in grey, with vessels behind the wall, and as the paper drew it; a radiograph from the
+front and the airway straightened along the route; last a made vessel with a path by each of the paper's costs
+(docs/gallery.md).
 Run: ``python examples/02_gallery/gallery.py [FOLDER]`` (the bundled patient without a folder).
 """
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import sys
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 import carina
-from carina.render import AirwayView, DrrView, PathSpan, PathView, Picture, Renderer, letter_edges, mark_path
+from carina.render import (
+    AirwayView,
+    DrrView,
+    PathSpan,
+    PathView,
+    Picture,
+    Renderer,
+    SliceView,
+    letter_edges,
+    mark_path,
+)
 from carina.scopes import scope_preset
 
 SIZE = {"width": 320, "height": 320}
@@ -42,6 +58,29 @@ def places(path: carina.FlightPath, spans: list[PathSpan]) -> dict[str, carina.P
     }
 
 
+def bent_vessel() -> tuple[carina.Volume, list[NDArray[np.float64]]]:
+    """A bright vessel with a bend in dull, noisy tissue, as in MR: no airway. Its two ends, LPS mm."""
+    k, j, i = np.indices((16, 96, 96))
+    along = (np.hypot(i - 24.0, k - 8.0) < 5.0) & (j > 10) & (j < 78)
+    across = (np.hypot(j - 72.0, k - 8.0) < 5.0) & (i > 19) & (i < 86)
+    noise = np.random.default_rng(1).normal(0.0, 15.0, along.shape)
+    values = np.where(along | across, 1200, 300) + noise
+    volume = carina.Volume(np.ascontiguousarray(values, dtype=np.int16), np.diag([0.5, 0.5, 1.0, 1.0]))
+    first, last = volume.to_lps(np.array([[24.0, 14.0, 8.0], [82.0, 72.0, 8.0]]))
+    return volume, [first, last]
+
+
+def with_line(picture: Picture, points_lps: NDArray[np.float64]) -> Picture:
+    """A copy with a path drawn over it."""
+    rgb = picture.rgb.copy()
+    ends = [at for at in map(picture.pixel_of, points_lps) if at is not None]
+    for (column, row), (to_column, to_row) in itertools.pairwise(ends):
+        for part in np.linspace(0.0, 1.0, 12):
+            i, j = int(column + part * (to_column - column)), int(row + part * (to_row - row))
+            rgb[max(j - 1, 0) : j + 2, max(i - 1, 0) : i + 2] = (20, 140, 170)
+    return dataclasses.replace(picture, rgb=rgb)
+
+
 def main(case: str | None, out: Path) -> list[Path]:
     """Save the pictures and return their paths."""
     volume = carina.open_volume(case) if case else carina.demo_patient()
@@ -66,6 +105,13 @@ def main(case: str | None, out: Path) -> list[Path]:
     save("radiograph", letter_edges(renderer.render(DrrView(**SIZE))))
     straight = renderer.render(PathView("straightened", path.frames(), width=320, height=480))
     save("straightened", letter_edges(mark_path(straight, spans=spans)))
+    vessel, (root, target) = bent_vessel()
+    middle = (float(root[0] + target[0]) / 2.0, float(root[1] + target[1]) / 2.0, float(root[2]))
+    plane = Renderer(vessel).render(SliceView("axial", middle, window_hu=(1500.0, 700.0), **SIZE))
+    for cost in ("walls", "paper"):
+        found = carina.track_paths(vessel, root=root, targets=[target], cost=cost, progress=False).targets[0].path
+        assert found is not None
+        save(f"vessel-{cost}", letter_edges(with_line(plane, found.points_lps)))
     return saved
 
 

@@ -47,3 +47,46 @@ def test_the_simulation_prints_the_papers_tables_beside_its_own_and_draws_them(c
 def test_an_unknown_section_is_refused(carina, tmp_path):
     ended = carina("bench", "cluster", "--only", "magic", "-o", tmp_path)
     assert ended.code == 2 and "sleeping" in ended.err
+
+
+def test_the_papers_network_is_fitted_on_2_and_8_machines_and_checked_on_4_and_16(carina, tmp_path):
+    ended = carina("bench", "cluster", "--only", "network", "-o", tmp_path)
+    assert ended.code == 0, ended.err
+    assert ended.out.count("4 (checked)") == ended.out.count("16 (checked)") == 4
+    rows = json.loads((tmp_path / "cluster.json").read_text())["network"]
+    assert {row["renderers"] for row in rows if row["fitted"]} == {2, 8}
+    # An exact law is found again; one row of each grid is far off, and is told.
+    assert cluster.serial_share([(2, 1 / 0.55), (8, 1 / 0.2125)]) == pytest.approx(0.1)
+    head = {row["renderers"]: row for row in rows if (row["grid"][:4], row["of"]) == ("head", "speed-up")}
+    assert head[2]["serial_share"] == pytest.approx(0.098, abs=0.001)
+    assert abs(head[4]["off_percent"]) < 15.0
+    assert head[16]["off_percent"] < -40.0
+
+
+def test_a_section_that_fails_loses_no_other(carina, tmp_path, measured, monkeypatch):
+    def broken(*_):
+        raise RuntimeError("no head answered")
+
+    monkeypatch.setattr(cluster, "_simulated", broken)
+    ended = carina("bench", "cluster", "--only", "network", "--only", "simulation", "-o", tmp_path)
+    assert ended.code == 1
+    assert "serial share" in ended.out
+    assert "simulation: failed (RuntimeError: no head answered)" in ended.out
+    found = json.loads((tmp_path / "cluster.json").read_text())
+    assert found["failed"]["simulation"]["words"] == "RuntimeError: no head answered"
+    assert "in broken" in found["failed"]["simulation"]["trace"]
+    assert "network" in found and "simulation" not in found
+
+
+def test_each_section_is_printed_and_written_as_it_ends(monkeypatch, tmp_path, capsys):
+    seen = []
+
+    def second(*_):
+        seen.append((capsys.readouterr().out, json.loads((tmp_path / "cluster.json").read_text())))
+        return {"table_1": [], "table_2": []}
+
+    monkeypatch.setattr(cluster, "_simulated", second)
+    assert cluster.report(folder=tmp_path, only=["simulation", "network"], quick=True, as_json=False) == 0
+    ((printed, written),) = seen
+    assert "serial share" in printed
+    assert "network" in written

@@ -109,6 +109,18 @@ def test_pre_assignment_and_buffers_are_what_fills_the_pipeline():
     assert both > 1.15 * plain
 
 
+@pytest.mark.parametrize(("frame_s", "most_open"), [(0.588, 1), (0.06, 1), (0.02, 3)])
+def test_where_one_lane_does_all_a_frame_that_takes_long_is_alone(frame_s, most_open):
+    settings = ClusterSettings(open_frames=3)
+    alone = SimulatedCluster([SimulatedRenderer(frame_s / 512)], settings).run(60, 512)
+    # Its own time and the way there and back; quick frames are pipelined, since the way is a good part of them.
+    assert alone.response_s[-1] == pytest.approx(most_open * frame_s, abs=0.01 * (1 + frame_s))
+    assert alone.fps(skip=5) > (0.85 if most_open == 1 else 0.98) / frame_s
+    # Two share the work and the buffers.
+    both = SimulatedCluster([SimulatedRenderer(frame_s / 512)] * 2, settings).run(60, 512)
+    assert both.fps(skip=5) > 1.9 / frame_s
+
+
 def test_without_balancing_the_slow_renderer_sets_the_pace():
     renderers = [SimulatedRenderer(ROW_S)] * 3 + [SimulatedRenderer(3 * ROW_S)]
     without = SimulatedCluster(renderers, ClusterSettings(balances=False)).run(100, 512)

@@ -75,6 +75,22 @@ def place_in_slice(workstation, view, lps):
     )
 
 
+def place_in_tri_plane(workstation, lps):
+    """Where a point shows in the tri-plane view, in page coordinates."""
+    return workstation.page.evaluate(
+        """(p) => {
+            const { lps_from_camera: m, fov_deg, width, height } = window.__carina.state.frames['tri-plane'];
+            const d = [p[0] - m[3], p[1] - m[7], p[2] - m[11]];
+            const along = (c) => d[0] * m[c] + d[1] * m[4 + c] + d[2] * m[8 + c];
+            const focal = (0.5 * Math.min(width, height)) / Math.tan((fov_deg * Math.PI) / 360);
+            const box = document.querySelector('canvas[data-view=tri-plane]').getBoundingClientRect();
+            return [box.x + ((width / 2 + (focal * along(0)) / along(2)) / width) * box.width,
+                    box.y + ((height / 2 + (focal * along(1)) / along(2)) / height) * box.height];
+        }""",
+        lps,
+    )
+
+
 def tree_is_shown(workstation):
     """Wait for the final picture of the tree from outside."""
     workstation.wait_for("() => document.querySelector('canvas[data-view=tree]')?.dataset.full === 'true'")

@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 import pytest
-from places import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from places import (
+    PREVIEWED,
+    all_points,
+    named,
+    place_in_slice,
+    place_in_tri_plane,
+    place_on_tree,
+    show_slices_at,
+    tree_is_shown,
+)
 
 pytestmark = pytest.mark.browser
 
@@ -156,18 +165,7 @@ def test_in_the_tri_plane_view_the_branch_under_the_cursor_is_named_and_the_way_
     show_slices_at(ready, middle)
     ready.page.keyboard.press("t")
     ready.wait_for("() => document.querySelector('canvas[data-view=tri-plane]')?.dataset.full === 'true'")
-    x, y = ready.page.evaluate(
-        """(p) => {
-            const { lps_from_camera: m, fov_deg, width, height } = window.__carina.state.frames['tri-plane'];
-            const d = [p[0] - m[3], p[1] - m[7], p[2] - m[11]];
-            const along = (c) => d[0] * m[c] + d[1] * m[4 + c] + d[2] * m[8 + c];
-            const focal = (0.5 * Math.min(width, height)) / Math.tan((fov_deg * Math.PI) / 360);
-            const box = document.querySelector('canvas[data-view=tri-plane]').getBoundingClientRect();
-            return [box.x + ((width / 2 + (focal * along(0)) / along(2)) / width) * box.width,
-                    box.y + ((height / 2 + (focal * along(1)) / along(2)) / height) * box.height];
-        }""",
-        middle,
-    )
+    x, y = place_in_tri_plane(ready, middle)
     ready.page.keyboard.press("n")
     ready.page.mouse.move(x, y)
     ready.wait_for("() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 50")

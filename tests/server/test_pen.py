@@ -121,6 +121,25 @@ def test_a_registered_pens_button_sets_the_root_at_its_own_tip(window, middle):
     assert np.linalg.norm(np.array(state.root_lps) - place) < 0.1
 
 
+def test_the_start_of_a_path_and_its_target_are_marked_by_the_pen_and_need_no_airways(window, middle):
+    pen = TrackedPen(window)
+    pen.hold(middle)
+    pen.register(corners(middle))
+    window.send(wire.ArmPen("start"))
+    first = middle + np.array([4.0, -3.0, 2.0])
+    pen.comes_to(first)
+    pen.presses(first)
+    told = window.until(lambda m: isinstance(m, wire.StartMarked))
+    assert np.linalg.norm(np.array(told.lps) - first) < 0.1
+    window.send(wire.ArmPen("target", "walls", told.lps))
+    place = middle + np.array([-6.0, 5.0, -3.0])
+    pen.comes_to(place)
+    pen.presses(place)
+    (target,) = targets(window, 1)
+    assert np.linalg.norm(np.array(target.lps) - place) < 0.1
+    assert (target.cost, target.root_lps, target.problem) == ("walls", told.lps, None)
+
+
 def test_what_the_button_would_mark_is_told_before_it_is_pressed(window, middle):
     pen = TrackedPen(window)
     window.send(wire.ArmPen("target"))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from carina.commands import KeyFrameFlying
 from carina.commands.look import Look
+from carina.commands.tree import PathCost
 from carina.display import one_line
 from carina.scopes import Pose
 
@@ -35,6 +36,14 @@ class Target:
     problem: str | None = None
     """Why there is no path, in words."""
     route: ChosenRoute | None = None
+    cost: PathCost = "lumen"
+    """What its path was searched with; see :class:`carina.commands.AddTarget`."""
+    root_lps: Point | None = None
+    """Where the path begins, with the costs ``walls`` and ``paper``."""
+    outside_mm: float | None = None
+    """Length of that path outside the lumen; None where there is no lumen to compare with."""
+    value_range: tuple[int, int] | None = None
+    """Least and greatest value along that path, in the scan's own numbers."""
 
 
 @one_line

@@ -13,6 +13,7 @@ from carina.case.packing import from_json
 from carina.commands import Command, KeyFrameFlying, all_commands
 from carina.commands.fields import BranchId, Count, Identifier, Matrix4, Part, PointLps
 from carina.commands.look import Look
+from carina.commands.tree import PathCost
 from carina.commands.value import LocalCommand
 from carina.render import Sight
 from carina.track import Uncertainty
@@ -188,6 +189,7 @@ class RouteFacts(_Facts, frozen=True):
     path_forks_mm: Numbers
     path_lookouts_mm: Numbers
     max_deviation_mm: Mm
+    lumen_known: bool = True
 
 
 class TargetFacts(_Facts, frozen=True):
@@ -201,6 +203,10 @@ class TargetFacts(_Facts, frozen=True):
     length_mm: Mm | None
     problem: LongWords | None
     route: RowId | None
+    cost: PathCost = "lumen"
+    root_lps: PointLps | None = None
+    outside_mm: Mm | None = None
+    value_range: tuple[int, int] | None = None
 
 
 class KeyFrameFacts(_Facts, frozen=True):

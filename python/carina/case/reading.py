@@ -235,6 +235,10 @@ class CaseReader:
                 length_mm=t.length_mm,
                 problem=t.problem,
                 route=None if t.route is None else self.route(t.route),
+                cost=t.cost,
+                root_lps=t.root_lps,
+                outside_mm=t.outside_mm,
+                value_range=t.value_range,
             )
             for t in targets
         )
@@ -276,6 +280,7 @@ class CaseReader:
             target_id=facts.target_id,
             branch_id=facts.branch_id,
             drawn=DrawnPart(*facts.drawn),
+            lumen_known=facts.lumen_known,
         )
         self._routes[row] = made
         self._know("route", made, row)

@@ -14,7 +14,8 @@ from carina.errors import NoResultError
 from carina.navigate import FlightPath
 from carina.navigate.moves import PathFork, PathWay, SetPath
 from carina.scopes import PathFrames
-from carina.track import AirwayTree, Branch, DrawnPart, Route, TrackedPath, drawn_part
+from carina.track import Airways, AirwayTree, Branch, DrawnPart, Route, TrackedPath, drawn_part
+from carina.track.targets.paper import along_branches
 
 __all__ = [
     "AirwayIndex",
@@ -24,6 +25,7 @@ __all__ = [
     "leaf_below",
     "lookouts_mm",
     "path_move",
+    "route_along_points",
     "route_to_branch",
     "route_to_point",
     "route_to_target",
@@ -70,6 +72,8 @@ class ChosenRoute:
     branch_id: int | None = None
     drawn: DrawnPart = field(default_factory=lambda: DrawnPart(0.0))
     """How much of it the CT does not show."""
+    lumen_known: bool = True
+    """False where there are no airways round it: ``radius_mm`` and ``wall_mm`` are 0 and mean nothing."""
 
     @property
     def frames(self) -> PathFrames:
@@ -225,6 +229,36 @@ def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: s
     )
 
 
+def route_along_points(
+    airways: Airways | None, points_lps: NDArray[np.float64], target_id: str, name: str
+) -> ChosenRoute:
+    """A way that was tracked without the lumen, beside the airways that there are.
+
+    Raises
+    ------
+    NoResultError
+        If the target is the root itself.
+    """
+    points = np.asarray(points_lps, dtype=np.float64)
+    if not (points != points[0]).any():
+        raise NoResultError(AT_THE_ROOT, code="track.no-path")
+    cumulative_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    if airways is None:
+        branch_ids = generation = np.zeros(len(points), dtype=np.int32)
+        radius_mm = np.zeros(len(points))
+    else:
+        branch_ids, generation = along_branches(points, airways.tree)
+        radius_mm = airways.tracker.calibres(points, branch_ids)
+    forks_mm = [float(cumulative_mm[n]) for n in np.flatnonzero(np.diff(branch_ids))]
+    return _chosen(
+        Route(points, cumulative_mm, radius_mm, generation, branch_ids, forks_mm),
+        None if airways is None else airways.tree,
+        route_id=target_id,
+        title=name,
+        target_id=target_id,
+    )
+
+
 def _wall_distance(
     tree: AirwayTree,
     points_lps: NDArray[np.float64],
@@ -245,7 +279,7 @@ def _wall_distance(
 
 def _chosen(
     route: Route,
-    tree: AirwayTree,
+    tree: AirwayTree | None,
     *,
     route_id: str,
     title: str,
@@ -257,7 +291,7 @@ def _chosen(
     branch_ids = np.asarray(route.branch_ids, dtype=np.int64)
     generation = np.asarray(route.generation, dtype=np.int64)
     radius_mm = np.asarray(route.radius_mm, dtype=np.float64)
-    branches = {branch.id: branch for branch in tree.branches}
+    branches = {} if tree is None else {branch.id: branch for branch in tree.branches}
     spans = _spans(branch_ids, generation, cumulative_mm, branches)
     forks_mm = tuple(float(mm) for mm in route.forks_mm)
     stops_mm = lookouts_mm(forks_mm, spans, cumulative_mm, radius_mm)
@@ -268,7 +302,7 @@ def _chosen(
         points_lps=points,
         cumulative_mm=cumulative_mm,
         radius_mm=radius_mm,
-        wall_mm=_wall_distance(tree, points, branch_ids, radius_mm),
+        wall_mm=radius_mm if tree is None else _wall_distance(tree, points, branch_ids, radius_mm),
         generation=generation,
         branch_ids=branch_ids,
         forks_mm=forks_mm,
@@ -278,6 +312,7 @@ def _chosen(
         target_id=target_id,
         branch_id=branch_id,
         drawn=drawn_part(branches, branch_ids, cumulative_mm),
+        lumen_known=tree is not None,
     )
 
 

@@ -201,6 +201,10 @@ class CaseWriter:
             length_mm=target.length_mm,
             problem=target.problem,
             route=None if target.route is None else self._route(target.route),
+            cost=target.cost,
+            root_lps=None if target.root_lps is None else _three(target.root_lps),
+            outside_mm=target.outside_mm,
+            value_range=target.value_range,
         )
 
     def _route(self, route: ChosenRoute) -> int:
@@ -225,6 +229,7 @@ class CaseWriter:
             path_forks_mm=made["forks_mm"],
             path_lookouts_mm=made["lookouts_mm"],
             max_deviation_mm=made["max_deviation_mm"],
+            lumen_known=route.lumen_known,
         )
         names = ("points_lps", "cumulative_mm", "radius_mm", "wall_mm", "generation", "branch_ids")
         values: dict[str, Any] = {

@@ -160,7 +160,13 @@ def track(
         ),
     ] = "lumen",
     graph: Annotated[
-        str, typer.Option(help=("Graph of the path search: voxel, or isoregion (section 6.1 of the paper)."))
+        str,
+        typer.Option(
+            help=(
+                "Graph of the path search: voxel, or isoregion (section 6.1 of the paper: at most as many nodes, but "
+                "slower; figures in benchmarks/README.md)."
+            )
+        ),
     ] = "voxel",
     series: SeriesOption = None,
     ct: CtOption = None,
@@ -170,8 +176,8 @@ def track(
     """Find the least-cost airway path from the start to each target (Intelligent Path Tracker, section 6 of the paper).
 
     A target outside the lumen is snapped to it if it is within 5 mm. If a target has no path, the exit code is 4; the
-    other targets are still written. With --cost walls or paper, the search ignores the lumen; any part of a path
-    outside it is reported.
+    other targets are still written. With --cost walls or paper, the search ignores the lumen, and any volume will do if
+    --root is a point; any part of a path outside a segmented lumen is reported, and so are the values along the path.
 
     Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
     """

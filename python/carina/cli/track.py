@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 import carina
 from carina.cli.arguments import check_output_file
-from carina.cli.console import print_json, progress_printer, say
-from carina.cli.opened import check_case_options, opened
+from carina.cli.console import ProgressCallback, print_json, progress_printer, say
+from carina.cli.opened import Opened, check_case_options, opened
 from carina.errors import NoResultError
 from carina.export import write_tree
-from carina.track import drawn_part
+from carina.track import Airways, DrawnPart, drawn_part
 from carina.track.targets.paper import check_choice, track_on_graph
 from carina.track.targets.results import GraphSearch
 
@@ -38,7 +38,8 @@ def report(
     if output is not None:
         check_output_file(output)
     check_choice(cost, graph)
-    check_case_options(path, ct, root=root is not None)
+    # The costs that know no lumen begin anywhere; the others where the case's airways do.
+    check_case_options(path, ct, root=root is not None and cost == "lumen")
     progress = progress_printer()
     source = opened(path, series=series, progress=progress, ct=ct)
     volume, badges = source.volume, source.badges
@@ -48,10 +49,13 @@ def report(
         targets=targets,
         cost=cost,
         graph=graph,
-        airways=None if source.moment is None else source.airways(progress),
+        airways=None if source.moment is None else _airways_of_case(source, progress, cost, root),
         progress=progress,
     )
-    badges.add(result.airways.badges)
+    if result.airways is not None:
+        badges.add(result.airways.badges)
+    elif result.tree is not None:
+        badges.add(result.tree.notes)
     search = result.search
     if search is None and as_json:
         # Figures of the graph that paths are read from: built and searched once more, to the targets only.
@@ -66,12 +70,14 @@ def report(
         }
         if target.path is not None:
             along_mm = np.linalg.norm(np.diff(target.path.points_lps, axis=0), axis=1).cumsum()
-            drawn = drawn_part(result.airways.tree, target.path.branch_ids, np.concatenate([[0.0], along_mm]))
+            drawn = DrawnPart(0.0)
+            if result.airways is not None:
+                drawn = drawn_part(result.airways.tree, target.path.branch_ids, np.concatenate([[0.0], along_mm]))
             row |= {
                 "length_mm": target.path.length_mm,
                 "cost": target.path.cost,
-                "min_radius_mm": float(np.min(target.path.wall_mm)),
-                "generation": int(target.path.generation[-1]),
+                "min_radius_mm": None if result.airways is None else float(np.min(target.path.wall_mm)),
+                "generation": None if result.airways is None else int(target.path.generation[-1]),
                 **drawn.to_json(),
             }
             if drawn.words is not None:
@@ -79,20 +85,25 @@ def report(
             outside = None if search is None else search.targets[number - 1]
             if outside is not None:
                 row["search"] = dataclasses.asdict(outside)
+                if cost != "lumen":
+                    low, high = outside.value_range
+                    unit = " HU" if volume.is_hu else ""
+                    say(f"target {number}: values along the path from {low} to {high}{unit}")
                 if outside.num_outside:
                     say(
                         f"target {number}: {outside.outside_mm:.1f} mm of the path ({outside.num_outside} points) lie "
                         "outside the airway lumen"
                     )
             snapped = f", snapped {target.snapped_mm:.1f} mm to the lumen" if target.snapped_mm else ""
-            say(f"target {number}: {target.path.length_mm:.1f} mm, generation {row['generation']}{snapped}")
+            depth = "" if result.airways is None else f", generation {row['generation']}"
+            say(f"target {number}: {target.path.length_mm:.1f} mm{depth}{snapped}")
         else:
             say(f"target {number}: {target.problem}")
         rows.append(row)
     for note in () if result.search is None else result.search.notes:
         say(f"note: {note}")
     found = [target for target in result.targets if target.path is not None]
-    if output is not None and found:
+    if output is not None and found and result.tree is not None:
         write_tree(output, result.tree, badges=badges.notes)
         say(f"wrote {output}")
     if as_json:
@@ -102,7 +113,7 @@ def report(
                 "graph": graph,
                 "search": None if search is None else _search_row(search),
                 "targets": rows,
-                "tree": result.tree.to_json() if found else None,
+                "tree": result.tree.to_json() if found and result.tree is not None else None,
                 "badges": badges.to_json(),
             }
         )
@@ -111,6 +122,19 @@ def report(
     if not found:
         say("carina: no path was found to any target; nothing was written")
     return NoResultError.exit_code
+
+
+def _airways_of_case(
+    source: Opened, progress: ProgressCallback, cost: str, root: NDArray[np.float64] | None
+) -> Airways | None:
+    """None where the case has none and a root that was given makes them needless."""
+    document = source.document
+    if cost != "lumen" and (document is None or document.airways is None):
+        if root is None:
+            msg = "this case has no airways to begin in; give the start point of the paths with --root x,y,z"
+            raise NoResultError(msg, code="track.no-airways")
+        return None
+    return source.airways(progress)
 
 
 def _search_row(search: GraphSearch) -> dict[str, Any]:

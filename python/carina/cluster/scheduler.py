@@ -134,6 +134,9 @@ class _Frame:
 # Weight of a new time in the deadlines' estimate: a camera that comes near a wall changes a row's cost within frames.
 PACE_WEIGHT = 0.3
 KINDS_REMEMBERED = 32
+ALONE_S = 0.05
+"""A frame that one lane takes so long for has no other open beside it: its response is halved for less than a seventh
+of the rate. Quicker ones would lose up to half of it to the way there and back."""
 
 
 class StripScheduler:
@@ -499,11 +502,19 @@ class StripScheduler:
         lane.queue.sort()
         frame.holders[strip].add(name)
 
+    def _most_open(self, frame: _Frame, able: list[Lane]) -> int:
+        """Frames that may be open, this one included. Where one lane does all, another would wait in it and be old."""
+        if len(able) == 1:
+            pace = self._lanes[able[0]].pace.get(frame.cost)
+            if pace is not None and pace * frame.num_rows >= ALONE_S:
+                return 1
+        return self.settings.open_frames
+
     def _open_frames(self) -> None:
         for frame in list(self._waiting):
             able = self._able(frame)
             alike = sum(1 for other in self._frames.values() if other.whole == frame.whole)
-            limit = self.settings.in_flight * len(able) if frame.whole else self.settings.open_frames
+            limit = self.settings.in_flight * len(able) if frame.whole else self._most_open(frame, able)
             if not able or alike >= limit:
                 # In order: a frame that cannot begin holds the later ones of its kind up.
                 if all(other.whole == frame.whole for other in self._waiting):

@@ -103,6 +103,7 @@ class SimulatedCluster:
         busy_s = [0.0] * len(self._renderers)
         # Answers leave a machine in the order of its strips, whatever the network does to each.
         last_answer_s = [0.0] * len(self._renderers)
+        wanted: list[int] = []
         opened: dict[int, float] = {}
         done: list[float] = []
         response: list[float] = []
@@ -122,12 +123,15 @@ class SimulatedCluster:
             ):
                 if period_s and now_s < next_frame * period_s - 1e-12:
                     return
-                opened[next_frame] = now_s
+                wanted.append(next_frame)
                 scheduler.want(next_frame, num_rows, now_s)
                 next_frame += 1
                 act(now_s)
 
         def act(now_s: float) -> None:
+            for frame in [n for n in wanted if scheduler.rows(n, 0) is not None]:
+                wanted.remove(frame)
+                opened[frame] = now_s
             for action in scheduler.take():
                 if isinstance(action, FrameDone):
                     done.append(now_s)

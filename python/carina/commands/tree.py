@@ -18,6 +18,7 @@ MAX_STROKE_POINTS = 10_000
 MAX_NAME_LENGTH = 80
 
 BrushPlane = Literal[Plane, "ball"]
+PathCost = Literal["lumen", "walls", "paper"]
 
 
 class SetRoot(Command, frozen=True):
@@ -33,9 +34,22 @@ class SetLumenThreshold(Command, frozen=True):
 
 
 class AddTarget(Command, frozen=True):
-    """A target; snapped to the lumen within 5 mm, and said."""
+    """A target, and what its path costs.
+
+    ``lumen`` keeps to the middle of the airways; the target is snapped to the lumen within 5 mm, and said.
+    ``walls`` and ``paper`` (its sections 6.3 and 6.2) search all of the scan, whatever it shows, and move nothing.
+    """
 
     lps: PointLps
+    cost: PathCost = "lumen"
+    root_lps: PointLps | None = None
+    """Where the path begins, for the costs ``walls`` and ``paper``; null begins where the airways do."""
+
+    def choice_problem(self) -> str | None:
+        """Paths through the lumen begin where the airways do."""
+        if self.cost == "lumen" and self.root_lps is not None:
+            return "add_target: expected the cost walls or paper with a start point of its own; found lumen"
+        return None
 
 
 class RemoveTarget(Command, frozen=True):

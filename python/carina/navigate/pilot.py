@@ -42,7 +42,7 @@ FORK_MARGIN_RAD = math.radians(10.0)
 # A turn of the hand counts as this movement when an offset is eased away: the length of a pen.
 HAND_MM_PER_RAD = 100.0
 MM3 = NDArray[np.float64]
-Tool = Literal["root", "target"]
+Tool = Literal["root", "start", "target"]
 
 
 @one_line

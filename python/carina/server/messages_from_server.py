@@ -23,6 +23,7 @@ from carina.commands.fields import (
     Words,
 )
 from carina.commands.look import Look
+from carina.commands.tree import PathCost
 from carina.render import ClusterState, Processor, Sight
 from carina.server.messages_of_devices import NetworkPage
 from carina.server.wire_codec import ServerMessage
@@ -32,6 +33,7 @@ from carina.value import FrozenValue
 from carina.volume import Citation
 
 Bytes = Annotated[int, Meta(ge=0, le=2**53)]
+VoxelValue = Annotated[int, Meta(ge=-(2**15), le=2**15)]
 
 
 class ServerHello(ServerMessage, frozen=True, tag="hello"):
@@ -171,6 +173,14 @@ class Target(FrozenValue, frozen=True):
     snapped_mm: float | None
     length_mm: float | None
     problem: Words | None
+    cost: PathCost = "lumen"
+    """What its path was searched with; see ``add_target``."""
+    root_lps: PointLps | None = None
+    """Where the path begins, with the costs ``walls`` and ``paper``."""
+    outside_mm: float | None = None
+    """How much of that path lies outside the lumen; null where there is no lumen to compare with."""
+    value_range: tuple[VoxelValue, VoxelValue] | None = None
+    """Least and greatest value along that path, in the scan's own numbers."""
 
 
 class MaskLabel(FrozenValue, frozen=True):
@@ -278,6 +288,8 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     lookouts_mm: Numbers
     """Where to stop for the forks: in front of them, with their openings in view. Strictly increasing."""
     spans: tuple[RouteSpan, ...]
+    lumen_known: bool = True
+    """False where there are no airways round it: the radii and walls are 0 and mean nothing."""
 
 
 class Route(ServerMessage, frozen=True):

@@ -165,6 +165,12 @@ class Devices(ServerMessage, frozen=True):
     """Why it cannot be opened on this machine."""
 
 
+class StartMarked(ServerMessage, frozen=True):
+    """The pen's button marked where paths begin that need no airways (``arm_pen``, ``add_target``)."""
+
+    lps: Three
+
+
 class Pen(ServerMessage, frozen=True):
     """The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed."""
 

@@ -81,12 +81,13 @@ class Pointing:
         self._newest.ask("branch_detail", lambda: self._answer_branch_detail(message))
 
     def _answer_live_path(self, message: wire.AskLivePath) -> None:
+        lps = None
         try:
             lps = self._place(message)
             path = self._session.ask(LivePathTo(lps))
             answer = live_path_message(message.request_id, lps, path)
         except CarinaError as trouble:
-            answer = _no_path(message.request_id, str(trouble))
+            answer = _no_path(message.request_id, str(trouble), lps)
         except Exception as trouble:
             log_fault(logger, "could not calculate the live path", trouble)
             answer = _no_path(

@@ -200,6 +200,10 @@ def _target(target: Any) -> wire.Target:
         snapped_mm=target.snapped_mm,
         length_mm=target.length_mm,
         problem=target.problem,
+        cost=target.cost,
+        root_lps=target.root_lps,
+        outside_mm=target.outside_mm,
+        value_range=target.value_range,
     )
 
 
@@ -237,6 +241,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         length_mm=route.length_mm,
         drawn_mm=round(route.drawn.drawn_mm, 2),
         bridge_mm=round(route.drawn.bridge_mm, 2),
+        lumen_known=route.lumen_known,
     )
     return wire.Route(info)
 

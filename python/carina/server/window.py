@@ -27,6 +27,7 @@ from carina.session import (
     Said,
     Session,
     Snapshot,
+    StartMarked,
     Trouble,
     log_fault,
 )
@@ -204,6 +205,8 @@ class Window:
                 self.outbox.push(wire.Error(event.code, event.message, event.action))
             case NotEvident():
                 self.outbox.push(no_evidence_message(event))
+            case StartMarked():
+                self.outbox.push(wire.StartMarked(event.lps))
             case Said():
                 self.outbox.push(wire.Notice(event.message))
             case _:

@@ -26,6 +26,7 @@ from carina.session.snapshot import (
     PoseInfo,
     Said,
     Snapshot,
+    StartMarked,
     Trouble,
     WallPoint,
 )
@@ -61,6 +62,7 @@ __all__ = [
     "Session",
     "ShownCase",
     "Snapshot",
+    "StartMarked",
     "StorageInfo",
     "Trouble",
     "WallPoint",

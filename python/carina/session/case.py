@@ -16,7 +16,7 @@ from carina.case.history import History
 from carina.case.moment import LaidScope, Moment
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.routes import AirwayIndex, ChosenRoute, path_move
-from carina.commands import TakeMask
+from carina.commands import ArmPen, TakeMask
 from carina.errors import CarinaError, UsageError
 from carina.navigate import Navigator, Pilot
 from carina.render import GreyWindow, Sight
@@ -173,6 +173,8 @@ class OpenCase:
     flown_route: ChosenRoute | None = None
     """The route whose path the pilot was last given."""
     asked_mask: AskedMask | None = None
+    armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
+    """What the pen's button marks."""
     begun_s: float = 0.0
     """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
     numbers: dict[str, int] = field(default_factory=dict)
@@ -358,8 +360,8 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
     lumen_mm: float | None = None
     if path_mm is not None and route is not None:
         n = int(np.argmin(np.abs(route.cumulative_mm - path_mm)))
-        branch = None if index is None else index.branch(int(route.branch_ids[n]))
-        lumen_mm = 2.0 * float(route.radius_mm[n])
+        branch = None if index is None or not route.lumen_known else index.branch(int(route.branch_ids[n]))
+        lumen_mm = 2.0 * float(route.radius_mm[n]) if route.lumen_known else None
     elif index is not None and inside:
         branch, radius_mm, _ = index.nearest(at)
         lumen_mm = 2.0 * radius_mm

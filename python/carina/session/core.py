@@ -28,11 +28,21 @@ from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
 from carina.session.scene import ShownCase
 from carina.session.sights import following_tip
-from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, SavingInfo, Snapshot, Topic, Trouble
+from carina.session.snapshot import (
+    Changed,
+    NotEvident,
+    PoseInfo,
+    Said,
+    SavingInfo,
+    Snapshot,
+    StartMarked,
+    Topic,
+    Trouble,
+)
 
 __all__ = ["Event", "SessionCore"]
 
-Event = Changed | Trouble | NotEvident | Said | JobProgress | JobEnded
+Event = Changed | Trouble | NotEvident | Said | StartMarked | JobProgress | JobEnded
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"

@@ -16,7 +16,7 @@ from carina.navigate import PenState, Sample, fit_registration, moves
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
 from carina.session.recording import FlightRecording
-from carina.session.snapshot import DevicesInfo, Said, Trouble
+from carina.session.snapshot import DevicesInfo, Said, StartMarked, Trouble
 from carina.session.subject import Subject, does
 
 __all__ = ["Devices"]
@@ -124,6 +124,7 @@ class Devices(Subject):
         """
         case = self.core.needed_case()
         with self.core.lock:
+            case.armed_pen = command
             case.pilot.apply(command)
 
     def info(self) -> DevicesInfo | None:
@@ -146,8 +147,10 @@ class Devices(Subject):
         try:
             if tool == "root":
                 self._do(c.SetRoot(place))
+            elif tool == "start":
+                self.core.emit(StartMarked(place))
             else:
-                self._do(c.AddTarget(place))
+                self._do(c.AddTarget(place, case.armed_pen.cost, case.armed_pen.root_lps))
         except CarinaError as trouble:
             self.core.emit(Trouble(trouble.code, str(trouble)))
 

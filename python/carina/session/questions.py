@@ -64,11 +64,16 @@ class CaseQuestions(Subject):
 
     @answers(c.LumenBeforeWall)
     def lumen_before_wall(self, question: c.LumenBeforeWall) -> tuple[float, float, float]:
-        """In steps of half a voxel."""
-        airways = self._airways()
-        step_mm = 0.5 * float(min(self.core.needed_case().info.volume.spacing_mm))
+        """In steps of half a voxel. Without a lumen, a voxel before the wall."""
+        case = self.core.needed_case()
+        airways = case.document.airways
+        step_mm = 0.5 * float(min(case.info.volume.spacing_mm))
         wall, lens = np.array(question.wall_lps), np.array(question.lens_lps)
-        x, y, z = lumen_before_wall(airways.tracker, wall, lens, step_mm)
+        if airways is None:
+            away_mm = float(np.linalg.norm(lens - wall))
+            x, y, z = wall + (lens - wall) * (min(2.0 * step_mm / away_mm, 1.0) if away_mm > 0.0 else 0.0)
+        else:
+            x, y, z = lumen_before_wall(airways.tracker, wall, lens, step_mm)
         return float(x), float(y), float(z)
 
     @answers(c.MeasuresOf)

@@ -8,10 +8,11 @@ from carina import commands as c
 from carina.case.document import Document, Target
 from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
+from carina.session.case import OpenCase
 from carina.session.jobs import Job
 from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
-from carina.session.targets import tracked_target
+from carina.session.targets import NO_START, searched_target, tracked_target
 
 __all__ = ["Routing"]
 
@@ -23,14 +24,28 @@ class Routing(Subject):
     def add_target(self, command: c.AddTarget) -> str:
         """Track to a point, as a job, and take it as the route.
 
-        The point is moved to the lumen where that is within 5 mm, which is said; else the target is kept with the
-        reason why there is no path.
+        Through the lumen the point is moved to it where that is within 5 mm, which is said; else the target is kept
+        with the reason why there is no path. With the costs ``walls`` and ``paper`` nothing is moved.
         """
         case = self.core.needed_case()
         case.check_inside(command.lps)
+        if command.root_lps is not None:
+            case.check_inside(command.root_lps)
+        if command.cost != "lumen" and command.root_lps is None and case.document.airways is None:
+            raise UsageError(NO_START, code="track.no-root")
         with self.core.lock:
             number = case.next_number("target")
-        target = Target(target_id=f"target-{number}", name=f"Target {number}", lps=command.lps)
+        target = Target(
+            target_id=f"target-{number}",
+            name=f"Target {number}",
+            lps=command.lps,
+            cost=command.cost,
+            root_lps=command.root_lps,
+        )
+        if command.cost != "lumen":
+            return self.core.jobs.start(
+                f"target {number}", f"finding the path to {target.name}", lambda job: self._search(case, target, job)
+            )
 
         def work(job: Job) -> None:
             tracked, tracked_in = target, None
@@ -53,6 +68,23 @@ class Routing(Subject):
                 tracked = tracked_target(tracked_in, target)
 
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
+
+    def _search(self, case: OpenCase, target: Target, job: Job) -> None:
+        """A path that knows no lumen; what is told of it follows the airways, which may have changed meanwhile."""
+        searched_in = case.document.airways
+        tracked = searched_target(case.info.volume, searched_in, target, progress=job.progress, cancel=job.cancel)
+        while True:
+            with self.core.lock:
+                job.check()
+                document = case.document
+                if document.airways is searched_in:
+                    changed = replace(
+                        document, targets=(*document.targets, tracked), route=tracked.route or document.route
+                    )
+                    self.core.change(case, f"add {target.name}", changed)
+                    return
+                searched_in = document.airways
+            tracked = tracked_target(searched_in, tracked)
 
     @does(c.RemoveTarget)
     def remove_target(self, command: c.RemoveTarget) -> None:

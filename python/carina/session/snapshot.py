@@ -38,6 +38,7 @@ __all__ = [
     "ShownKeyFrame",
     "Snapshot",
     "Stage",
+    "StartMarked",
     "Trouble",
     "WallPoint",
 ]
@@ -281,6 +282,14 @@ class NotEvident:
     lps: tuple[float, float, float]
     """What was asked for."""
     error: NoEvidenceError
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class StartMarked:
+    """The pen's button marked where a path is to begin; whoever adds targets says so with them."""
+
+    lps: tuple[float, float, float]
 
 
 @one_line

@@ -8,21 +8,81 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carina.case.document import Target
-from carina.case.routes import ChosenRoute, route_to_branch, route_to_target
-from carina.errors import TrackingError
+from carina.case.routes import ChosenRoute, route_along_points, route_to_branch, route_to_target
+from carina.errors import TrackingError, UsageError
 from carina.session.case import as_point
+from carina.track.targets.paper import outside_mm, track_on_graph
 
 if TYPE_CHECKING:
-    from carina.track import AirwayTree
+    from carina.session.parts import Cancel, Progress
+    from carina.track import Airways, AirwayTree
+    from carina.volume import Volume
 
-__all__ = ["SNAP_MM", "followed_route", "renamed_route", "tracked_target"]
+__all__ = ["NO_START", "SNAP_MM", "followed_route", "renamed_route", "searched_target", "tracked_target"]
 
+NO_START = "mark the start point of the path first: there are no airways to begin in"
 SNAP_MM = 5.0
 """A target outside the lumen is moved to it within this distance, and said."""
 
 
-def tracked_target(airways: Any, target: Target) -> Target:
-    """The target with its path through ``airways``, or with the reason why there is none."""
+def searched_target(
+    volume: Volume, airways: Airways | None, target: Target, *, progress: Progress, cancel: Cancel
+) -> Target:
+    """The target with its path by the cost ``walls`` or ``paper``, or with the reason why there is none.
+
+    Raises
+    ------
+    UsageError
+        If neither the target nor the airways say where the path begins.
+    """
+    if target.root_lps is None and airways is None:
+        raise UsageError(NO_START, code="track.no-root")
+    root = as_point(airways.root_lps) if target.root_lps is None and airways is not None else target.root_lps
+    target = replace(target, root_lps=root)
+    try:
+        result = track_on_graph(
+            volume,
+            airways,
+            [target.lps],
+            cost=target.cost,
+            graph="voxel",
+            root_lps=root,
+            progress=progress,
+            cancel=cancel,
+        )
+        found = result.targets[0]
+        if found.path is None:
+            return replace(target, problem=found.problem)
+        route = route_along_points(airways, found.path.points_lps, target.target_id, target.name)
+    except (TrackingError, UsageError) as trouble:
+        return replace(target, problem=str(trouble))
+    row = None if result.search is None else result.search.targets[0]
+    return replace(
+        target,
+        used_lps=target.lps,
+        snapped_mm=0.0,
+        length_mm=route.length_mm,
+        route=route,
+        outside_mm=None if row is None else row.outside_mm,
+        value_range=None if row is None else row.value_range,
+    )
+
+
+def tracked_target(airways: Airways | None, target: Target) -> Target:
+    """The target with its path through ``airways``, or with the reason why there is none.
+
+    A path that was searched without the lumen stays as it is: only what is told of it depends on the airways.
+    """
+    if target.cost != "lumen":
+        if target.route is None:
+            return target
+        points = target.route.points_lps
+        return replace(
+            target,
+            route=route_along_points(airways, points, target.target_id, target.name),
+            outside_mm=None if airways is None else outside_mm(points, airways, airways.tracker.volume),
+        )
+    assert airways is not None
     bare = Target(target_id=target.target_id, name=target.name, lps=target.lps)
     try:
         path = airways.tracker.path_to(target.lps, snap_mm=SNAP_MM)
@@ -36,8 +96,8 @@ def tracked_target(airways: Any, target: Target) -> Target:
 
 def renamed_route(route: ChosenRoute | None, tree: AirwayTree) -> ChosenRoute | None:
     """A route with the names that its branches have now; nothing else about it changes."""
-    if route is None:
-        return None
+    if route is None or not route.lumen_known:
+        return route
     names = {branch.id: branch.name for branch in tree.branches}
     spans = tuple(replace(span, name=names.get(span.branch_id)) for span in route.spans)
     title = route.title

@@ -27,7 +27,7 @@ export function PathBar() {
         <p className="empty">
           {stage === "found"
             ? "No route yet. Choose a branch in the list, or mark a target (N, then click in a slice). The route to it appears here."
-            : "The route appears here, with its length, forks and branch names, once the airways have been segmented."}
+            : "The route appears here once the airways have been segmented, or a path was found without them (Target)."}
         </p>
       </section>
     );
@@ -168,7 +168,7 @@ function RulerSpans({ route, width }: { route: RouteInfo; width: number }) {
             className={`span${kind === null ? "" : " drawn"}${n === here ? " here" : ""}`}
             style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
           >
-            {words ?? ""}
+            {route.lumen_known || kind !== null ? (words ?? "") : ""}
           </span>
         );
       })}

@@ -11,6 +11,7 @@ import { Icon, type IconName, outlineOfIcon } from "./icons";
 export const TOOL_ICONS: Readonly<Record<Armed, IconName>> = {
   target: "target",
   root: "target",
+  start: "root",
   add: "addBranch",
   bridge: "bridge",
   cut: "cut",

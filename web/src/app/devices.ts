@@ -8,10 +8,10 @@ import { hasPointerLock, PointerLock } from "../input/devices/pointer-lock";
 import { SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
 import { Headset, headsetOffer, type Xr } from "../input/devices/webxr";
 import { WHEEL_MM_PER_PX } from "../input/flight";
-import { marksByPen } from "../state/pen";
+import { isSamePen, penMessage } from "../state/path-search";
 import type { Vec3 } from "../state/vec";
 import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
-import type { ClientMessage } from "../wire/messages";
+import type { ArmPenMessage, ClientMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
 import type { Pointing } from "./pointing";
 import type { Station } from "./station";
@@ -34,7 +34,7 @@ export class BrowserDevices {
   readonly #mouse: HidPort | null;
   readonly #handle: HidPort | null;
   readonly #contact = new ContactSense();
-  #armed: "root" | "target" | null = null;
+  #armed: ArmPenMessage = { type: "arm_pen", tool: null };
 
   constructor(station: Station, pointing: Pointing) {
     this.#station = station;
@@ -189,14 +189,14 @@ export class BrowserDevices {
 
   /** While root or target are in the hand, the pen's button sets them, and the way there is shown (paper 6.3). */
   #armPen(): void {
-    const { armed } = this.#station.state.ui;
-    const tool = marksByPen(armed) ? armed : null;
-    if (tool === this.#armed) {
-      if (tool !== null) this.#pointing.penAt();
+    const { ui, session } = this.#station.state;
+    const now = penMessage(ui, session);
+    if (isSamePen(now, this.#armed)) {
+      if (now.tool !== null) this.#pointing.penAt();
       return;
     }
-    this.#armed = tool;
-    if (this.#station.state.session?.case != null) this.#station.send({ type: "arm_pen", tool });
+    this.#armed = now;
+    if (session?.case != null) this.#station.send(now);
   }
 }
 

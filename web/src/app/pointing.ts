@@ -83,8 +83,8 @@ export class Pointing {
   /** Another picture lies under a cursor that rests: a click means another place of the patient. */
   pictureDrawn(view: string): void {
     if (this.#hovered?.viewport.view !== view || this.#station.state.ui.penLeads) return;
-    const { armed, forkHeld } = this.#station.state.ui;
-    if (!wantsPath(armed) && previewTool(armed, forkHeld !== null) === null) return;
+    const { armed, forkHeld, pathCost } = this.#station.state.ui;
+    if (!wantsPath(armed, pathCost) && previewTool(armed, forkHeld !== null) === null) return;
     const { viewport, at } = this.#hovered;
     const pointed = this.#under(viewport, at);
     this.#station.ui({ pointedLps: pointed?.lps ?? null });
@@ -121,8 +121,8 @@ export class Pointing {
     const { ui, doubt } = this.#station.state;
     const tool = previewTool(ui.armed, ui.forkHeld !== null);
     if (question === null) {
-      if (wantsPath(ui.armed) || tool !== null) this.#forget();
-    } else if (wantsPath(ui.armed)) this.#live.ask(question);
+      if (wantsPath(ui.armed, ui.pathCost) || tool !== null) this.#forget();
+    } else if (wantsPath(ui.armed, ui.pathCost)) this.#live.ask(question);
     else if (tool !== null && doubt === null) {
       this.#previewing.ask({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
     }
@@ -214,7 +214,7 @@ export class Pointing {
   penAt(): void {
     const { state } = this.#station;
     const at = penPoint(state);
-    if (at === null || !wantsPath(state.ui.armed)) return;
+    if (at === null || !wantsPath(state.ui.armed, state.ui.pathCost)) return;
     if (performance.now() - this.#cursorMovedMs < CURSOR_RESTS_MS) return;
     if (this.#penAsked !== null && distance(at, this.#penAsked) < 0.1) return;
     this.#penAsked = at;
@@ -239,8 +239,12 @@ export class Pointing {
     const { armed, forkHeld } = station.state.ui;
     switch (armed) {
       case "target":
-        station.send({ type: "add_target", lps });
+        station.addTarget(lps);
         station.disarm();
+        break;
+      case "start":
+        station.disarm();
+        station.ui({ pathStart: lps });
         break;
       case "root":
         station.send({ type: "set_root", lps });

@@ -20,6 +20,8 @@ export interface Station {
   readonly flight: Flight;
   act(action: Action): void;
   chooseBranch(branchId: number): void;
+  /** A target, its path searched as chosen. */
+  addTarget(lps: Vec3): void;
   /** Nothing is in the hand any more. */
   disarm(): void;
   /** As it was before a click that turned out to be the first half of a double click. */

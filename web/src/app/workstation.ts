@@ -16,6 +16,7 @@ import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
 import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
+import { type PathCost, startOf, targetMessage } from "../state/path-search";
 import { wasUsedByPen } from "../state/pen";
 import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
@@ -439,8 +440,24 @@ export class Workstation implements Station {
     const { armed } = this.state.ui;
     this.pointing.forget();
     this.answerDoubt(false);
-    const step = tool === "target" ? "target" : "airways";
+    const step = tool === "target" || tool === "start" ? "target" : "airways";
     this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step });
+  }
+
+  /** What the paths to the next targets cost; without a place where they begin, that is marked first. */
+  choosePathCost(cost: PathCost): void {
+    this.ui({ pathCost: cost });
+    this.pointing.forget();
+    if (cost !== "lumen" && startOf(this.state.ui, this.state.session) === null && this.state.ui.armed !== "start")
+      this.arm("start");
+    else if (cost === "lumen" && this.state.ui.armed === "start") this.disarm();
+  }
+
+  /** A target, its path searched as chosen; without a start it says so. */
+  addTarget(lps: Vec3): void {
+    const message = targetMessage(lps, this.state.ui, this.state.session);
+    if (message === null) this.notice("Mark the start point first: there are no airways to begin in.");
+    else this.send(message);
   }
 
   disarm(): void {

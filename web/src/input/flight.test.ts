@@ -16,6 +16,7 @@ const ROUTE: RouteInfo = {
   forks_mm: [36, 54],
   lookouts_mm: [30, 50],
   spans: [],
+  lumen_known: true,
   length_mm: 60,
   drawn_mm: 0,
   bridge_mm: 0,

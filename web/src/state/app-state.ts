@@ -37,6 +37,7 @@ import type { Preview } from "./edit-preview";
 import type { LiveAnswer } from "./live-path";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
+import type { PathCost } from "./path-search";
 import { NOT_PLAYING, type Playing } from "./playing";
 import { AUTO_SPEED_MM_S } from "./speed";
 import type { Step } from "./steps";
@@ -89,6 +90,9 @@ export interface Ui {
   /** The plane of the tri-plane view that a drag would move. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
+  /** How the path to the next target is searched, and where it begins if that was marked. */
+  readonly pathCost: PathCost;
+  readonly pathStart: Vec3 | null;
   /** The branch whose end is being moved. */
   readonly forkHeld: number | null;
   readonly brushMm: number;
@@ -237,6 +241,8 @@ export const INITIAL_STATE: AppState = {
     shown: FIRST_SHOWN,
     overPlane: null,
     armed: null,
+    pathCost: "lumen",
+    pathStart: null,
     forkHeld: null,
     brushMm: FIRST_BRUSH_MM,
     brushIsBall: false,
@@ -304,6 +310,9 @@ const NOTHING_HELD = {
   cursorLps: null,
   penLeads: false,
 } as const;
+
+/** Of another case: paths through the lumen, as ever. */
+const FIRST_SEARCH = { pathCost: "lumen", pathStart: null } as const;
 
 export function reduce(state: AppState, event: AppEvent): AppState {
   switch (event.kind) {
@@ -394,6 +403,10 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, status: message };
     case "devices":
       return { ...state, devices: message };
+    case "start_marked": {
+      const armed = state.ui.armed === "start" ? null : state.ui.armed;
+      return { ...state, ui: { ...state.ui, armed, pathStart: asVec3(message.lps) } };
+    }
     case "pen":
       return { ...state, pen: message.device === null ? null : message };
     case "key_frames":
@@ -419,11 +432,20 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = {
       ...next,
-      ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, keysOpen: false, saveOpen: false, step: "open" },
+      ui: {
+        ...next.ui,
+        ...NOTHING_HELD,
+        ...FIRST_SEARCH,
+        full: null,
+        advancing: false,
+        keysOpen: false,
+        saveOpen: false,
+        step: "open",
+      },
     };
   } else if (now !== null && caseKey(state.session) !== caseKey(session)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
-    const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };
+    const ui: Ui = { ...next.ui, ...NOTHING_HELD, ...FIRST_SEARCH, step: hasFindings ? "check" : "airways" };
     next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, ui };
   }
   return { ...next, look: shown(next.local.look, session.look), sight: shown(next.local.sight, session.sight) };

@@ -5,7 +5,8 @@ import { fixed, mm } from "./format";
 import type { Armed } from "./tools";
 
 /** While one of these is in the hand, the pen's button marks a point. */
-export const marksByPen = (armed: Armed | null): armed is "root" | "target" => armed === "root" || armed === "target";
+export const marksByPen = (armed: Armed | null): armed is "root" | "start" | "target" =>
+  armed === "root" || armed === "start" || armed === "target";
 
 export function penMarkWords(pen: PenMessage): string {
   if (pen.lps !== null) return "The pen\u2019s button marks the position of the pen tip.";

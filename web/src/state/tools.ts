@@ -1,11 +1,11 @@
 /** What the next click does: marks a target or a root, or mends the airway tree. */
 
-import type { ViewName } from "../wire/messages";
+import type { Target, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
 
 export const TREE_TOOLS = ["add", "bridge", "cut", "fork", "smooth", "paint", "erase", "reroot"] as const;
 export type TreeTool = (typeof TREE_TOOLS)[number];
-export type Armed = "target" | "root" | TreeTool;
+export type Armed = "target" | "root" | "start" | TreeTool;
 
 export interface ToolWords {
   readonly label: string;
@@ -69,7 +69,8 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
 };
 
 /** The others: they mark a point of the plan. */
-const MARK_WORDS: Readonly<Record<"target" | "root", Pick<ToolWords, "label" | "hint">>> = {
+const MARK_WORDS: Readonly<Record<"target" | "root" | "start", Pick<ToolWords, "label" | "hint">>> = {
+  start: { label: "Mark start", hint: "Click where the path should start, in any view." },
   target: { label: "Mark target", hint: "Click the target in any view. The line shows the path to it." },
   root: {
     label: "Mark the trachea",
@@ -85,7 +86,7 @@ export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint:
       hint: "Now click where the fork belongs. The lines show what moves with it.",
     };
   }
-  return armed === "target" || armed === "root" ? MARK_WORDS[armed] : TOOL_WORDS[armed];
+  return armed === "target" || armed === "root" || armed === "start" ? MARK_WORDS[armed] : TOOL_WORDS[armed];
 }
 
 /** In a picture's corner: short, so that it covers no letter of the orientation. */
@@ -95,6 +96,8 @@ export function shortOf(armed: Armed): string {
       return "Target";
     case "root":
       return "Trachea";
+    case "start":
+      return "Start";
     case "reroot":
       return "Set start";
     default:
@@ -115,8 +118,8 @@ export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
   armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
 
 /** Whether the way to the cursor is shown while this is in the hand; tools for the tree show what they would make. */
-export function wantsPath(armed: Armed | null): boolean {
-  return armed === "target";
+export function wantsPath(armed: Armed | null, cost: Target["cost"] = "lumen"): boolean {
+  return armed === "target" && cost === "lumen";
 }
 
 /** Whether the click is meant for a branch, not for a point. */

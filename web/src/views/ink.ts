@@ -177,3 +177,27 @@ export class NamePlaces {
     return false;
   }
 }
+
+/** Where a path begins: a ring with its word. */
+export function startMark(
+  ink: Ink,
+  at: ScreenPoint,
+  alpha: number,
+  names: NamePlaces,
+  size: { width: number; height: number },
+): void {
+  ink.save();
+  ink.globalAlpha = alpha;
+  for (const [width, stroke] of [
+    [4, INK.halo],
+    [2, INK.accent],
+  ] as const) {
+    ink.lineWidth = width;
+    ink.strokeStyle = stroke;
+    ink.beginPath();
+    ink.arc(at.x, at.y, 5, 0, 2 * Math.PI);
+    ink.stroke();
+  }
+  ink.restore();
+  if (alpha === 1) names.name(ink, "Start", at, INK.accent, size);
+}

@@ -13,7 +13,18 @@ import {
 import { add, scale, type Vec3 } from "../state/vec";
 import { planeAcross } from "../state/view-table";
 import { PLANES, type PlaneName, VIEWS } from "../wire/views";
-import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
+import {
+  INK,
+  type Ink,
+  label,
+  line,
+  NamePlaces,
+  PLANE_COLOURS,
+  type ScreenPoint,
+  startMark,
+  targetMark,
+  tipMark,
+} from "./ink";
 import { paintBrush, paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintCentrelines, paintOutline } from "./overlay-outline";
 import { paintPen } from "./overlay-pen";
@@ -50,6 +61,10 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintLivePath(ink, viewport, geometry, scene, inPlane);
   paintPreview(ink, viewport, geometry, scene, inPlane);
   const names = new NamePlaces();
+  if (scene.start !== null) {
+    const seen = pixelFromLps(geometry, scene.start);
+    if (seen !== null) startMark(ink, viewport.screenAt(seen), inPlane(seen.depthMm) ? 1 : 0.35, names, viewport.size);
+  }
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
     if (seen === null) continue;

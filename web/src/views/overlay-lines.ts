@@ -35,7 +35,7 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   const sides = sidesOf(viewport, geometry, VIEWS[header.view].straight);
   const names = new NamePlaces();
   if (scene.route !== null) {
-    if (VIEWS[header.view].straight) paintLumen(ink, viewport, geometry, scene.route);
+    if (VIEWS[header.view].straight && scene.route.lumen_known) paintLumen(ink, viewport, geometry, scene.route);
     else if (scene.routeLineVisible) paintPath(ink, viewport, geometry, scene.route);
     paintAxis(ink, viewport, geometry, scene.route, sides);
   }
@@ -208,6 +208,7 @@ function paintAxis(
     const y = (Math.max(a, 0) + Math.min(b, height)) / 2;
     if (y - taken < NAMES_APART_PX || y < 26 || y > height - 26) continue;
     const kind = kindWords(span.kind);
+    if (!route.lumen_known && kind === null) continue;
     label(
       ink,
       kind ?? span.name ?? `gen. ${span.generation}`,

@@ -6,7 +6,18 @@ import { outlineOf } from "../state/tri-plane";
 import { add, scale } from "../state/vec";
 import { planeAcross } from "../state/view-table";
 import { VIEWS } from "../wire/views";
-import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
+import {
+  INK,
+  type Ink,
+  label,
+  line,
+  NamePlaces,
+  PLANE_COLOURS,
+  type ScreenPoint,
+  startMark,
+  targetMark,
+  tipMark,
+} from "./ink";
 import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
 import { paintLobes, paintNames } from "./overlay-names";
@@ -42,6 +53,10 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintLivePath(ink, viewport, geometry, scene, () => true);
   paintPreview(ink, viewport, geometry, scene, () => true);
   const names = new NamePlaces();
+  if (scene.start !== null) {
+    const seen = pixelFromLps(geometry, scene.start);
+    if (seen !== null) startMark(ink, viewport.screenAt(seen), 1, names, viewport.size);
+  }
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
     if (seen === null) continue;

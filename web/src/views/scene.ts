@@ -7,6 +7,7 @@ import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edi
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
+import { startOf } from "../state/path-search";
 import { marksByPen } from "../state/pen";
 import { pointsBetween } from "../state/route";
 import { type Armed, isBrush, wantsPath } from "../state/tools";
@@ -40,6 +41,8 @@ export interface Scene {
   pathMm: number | null;
   targets: readonly SceneTarget[];
   root: Vec3 | null;
+  /** Where a path begins that is searched through any scan, while such paths are chosen. */
+  start: Vec3 | null;
   airwayShape: Shape;
   /** The volume's box. */
   grid: Grid | null;
@@ -230,6 +233,7 @@ const MADE = [
   "crosshair",
   "targets",
   "root",
+  "start",
   "hovered",
   "doomed",
   "heldFork",
@@ -283,6 +287,7 @@ function madeOf(state: AppState): Scene {
         chosen: target.target_id === state.route?.target_id,
       })) ?? [],
     root: state.session?.root_lps == null ? null : asVec3(state.session.root_lps),
+    start: state.ui.pathCost === "lumen" ? null : startOf(state.ui, state.session),
     airwayShape: shapeOf(state.look.outline),
     grid: state.session?.case ?? null,
     carm: state.sight.carm,

@@ -116,6 +116,103 @@ export interface GoToStepMessage {
   readonly step: number;
 }
 
+/** Find the airways again from this point. */
+export interface SetRootMessage {
+  readonly type: "set_root";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Find the airways again with this threshold; null lets Carina choose. */
+export interface SetLumenThresholdMessage {
+  readonly type: "set_lumen_threshold";
+  readonly value: number | null;
+}
+
+/** A target, and what its path costs.
+
+    `lumen` keeps to the middle of the airways; the target is snapped to the lumen within 5 mm, and said.
+    `walls` and `paper` (its sections 6.3 and 6.2) search all of the scan, whatever it shows, and move nothing. */
+export interface AddTargetMessage {
+  readonly type: "add_target";
+  readonly lps: readonly [number, number, number];
+  readonly cost?: "lumen" | "paper" | "walls";
+  readonly root_lps?: readonly [number, number, number] | null;
+}
+
+/** Take a target away. */
+export interface RemoveTargetMessage {
+  readonly type: "remove_target";
+  readonly target_id: string;
+}
+
+/** Route to a target or to the end of a branch; exactly one of both is set, or none for no route. */
+export interface ChooseRouteMessage {
+  readonly type: "choose_route";
+  readonly target_id?: string | null;
+  readonly branch_id?: number | null;
+}
+
+/** A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it. */
+export interface EditAddBranch {
+  readonly kind: "add-branch";
+  readonly lps: readonly [number, number, number];
+  readonly even_without_evidence?: boolean;
+}
+
+/** Take a branch away with all that hangs on it, from a place along it. */
+export interface EditCutBranch {
+  readonly kind: "cut-branch";
+  readonly branch_id: number;
+  readonly at_mm?: number;
+}
+
+/** Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air. */
+export interface EditBridge {
+  readonly kind: "bridge";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Begin all paths elsewhere; branches that are then flown the other way are turned round. */
+export interface EditMoveRoot {
+  readonly kind: "move-root";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Move the point where a branch ends and its children begin; the adjoining centrelines follow. */
+export interface EditMoveFork {
+  readonly kind: "move-fork";
+  readonly branch_id: number;
+  readonly lps: readonly [number, number, number];
+}
+
+/** A stroke of a brush that makes voxels lumen, or takes lumen away. */
+export interface EditPaintLumen {
+  readonly kind: "paint-lumen";
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly radius_mm: number;
+  readonly plane?: "axial" | "ball" | "coronal" | "sagittal";
+  readonly erase?: boolean;
+}
+
+/** Make a branch's centreline smoother; its ends stay. */
+export interface EditSmoothBranch {
+  readonly kind: "smooth-branch";
+  readonly branch_id: number;
+}
+
+/** Give a branch a name of one's own, or the automatic one back. */
+export interface EditRenameBranch {
+  readonly kind: "rename-branch";
+  readonly branch_id: number;
+  readonly name: string | null;
+}
+
+/** One edit of the airway tree: a job, and one step of undo. */
+export interface EditTreeMessage {
+  readonly type: "edit_tree";
+  readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
+}
+
 /** A device was unplugged. */
 export interface DeviceGoneMessage {
   readonly type: "device_gone";
@@ -169,10 +266,14 @@ export interface CalibrateMessage {
   readonly patient_lps: readonly (readonly [number, number, number])[];
 }
 
-/** What the pen's first button sets, at the pen's own tip (`pen`); null lets it change the way to move. */
+/** What the pen's first button sets, at the pen's own tip (`pen`); null lets it change the way to move.
+
+    `start` is where paths of the costs `walls` and `paper` begin: windows are told (`start_marked`). */
 export interface ArmPenMessage {
   readonly type: "arm_pen";
-  readonly tool: "root" | "target" | null;
+  readonly tool: "root" | "start" | "target" | null;
+  readonly cost?: "lumen" | "paper" | "walls";
+  readonly root_lps?: readonly [number, number, number] | null;
 }
 
 /** In absolute movement the tip comes to the registered pen at once, instead of easing over. */
@@ -460,98 +561,6 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
-/** Find the airways again from this point. */
-export interface SetRootMessage {
-  readonly type: "set_root";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Find the airways again with this threshold; null lets Carina choose. */
-export interface SetLumenThresholdMessage {
-  readonly type: "set_lumen_threshold";
-  readonly value: number | null;
-}
-
-/** A target; snapped to the lumen within 5 mm, and said. */
-export interface AddTargetMessage {
-  readonly type: "add_target";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Take a target away. */
-export interface RemoveTargetMessage {
-  readonly type: "remove_target";
-  readonly target_id: string;
-}
-
-/** Route to a target or to the end of a branch; exactly one of both is set, or none for no route. */
-export interface ChooseRouteMessage {
-  readonly type: "choose_route";
-  readonly target_id?: string | null;
-  readonly branch_id?: number | null;
-}
-
-/** A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it. */
-export interface EditAddBranch {
-  readonly kind: "add-branch";
-  readonly lps: readonly [number, number, number];
-  readonly even_without_evidence?: boolean;
-}
-
-/** Take a branch away with all that hangs on it, from a place along it. */
-export interface EditCutBranch {
-  readonly kind: "cut-branch";
-  readonly branch_id: number;
-  readonly at_mm?: number;
-}
-
-/** Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air. */
-export interface EditBridge {
-  readonly kind: "bridge";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Begin all paths elsewhere; branches that are then flown the other way are turned round. */
-export interface EditMoveRoot {
-  readonly kind: "move-root";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Move the point where a branch ends and its children begin; the adjoining centrelines follow. */
-export interface EditMoveFork {
-  readonly kind: "move-fork";
-  readonly branch_id: number;
-  readonly lps: readonly [number, number, number];
-}
-
-/** A stroke of a brush that makes voxels lumen, or takes lumen away. */
-export interface EditPaintLumen {
-  readonly kind: "paint-lumen";
-  readonly points_lps: readonly (readonly [number, number, number])[];
-  readonly radius_mm: number;
-  readonly plane?: "axial" | "ball" | "coronal" | "sagittal";
-  readonly erase?: boolean;
-}
-
-/** Make a branch's centreline smoother; its ends stay. */
-export interface EditSmoothBranch {
-  readonly kind: "smooth-branch";
-  readonly branch_id: number;
-}
-
-/** Give a branch a name of one's own, or the automatic one back. */
-export interface EditRenameBranch {
-  readonly kind: "rename-branch";
-  readonly branch_id: number;
-  readonly name: string | null;
-}
-
-/** One edit of the airway tree: a job, and one step of undo. */
-export interface EditTreeMessage {
-  readonly type: "edit_tree";
-  readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
-}
-
 /** First message of a client. */
 export interface ClientHelloMessage {
   readonly type: "hello";
@@ -793,6 +802,12 @@ export interface DevicesMessage {
   readonly phone_problem: string | null;
 }
 
+/** The pen's button marked where paths begin that need no airways (`arm_pen`, `add_target`). */
+export interface StartMarkedMessage {
+  readonly type: "start_marked";
+  readonly lps: readonly [number, number, number];
+}
+
 /** The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed. */
 export interface PenMessage {
   readonly type: "pen";
@@ -987,6 +1002,10 @@ export interface Target {
   readonly snapped_mm: number | null;
   readonly length_mm: number | null;
   readonly problem: string | null;
+  readonly cost: "lumen" | "paper" | "walls";
+  readonly root_lps: readonly [number, number, number] | null;
+  readonly outside_mm: number | null;
+  readonly value_range: readonly [number, number] | null;
 }
 
 /** One structure of a mask of another tool. */
@@ -1089,6 +1108,7 @@ export interface RouteInfo {
   readonly forks_mm: readonly number[];
   readonly lookouts_mm: readonly number[];
   readonly spans: readonly RouteSpan[];
+  readonly lumen_known: boolean;
 }
 
 /** The route, when it changed. */
@@ -1586,6 +1606,12 @@ export type ClientMessage =
   | RedoMessage
   | SaveCaseMessage
   | GoToStepMessage
+  | SetRootMessage
+  | SetLumenThresholdMessage
+  | AddTargetMessage
+  | RemoveTargetMessage
+  | ChooseRouteMessage
+  | EditTreeMessage
   | DeviceGoneMessage
   | TakeDeviceMessage
   | SetControlMessage
@@ -1630,12 +1656,6 @@ export type ClientMessage =
   | SetMethodMessage
   | AnswerMaskMessage
   | DismissMaskMessage
-  | SetRootMessage
-  | SetLumenThresholdMessage
-  | AddTargetMessage
-  | RemoveTargetMessage
-  | ChooseRouteMessage
-  | EditTreeMessage
   | ClientHelloMessage
   | OpenUploadMessage
   | ImportMaskMessage
@@ -1663,6 +1683,7 @@ export type ClientMessage =
 export type ServerMessage =
   | FlightsMessage
   | DevicesMessage
+  | StartMarkedMessage
   | PenMessage
   | ServerHelloMessage
   | StartMessage

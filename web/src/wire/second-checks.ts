@@ -59,6 +59,11 @@ export function clientProblem(message: ClientMessage): string | null {
       return message.position_mm !== null && message.orientation_wxyz === null
         ? "device_sample has a position without an orientation"
         : null;
+    case "add_target":
+    case "arm_pen":
+      return (message.cost ?? "lumen") === "lumen" && (message.root_lps ?? null) !== null
+        ? `${message.type} has a start of its own, and a path through the lumen`
+        : null;
     case "choose_route":
       return message.target_id !== null && message.branch_id !== null ? "choose_route has two destinations" : null;
     case "set_transfer":

@@ -19,9 +19,18 @@ from carina.track.paths.tracker import SNAP_MM, STEP_MM, TrackedPath, as_point, 
 from carina.track.stages import Cancel, Progress
 from carina.track.targets.results import GraphSearch, TargetResult, TargetSearch, TrackResult
 from carina.track.tree.airway_tree import AirwayTree, Branch
-from carina.volume.model import Volume
+from carina.volume.model import Note, Volume
 
-__all__ = ["COSTS", "GRAPHS", "check_choice", "search_box", "track_on_graph"]
+__all__ = [
+    "COSTS",
+    "GRAPHS",
+    "NO_LUMEN",
+    "along_branches",
+    "check_choice",
+    "outside_mm",
+    "search_box",
+    "track_on_graph",
+]
 
 COSTS = ("lumen", "paper", "walls")
 GRAPHS = ("voxel", "isoregion")
@@ -35,6 +44,12 @@ MAX_BYTES = 1 << 30
 BYTES_PER_VOXEL = {"voxel": 22, "isoregion": 38}
 """Of the box that is searched: 5 for the cost, 17 for the tree; 16 for what was pruned, where nothing can be."""
 MARGINS_MM = (20.0, 10.0, 5.0, 2.0)
+NO_LUMEN = Note(
+    "track.no-lumen",
+    "these paths were tracked without an airway lumen: whether they leave the airway was not checked, and their radii "
+    "are unknown (0 in the file)",
+    badge=True,
+)
 
 
 def check_choice(cost: str, graph: str) -> None:
@@ -96,30 +111,35 @@ def search_box(
 
 def track_on_graph(
     volume: Volume,
-    airways: Airways,
+    airways: Airways | None,
     targets: Sequence[Sequence[float] | Points],
     *,
     cost: str,
     graph: str,
+    root_lps: Sequence[float] | Points | None = None,
     labels: Labels | None = None,
     box_ijk: Box | None = None,
     snap_mm: float = SNAP_MM,
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> TrackResult:
-    """Least-cost paths from the airways' root to targets, on any pair of a cost and a graph.
+    """Least-cost paths from one root to targets, on any pair of a cost and a graph.
 
     One search from the root stops at each target and goes on for the next (Algorithm 1). The costs ``paper`` and
-    ``walls`` know no lumen: it is only looked at to say where their paths leave it.
+    ``walls`` know no lumen: it is only looked at to say where their paths leave it, and any volume will do.
 
     Parameters
     ----------
+    airways
+        None where there are none: the root must be told then, and the cost must not be ``lumen``.
     targets
         LPS mm, in the volume. Cost ``lumen``: moved to the nearest lumen voxel within ``snap_mm``. Costs ``paper`` and
         ``walls``: any voxel.
     cost, graph
         ``lumen``, ``paper`` (6.2 as printed: walls are cheap) or ``walls`` (as 6.3 needs it: walls are dear);
         ``voxel`` or ``isoregion``.
+    root_lps
+        LPS mm, any voxel of the volume; the airways' root unless told. The cost ``lumen`` has no other.
     labels
         What an IsoRegion's voxels have in common: ``bins`` of 16 HU (unless told, for the costs ``paper`` and
         ``walls``) or the class of the ``lumen`` (for the cost ``lumen``).
@@ -136,7 +156,8 @@ def track_on_graph(
     Raises
     ------
     UsageError
-        If cost, graph or labels do not exist, or the search would take too much memory.
+        If cost, graph or labels do not exist or need airways that are not there, the root is missing or lies outside
+        the volume, or the search would take too much memory.
     CancelledError
         If ``cancel()`` said so.
 
@@ -149,7 +170,11 @@ def track_on_graph(
         msg = f"labels: expected bins or lumen, found {labels!r}"
         raise UsageError(msg)
     which = None if graph == "voxel" else labels or ("lumen" if cost == "lumen" else "bins")
-    root = as_point(airways.root_lps)
+    if airways is None and (cost == "lumen" or which == "lumen"):
+        what = "cost lumen" if cost == "lumen" else "labels lumen"
+        msg = f"expected an airway lumen for the {what}; found none; choose the cost walls or paper, and labels bins"
+        raise UsageError(msg)
+    root = _root(volume, airways, cost, root_lps)
     points = [as_point(target) for target in targets]
     notes: list[str] = []
     shape = volume.shape_zyx[::-1]
@@ -172,8 +197,8 @@ def track_on_graph(
         cost=cost,
         labels=which,
         box_ijk=box,
-        lumen_zyx=airways.lumen_zyx,
-        levels=airways.wall_levels,
+        lumen_zyx=None if airways is None else airways.lumen_zyx,
+        levels=None if airways is None else airways.wall_levels,
         root_lps=root,
         reach_mm=SNAP_MM,
         cancel=cancel,
@@ -189,6 +214,7 @@ def track_on_graph(
         requested = np.array(point)
         try:
             if cost == "lumen":
+                assert airways is not None
                 airways.tracker.snap(point, snap_mm=snap_mm)
             place = core.place(point, snap_mm)
             settled, started = core.num_settled, time.perf_counter()
@@ -210,12 +236,11 @@ def track_on_graph(
         assert path_cost is not None
         way = _Way(found[0], found[1], np.array(centre) if to_node_mm > 0.0 else None)
         snapped = 0.0
-        if cost == "lumen" and not bool(airways.tracker.inside(requested[None])[0]):
+        if cost == "lumen" and airways is not None and not bool(airways.tracker.inside(requested[None])[0]):
             snapped = float(np.linalg.norm(np.array(centre) - requested))
-        path = _as_path(way, airways, path_cost, snapped, smooth=cost == "lumen", volume=volume)
-        num_outside, outside_mm = _outside(way, airways, volume)
+        num_outside, outside_mm = (None, None) if airways is None else _outside(way, airways, volume)
         used = np.array(centre) if snapped > 0.0 else requested
-        results.append(TargetResult(requested, used, snapped, path, None))
+        results.append(TargetResult(requested, used, snapped, None, None))
         searches.append(
             TargetSearch(
                 cost=path_cost,
@@ -224,14 +249,29 @@ def track_on_graph(
                 num_path_nodes=len(way.nodes),
                 num_outside=num_outside,
                 outside_mm=outside_mm,
+                value_range=_value_range(volume, way.points),
                 to_node_mm=to_node_mm,
             )
         )
         ways.append(way)
-    tree, branch_nodes = airways.tree, np.zeros((0, 3))
+    tree, branch_nodes = None if airways is None else airways.tree, np.zeros((0, 3))
     if ways:
         branches, branch_nodes = _tree_of(ways, airways, core.cost)
-        tree = AirwayTree(branches, notes=airways.badges)
+        tree = AirwayTree(branches, notes=(NO_LUMEN,) if airways is None else airways.badges)
+    waiting = iter(ways)
+    for number, search_of in enumerate(searches):
+        if search_of is not None:
+            assert tree is not None
+            path = _as_path(
+                next(waiting),
+                airways,
+                tree,
+                search_of.cost,
+                results[number].snapped_mm,
+                smooth=cost == "lumen",
+                volume=volume,
+            )
+            results[number] = dataclasses.replace(results[number], path=path)
     search = GraphSearch(
         cost=cost,
         graph=graph,
@@ -281,25 +321,59 @@ def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
     whole = way.whole
     if len(whole) < 2:
         return num, 0.0
-    dense = _densely(whole, 0.25 * min(volume.spacing_mm))
+    return num, outside_mm(whole, airways, volume)
+
+
+def outside_mm(points: Points, airways: Airways, volume: Volume) -> float:
+    """Length of a polyline of two points or more, (n, 3) LPS mm, outside the lumen, mm."""
+    dense = _densely(points, 0.25 * min(volume.spacing_mm))
     pieces = np.linalg.norm(np.diff(dense, axis=0), axis=1)
-    return num, float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
+    return float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
+
+
+def _value_range(volume: Volume, points: Points) -> tuple[int, int]:
+    i, j, k = np.rint(volume.to_ijk(points)).astype(int).T
+    values = volume.hu_zyx[k, j, i]
+    return int(values.min()), int(values.max())
+
+
+def _root(
+    volume: Volume, airways: Airways | None, cost: str, root_lps: Sequence[float] | Points | None
+) -> tuple[float, float, float]:
+    if root_lps is None or cost == "lumen":
+        if airways is None:
+            msg = "there are no airways to begin in: give the start of the paths (root) as a point in the volume"
+            raise UsageError(msg)
+        return as_point(airways.root_lps)
+    root = as_point(root_lps)
+    if not volume.contains_lps(np.array(root)):
+        msg = f"the root {words(root)} lies outside the volume"
+        raise UsageError(msg)
+    return root
 
 
 def _as_path(
-    way: _Way, airways: Airways, cost: float, snapped_mm: float, *, smooth: bool, volume: Volume
+    way: _Way,
+    airways: Airways | None,
+    tracked: AirwayTree,
+    cost: float,
+    snapped_mm: float,
+    *,
+    smooth: bool,
+    volume: Volume,
 ) -> TrackedPath:
-    if smooth:
+    if smooth and airways is not None:
         # A link may be many voxels long: as dense as the voxel graph's paths are.
         dense = _densely(way.whole, min(volume.spacing_mm))
         points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
     else:
         points = _densely(way.whole, STEP_MM)
-    branch_ids, generation = _along_branches(points, airways.tree)
+    branch_ids, generation = along_branches(points, tracked if airways is None else airways.tree)
+    unknown = np.zeros(len(points))
     return TrackedPath(
         points_lps=points,
-        radius_mm=airways.tracker.calibres(points, branch_ids),
-        wall_mm=airways.tracker.core.radius_mm(points),
+        radius_mm=unknown if airways is None else airways.tracker.calibres(points, branch_ids),
+        wall_mm=unknown if airways is None else airways.tracker.core.radius_mm(points),
         length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
         cost=cost,
         generation=generation,
@@ -310,8 +384,8 @@ def _as_path(
     )
 
 
-def _along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Branch and generation of each point: of the branches on the way to the last point the nearest, in order."""
+def along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Branch and generation of (n, 3) points: of the branches on the way to the last point the nearest, in order."""
     lineage = tree.lineage(tree.nearest_branch(points[-1])[0].id)
     distance = np.stack(
         [
@@ -325,7 +399,7 @@ def _along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32]
 
 
 def _tree_of(
-    ways: Sequence[_Way], airways: Airways, cost_of: Callable[[int], float | None]
+    ways: Sequence[_Way], airways: Airways | None, cost_of: Callable[[int], float | None]
 ) -> tuple[tuple[Branch, ...], Points]:
     """Branches of the union of all ways, cut at branch nodes (paper, Figure 13), and those nodes' places."""
     place_of: dict[int, Points] = {}
@@ -364,7 +438,7 @@ def _tree_of(
                 name=None,
                 kind="tracked",
                 points=points,
-                radius=airways.tracker.core.radius_mm(points),
+                radius=np.zeros(len(points)) if airways is None else airways.tracker.core.radius_mm(points),
                 cost=None if first is None or last is None else last - first,
             )
         )

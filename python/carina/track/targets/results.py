@@ -28,10 +28,12 @@ class TargetSearch:
     num_settled: int
     """Nodes settled for it."""
     num_path_nodes: int
-    num_outside: int
-    """Nodes of the path outside the lumen that was found."""
-    outside_mm: float
-    """Length of the path outside that lumen, mm."""
+    num_outside: int | None
+    """Nodes of the path outside the lumen that was found; None where there is no lumen to compare with."""
+    outside_mm: float | None
+    """Length of the path outside that lumen, mm; None likewise."""
+    value_range: tuple[int, int]
+    """Least and greatest value of the path's voxels, in the volume's own numbers."""
     to_node_mm: float
     """From the target's voxel to the node that stands for it, mm; above 0 where the voxel was cut away."""
 
@@ -84,8 +86,10 @@ class TargetResult:
 class TrackResult:
     """Paths to several targets, and their common tree."""
 
-    tree: AirwayTree
+    tree: AirwayTree | None
+    """None where there is neither a path nor an airway tree."""
     targets: tuple[TargetResult, ...]
-    airways: Airways
+    airways: Airways | None
+    """None where no airway lumen was found, which the costs ``paper`` and ``walls`` do without."""
     search: GraphSearch | None = None
     """The graph that was searched and what that took; None for the cost ``lumen`` on the voxel graph."""

@@ -40,16 +40,19 @@ def track_paths(
     Parameters
     ----------
     root
-        LPS mm, or "auto" for the top of the trachea.
+        LPS mm, or "auto" for the top of the trachea. The costs ``walls`` and ``paper`` begin at the given point itself,
+        in any volume; without a lumen there, ``airways`` of the result is None.
     targets
         Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result
         says so.
     cost
         ``lumen``: keep to the middle of the airway. ``walls``: the paper's gradient and Laplacian on all voxels, with
         walls dear as its section 6.3 needs them. ``paper``: its formula (6.2) as printed, in which walls are cheap: it
-        follows edges. Both know no lumen and may leave it, ``search`` says where; their targets are not moved.
+        follows edges. Both know no lumen and may leave it, ``search`` says where if there is one; their targets are not
+        moved.
     graph
-        ``voxel``, or ``isoregion``: pruned as in paper 6.1.
+        ``voxel``, or ``isoregion``: pruned as in paper 6.1. Smaller where values are equal over some voxels, slower
+        wherever it was measured (benchmarks/README.md).
     airways
         Airways found before; they keep their root unless ``root`` is given.
 
@@ -57,14 +60,14 @@ def track_paths(
     -------
     TrackResult
         One entry per target, in order: a path, or the reason why there is none. Where no target has a path the tree is
-        the automatic one.
+        the automatic one, if any.
 
     Raises
     ------
     UsageError
         If a target is not a point in the volume, there is none, or cost or graph is unknown.
     NoResultError
-        If the airways cannot be found at all.
+        If the airways cannot be found at all, and the cost or ``root="auto"`` needs them.
 
     Examples
     --------
@@ -90,11 +93,22 @@ def track_paths(
     if isinstance(root, str) and root != "auto":
         msg = f"root: expected 'auto' or a point, found {root!r}"
         raise UsageError(msg)
+    if cost != "lumen":
+        return track_on_graph(
+            volume,
+            airways or _airways_at(volume, start, lumen_threshold, progress, cancel),
+            points,
+            cost=cost,
+            graph=graph,
+            root_lps=start,
+            progress=heard(progress),
+            cancel=cancel,
+        )
     if airways is None or (start is not None and not np.array_equal(as_point(start), airways.root_lps)):
         airways = find_airways(
             volume, root_lps=start, lumen_threshold=lumen_threshold, progress=progress, cancel=cancel
         )
-    if (cost, graph) != ("lumen", "voxel"):
+    if graph != "voxel":
         return track_on_graph(
             volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=heard(progress), cancel=cancel
         )
@@ -115,3 +129,29 @@ def track_paths(
     if found:
         tree = dataclasses.replace(airways.tracker.tree_to(found), notes=airways.badges)
     return TrackResult(tree, tuple(results), airways)
+
+
+def _airways_at(
+    volume: Volume,
+    root: Sequence[float] | NDArray[np.float64] | None,
+    lumen_threshold: float | None,
+    progress: ProgressChoice,
+    cancel: Cancel | None,
+) -> Airways | None:
+    """The airways from a root, to compare paths with; None where there is no lumen. Without a root they are a must.
+
+    From a point in a volume whose values are not HU anything may be taken for air, and a path be compared with it: none
+    are looked for there.
+    """
+    if root is not None and not volume.contains_lps(np.array(as_point(root))):
+        msg = f"the root {words(as_point(root))} lies outside the volume"
+        raise UsageError(msg)
+    if root is not None and not volume.is_hu:
+        return None
+    try:
+        return find_airways(volume, root_lps=root, lumen_threshold=lumen_threshold, progress=progress, cancel=cancel)
+    except NoResultError as error:
+        if root is None:
+            msg = f"{error}; the costs walls and paper need no airways, but a start point (root)"
+            raise NoResultError(msg, code=error.code) from error
+        return None

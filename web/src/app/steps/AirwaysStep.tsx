@@ -60,7 +60,7 @@ export function AirwaysStep() {
         kind="primary"
         label="Continue to the target"
         words="Next step"
-        disabled={!found}
+        disabled={!found && session.airways !== "failed"}
         onPress={() => station.toStep("target")}
       />
     </>

@@ -17,6 +17,13 @@ export function RehearseStep() {
   if (route === null) {
     return <p className="empty">Rehearsal follows a route. Choose a branch in the list above, or mark a target.</p>;
   }
+  if (!route.lumen_known) {
+    return (
+      <p className="empty">
+        This route was tracked without an airway lumen: there is no wall to hold a bronchoscope. It can be flown along.
+      </p>
+    );
+  }
   const scope = scopes?.find((each) => each.name === name) ?? null;
   const begin = (fromMm: number | null) => {
     // Out of the mode and in again: the scope is laid anew, and its contacts are counted from nought.

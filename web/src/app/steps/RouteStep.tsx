@@ -11,8 +11,9 @@ export function RouteStep() {
   const route = useApp((state) => state.route);
   const targets = useApp((state) => state.session?.targets ?? null);
   const doubts = route === null ? null : routeDoubts(route.spans);
-  const narrow = route === null ? null : narrowest(route);
-  const generation = route?.spans.at(-1)?.generation ?? null;
+  const known = route?.lumen_known ?? false;
+  const narrow = route === null || !known ? null : narrowest(route);
+  const generation = known ? (route?.spans.at(-1)?.generation ?? null) : null;
   return (
     <>
       {route === null ? (
@@ -27,15 +28,22 @@ export function RouteStep() {
               <Icon name="warning" /> {doubts}
             </p>
           )}
+          {known ? null : (
+            <p className="quiet" data-testid="lumen-unknown">
+              Tracked without an airway lumen: the calibre along this route is not known.
+            </p>
+          )}
           <dl className="facts">
             <div>
               <dt>Length</dt>
               <dd className="numbers">{mm(route.length_mm, 0)}</dd>
             </div>
-            <div>
-              <dt>Forks</dt>
-              <dd className="numbers">{route.forks_mm.length}</dd>
-            </div>
+            {known ? (
+              <div>
+                <dt>Forks</dt>
+                <dd className="numbers">{route.forks_mm.length}</dd>
+              </div>
+            ) : null}
             {generation === null ? null : (
               <div>
                 <dt>Generation</dt>

@@ -1,11 +1,12 @@
 import { useState } from "react";
 import { FieldError, Form, Input, Label, TextField } from "react-aria-components";
 import { keyOf } from "../../input/keymap";
-import { mm, parseCoordinates, sentence } from "../../state/format";
+import { coordinates, parseCoordinates, sentence } from "../../state/format";
+import { COST_WORDS, type PathCost, pathWords, startOf } from "../../state/path-search";
 import { asVec3, type Vec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
-import { Act } from "../controls";
+import { Act, Choice, SwitchKey } from "../controls";
 import { Icon } from "../icons";
 import { PenWords } from "../ToolTag";
 
@@ -15,11 +16,12 @@ export function TargetStep() {
   const armed = useApp((state) => state.ui.armed === "target");
   return (
     <>
+      <PathSearch />
       <Act
         kind="primary"
         icon="target"
         label={armed ? "Click in a view\u2026" : "Mark a target"}
-        words={armed ? "Stop marking" : "Click in any view to mark a target. The line shows the path to it."}
+        words={armed ? "Stop marking" : "Click in any view to mark a target. A line shows the path to it."}
         keys={keyOf("arm_target")}
         testId="arm-target"
         onPress={() => station.act("arm_target")}
@@ -39,9 +41,57 @@ export function TargetStep() {
   );
 }
 
+const COSTS: readonly PathCost[] = ["lumen", "walls", "paper"];
+
+/** What paths cost, and where those begin that need no airways. */
+function PathSearch() {
+  const station = useStation();
+  const cost = useApp((state) => state.ui.pathCost);
+  const found = useApp((state) => state.session?.airways === "found");
+  const armed = useApp((state) => state.ui.armed === "start");
+  // As text: a point would be another one each time.
+  const start = useApp((state) => {
+    const lps = startOf(state.ui, state.session);
+    return lps === null ? null : coordinates(lps);
+  });
+  return (
+    <div className="path-search" data-testid="path-search">
+      <h3>Path search</h3>
+      <Choice<PathCost>
+        name="Path search"
+        value={cost}
+        choices={COSTS.map((value) => ({ value, ...COST_WORDS[value] }))}
+        onChange={(chosen) => station.choosePathCost(chosen)}
+      />
+      {cost === "lumen" ? (
+        found ? null : (
+          <p className="quiet">
+            There are no airways to follow. In any scan, “Walls” finds a path between two points that you mark.
+          </p>
+        )
+      ) : (
+        <>
+          <p className="quiet numbers" data-testid="path-start">
+            Start: {start ?? "not marked yet"}
+          </p>
+          <SwitchKey
+            icon="root"
+            label={armed ? "Click in a view\u2026" : "Mark the start"}
+            words="Click in any view where the path should start. Targets that you have marked keep theirs."
+            on={armed}
+            testId="arm-start"
+            onChange={() => station.arm("start")}
+          />
+        </>
+      )}
+    </div>
+  );
+}
+
 export function TargetRow({ target }: { target: Target }) {
   const station = useStation();
   const chosen = useApp((state) => state.route?.target_id === target.target_id);
+  const isHu = useApp((state) => state.session?.case?.is_hu ?? false);
   return (
     <li className={chosen ? "target chosen" : "target"} data-testid="target">
       <span className={target.problem === null ? "diamond" : "diamond problem"}>
@@ -50,11 +100,8 @@ export function TargetRow({ target }: { target: Target }) {
       <div>
         <strong>{target.name}</strong>
         {target.problem === null ? (
-          <span className="quiet numbers">
-            {target.length_mm === null ? "" : `${mm(target.length_mm, 0)} from the tracheal entry`}
-            {target.snapped_mm === null || target.snapped_mm < 0.05
-              ? ""
-              : `, moved ${mm(target.snapped_mm)} into the lumen`}
+          <span className="quiet numbers" data-testid="target-words">
+            {pathWords(target, isHu)}
           </span>
         ) : (
           <span className="warning-text">{sentence(target.problem)}</span>
@@ -99,7 +146,7 @@ function Coordinates() {
       onSubmit={(event) => {
         event.preventDefault();
         if (point === null) return;
-        station.send({ type: "add_target", lps: point });
+        station.addTarget(point);
         setText("");
         // Done with typing: the keys fly again.
         if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
@@ -121,7 +168,7 @@ function Coordinates() {
           words="Add this point as a target"
           keys="Enter"
           disabled={point === null}
-          onPress={() => use((lps) => station.send({ type: "add_target", lps }))}
+          onPress={() => use((lps) => station.addTarget(lps))}
         />
         <Act
           label="Show"

@@ -1,0 +1,79 @@
+import { describe, expect, it } from "vitest";
+import type { Target } from "../wire/messages";
+import { isSamePen, pathWords, penMessage, startOf, targetMessage } from "./path-search";
+
+const TARGET: Target = {
+  target_id: "target-1",
+  name: "Target 1",
+  lps: [1, 2, 3],
+  used_lps: [1, 2, 3],
+  snapped_mm: 0,
+  length_mm: 139.4,
+  problem: null,
+  cost: "walls",
+  root_lps: [4, 5, 6],
+  outside_mm: null,
+  value_range: [116, 140],
+};
+const NOTHING = { targets: [], root_lps: null };
+
+describe("where a path begins", () => {
+  it("is the marked start, else that of the newest such path, else where the airways do", () => {
+    const session = {
+      targets: [TARGET, { ...TARGET, cost: "lumen" as const, root_lps: null }],
+      root_lps: [7, 8, 9] as const,
+    };
+    expect(startOf({ pathCost: "walls", pathStart: [0, 0, 1] }, session)).toEqual([0, 0, 1]);
+    expect(startOf({ pathCost: "walls", pathStart: null }, session)).toEqual([4, 5, 6]);
+    expect(startOf({ pathCost: "walls", pathStart: null }, { ...session, targets: [] })).toEqual([7, 8, 9]);
+    expect(startOf({ pathCost: "walls", pathStart: null }, NOTHING)).toBeNull();
+  });
+});
+
+describe("the command for a target", () => {
+  it("is as ever through the lumen", () => {
+    const search = { pathCost: "lumen", pathStart: [0, 0, 1] } as const;
+    expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual({ type: "add_target", lps: [1, 2, 3] });
+  });
+
+  it("names cost and start, and there is none without a start", () => {
+    const search = { pathCost: "paper", pathStart: [0, 0, 1] } as const;
+    const asked = { type: "add_target", lps: [1, 2, 3], cost: "paper", root_lps: [0, 0, 1] };
+    expect(targetMessage([1, 2, 3], search, NOTHING)).toEqual(asked);
+    expect(targetMessage([1, 2, 3], { ...search, pathStart: null }, NOTHING)).toBeNull();
+  });
+});
+
+describe("what the pen is to mark", () => {
+  it("is the tool in the hand, a target with its cost and start", () => {
+    const search = { pathCost: "walls", pathStart: [0, 0, 1] } as const;
+    expect(penMessage({ ...search, armed: "start" }, NOTHING)).toEqual({ type: "arm_pen", tool: "start" });
+    expect(penMessage({ ...search, armed: "cut" }, NOTHING)).toEqual({ type: "arm_pen", tool: null });
+    const target = penMessage({ ...search, armed: "target" }, NOTHING);
+    expect(target).toEqual({ type: "arm_pen", tool: "target", cost: "walls", root_lps: [0, 0, 1] });
+    expect(isSamePen(target, { ...target, root_lps: [0, 0, 1] })).toBe(true);
+    expect(isSamePen(target, { ...target, root_lps: [0, 0, 2] })).toBe(false);
+    expect(penMessage({ pathCost: "lumen", pathStart: null, armed: "target" }, NOTHING)).toEqual({
+      type: "arm_pen",
+      tool: "target",
+    });
+  });
+});
+
+describe("what is told of a path", () => {
+  it("says what is not known, and the values along it", () => {
+    expect(pathWords(TARGET, false)).toBe(
+      "139\u202fmm from the start, cost walls, not compared with a lumen, values 116 to 140",
+    );
+    expect(pathWords({ ...TARGET, outside_mm: 12.4, value_range: [-990, 40] }, true)).toBe(
+      "139\u202fmm from the start, cost walls, 12\u202fmm outside the lumen, values -990 to 40 HU",
+    );
+    expect(pathWords({ ...TARGET, outside_mm: 0 }, false)).toContain("all in the lumen");
+  });
+
+  it("is as ever through the lumen", () => {
+    const target = { ...TARGET, cost: "lumen" as const, root_lps: null, snapped_mm: 1.25 };
+    expect(pathWords(target, true)).toMatch(/^139\u202fmm from the tracheal entry, moved 1\.3\u202fmm into the lumen$/);
+    expect(pathWords({ ...target, length_mm: null }, true)).toBe("");
+  });
+});

@@ -1,0 +1,80 @@
+/** How the path to the next target is searched: through the lumen, or by the paper's costs through any scan. */
+
+import type { AddTargetMessage, ArmPenMessage, StateMessage, Target } from "../wire/messages";
+import { mm } from "./format";
+import { marksByPen } from "./pen";
+import type { Armed } from "./tools";
+import { asVec3, type Vec3 } from "./vec";
+
+export type PathCost = Target["cost"];
+
+export const COST_WORDS: Readonly<Record<PathCost, { readonly label: string; readonly words: string }>> = {
+  lumen: { label: "Lumen", words: "Follow the middle of the segmented airways" },
+  walls: {
+    label: "Walls",
+    words: "Search the whole scan; walls are costly (section 6.3 of the paper). Needs a start point, but no airways.",
+  },
+  paper: {
+    label: "Paper",
+    words:
+      "Search the whole scan with the formula of section 6.2 as printed. Walls are cheap in it: the path follows edges.",
+  },
+};
+
+interface Search {
+  readonly pathCost: PathCost;
+  readonly pathStart: Vec3 | null;
+}
+
+/** Where the path would begin: the marked start, else that of the newest such path, else where the airways do. */
+export function startOf(ui: Search, session: Pick<StateMessage, "targets" | "root_lps"> | null): Vec3 | null {
+  if (ui.pathStart !== null) return ui.pathStart;
+  const before = session?.targets.findLast((target) => target.root_lps !== null)?.root_lps ?? null;
+  const start = before ?? session?.root_lps ?? null;
+  return start === null ? null : asVec3(start);
+}
+
+/** The command for a target; null where its path has no start yet. */
+export function targetMessage(
+  lps: Vec3,
+  ui: Search,
+  session: Pick<StateMessage, "targets" | "root_lps"> | null,
+): AddTargetMessage | null {
+  if (ui.pathCost === "lumen") return { type: "add_target", lps };
+  const start = startOf(ui, session);
+  return start === null ? null : { type: "add_target", lps, cost: ui.pathCost, root_lps: start };
+}
+
+/** What the pen's button is to mark. */
+export function penMessage(
+  ui: Search & { readonly armed: Armed | null },
+  session: Pick<StateMessage, "targets" | "root_lps"> | null,
+): ArmPenMessage {
+  const tool = marksByPen(ui.armed) ? ui.armed : null;
+  if (tool !== "target" || ui.pathCost === "lumen") return { type: "arm_pen", tool };
+  return { type: "arm_pen", tool, cost: ui.pathCost, root_lps: startOf(ui, session) };
+}
+
+export function isSamePen(one: ArmPenMessage, other: ArmPenMessage): boolean {
+  const start = (message: ArmPenMessage) => message.root_lps?.join(" ") ?? null;
+  return one.tool === other.tool && one.cost === other.cost && start(one) === start(other);
+}
+
+/** What is known of a target's path, in words. */
+export function pathWords(target: Target, isHu: boolean): string {
+  if (target.length_mm === null) return "";
+  if (target.cost === "lumen") {
+    const moved =
+      target.snapped_mm === null || target.snapped_mm < 0.05 ? "" : `, moved ${mm(target.snapped_mm)} into the lumen`;
+    return `${mm(target.length_mm, 0)} from the tracheal entry${moved}`;
+  }
+  const parts = [`${mm(target.length_mm, 0)} from the start`, `cost ${target.cost}`];
+  if (target.outside_mm !== null) {
+    parts.push(target.outside_mm < 0.05 ? "all in the lumen" : `${mm(target.outside_mm, 0)} outside the lumen`);
+  } else parts.push("not compared with a lumen");
+  if (target.value_range !== null) {
+    const [low, high] = target.value_range;
+    parts.push(`values ${low} to ${high}${isHu ? " HU" : ""}`);
+  }
+  return parts.join(", ");
+}
