@@ -523,6 +523,26 @@ def extend_lumen(
 ) -> dict[str, Any]:
     """Adds 2 to a lumen of 1 in place; num_voxels, num_reached, ran_out, enclosed, followed [points_lps, ...]."""
 
+def extend_thin_lumen(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    lumen_zyx: NDArray[np.uint8],
+    *,
+    air: float,
+    lung: tuple[int, int],
+    brightest: int,
+    least_wall: float,
+    least_dip: float,
+    kept_dip: float,
+    blur_mm: float,
+    min_length_mm: float,
+    min_side_mm: float,
+    most_reached: float,
+    cancel: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Adds 2 to a lumen of 1 in place; num_reached, ran_out, followed [points_lps, length_mm, contrast]."""
+
 def mix_with_blurs(
     values_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],

@@ -4,9 +4,10 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::find::extension::{ExtensionLimits, extend};
+use carina_airpath::find::extension::{ExtensionLimits, Followed, extend};
 use carina_airpath::find::soft::{Blur, CutOff, keep_cut_off_air, mixed};
-use carina_grid::{Ijk, VolumeView};
+use carina_airpath::find::thin::{ThinLimits, extend_thin};
+use carina_grid::{Grid, Ijk, VolumeView};
 use carina_leastcost::TrackError;
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
@@ -42,23 +43,7 @@ fn extend_lumen<'py>(
     let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
     let data = arrays::values("values_zyx", &values_zyx)?;
     let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
-    if lumen_zyx.shape() != values_zyx.shape() {
-        return Err(TrackError::Argument {
-            what: "lumen_zyx",
-            expected: format!("the volume's shape {:?}", values_zyx.shape()),
-            found: format!("{:?}", lumen_zyx.shape()),
-        }
-        .into_py());
-    }
-    let found = format!("strides {:?}", lumen_zyx.strides());
-    let lumen = lumen_zyx.as_slice_mut().map_err(|_| {
-        TrackError::Argument {
-            what: "lumen_zyx",
-            expected: "a contiguous array".to_owned(),
-            found,
-        }
-        .into_py()
-    })?;
+    let lumen = lumen_of(&mut lumen_zyx, values_zyx.shape())?;
     let limits = ExtensionLimits {
         air,
         lung,
@@ -78,8 +63,88 @@ fn extend_lumen<'py>(
     report.set_item("enclosed", extension.enclosed)?;
     report.set_item("num_reached", extension.num_reached)?;
     report.set_item("ran_out", extension.ran_out)?;
-    let followed = PyList::empty(py);
-    for path in extension.followed {
+    report.set_item("followed", followed_list(py, &grid, extension.followed)?)?;
+    Ok(report)
+}
+
+/// Follow the thinnest airways from a lumen; `lumen_zyx` (1 inside) is changed in place, what is added gets 2.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_wall, least_dip, kept_dip, blur_mm, min_length_mm, min_side_mm, most_reached, cancel=None, progress=None))]
+fn extend_thin_lumen<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    mut lumen_zyx: PyReadwriteArray3<'py, u8>,
+    air: f64,
+    lung: (i16, i16),
+    brightest: i16,
+    least_wall: f64,
+    least_dip: f64,
+    kept_dip: f64,
+    blur_mm: f64,
+    min_length_mm: f64,
+    min_side_mm: f64,
+    most_reached: f64,
+    cancel: Option<Py<PyAny>>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+    let data = arrays::values("values_zyx", &values_zyx)?;
+    let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
+    let lumen = lumen_of(&mut lumen_zyx, values_zyx.shape())?;
+    let limits = ThinLimits {
+        air,
+        lung,
+        brightest,
+        least_wall,
+        least_dip,
+        kept_dip,
+        blur_mm,
+        min_length_mm,
+        min_side_mm,
+        most_reached,
+    };
+    let watch = PyWatch::new(cancel, progress);
+    let thin = py
+        .detach(|| extend_thin(view, lumen, &limits, &watch))
+        .map_err(|e| watch.error(e))?;
+    let report = PyDict::new(py);
+    report.set_item("num_reached", thin.num_reached)?;
+    report.set_item("ran_out", thin.ran_out)?;
+    report.set_item("followed", followed_list(py, &grid, thin.followed)?)?;
+    Ok(report)
+}
+
+fn lumen_of<'a>(
+    lumen_zyx: &'a mut PyReadwriteArray3<'_, u8>,
+    shape_zyx: &[usize],
+) -> PyResult<&'a mut [u8]> {
+    if lumen_zyx.shape() != shape_zyx {
+        return Err(TrackError::Argument {
+            what: "lumen_zyx",
+            expected: format!("the volume's shape {shape_zyx:?}"),
+            found: format!("{:?}", lumen_zyx.shape()),
+        }
+        .into_py());
+    }
+    let found = format!("strides {:?}", lumen_zyx.strides());
+    lumen_zyx.as_slice_mut().map_err(|_| {
+        TrackError::Argument {
+            what: "lumen_zyx",
+            expected: "a contiguous array".to_owned(),
+            found,
+        }
+        .into_py()
+    })
+}
+
+fn followed_list<'py>(
+    py: Python<'py>,
+    grid: &Grid,
+    followed: Vec<Followed>,
+) -> PyResult<Bound<'py, PyList>> {
+    let list = PyList::empty(py);
+    for path in followed {
         let points: Vec<[f64; 3]> = path
             .voxels
             .iter()
@@ -93,10 +158,9 @@ fn extend_lumen<'py>(
         dict.set_item("points_lps", array.into_pyarray(py))?;
         dict.set_item("length_mm", path.length_mm)?;
         dict.set_item("contrast", path.contrast)?;
-        followed.append(dict)?;
+        list.append(dict)?;
     }
-    report.set_item("followed", followed)?;
-    Ok(report)
+    Ok(list)
 }
 
 /// A share of each value and blurs of the volume (weight, sigma in mm) along the chosen axes.
@@ -171,6 +235,7 @@ fn keep_cut_off_air_of<'py>(
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(extend_lumen, module)?)?;
+    module.add_function(wrap_pyfunction!(extend_thin_lumen, module)?)?;
     module.add_function(wrap_pyfunction!(mix_with_blurs, module)?)?;
     module.add_function(wrap_pyfunction!(keep_cut_off_air_of, module)?)
 }

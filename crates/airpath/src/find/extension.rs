@@ -59,7 +59,7 @@ pub fn extend(
             found: e.to_string(),
         })?;
         let open = open_from(values, &smooth, lumen, &reached, levels);
-        let mut search = Search::new(view, lumen, &reached, &open, levels);
+        let mut search = Search::new(values, view, lumen, &reached, &open, levels);
         followed = search.follow(limits, watch)?;
         kept = search.filled(&smooth, &followed);
     }

@@ -8,6 +8,7 @@ use carina_grid::VolumeView;
 use crate::find::extension_levels::{ExtensionLimits, Followed, LUMEN, Levels};
 use crate::find::extension_reach::{Faces, Node, places};
 use crate::find::extension_verdict::{Blur, looks_like_airway};
+use crate::find::thin_profile::Profile;
 use crate::find::tubeness::{REACH_MM, Section, section};
 use carina_leastcost::{TrackError, Watch};
 
@@ -53,6 +54,7 @@ impl Path {
 
 /// The least-cost ways from the lumen through what was reached.
 pub(crate) struct Search<'a> {
+    values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
     faces: Faces,
     reached: &'a [Node],
@@ -66,6 +68,7 @@ pub(crate) struct Search<'a> {
 
 impl<'a> Search<'a> {
     pub(crate) fn new(
+        values: VolumeView<'a, i16>,
         smooth: VolumeView<'a, i16>,
         lumen: &[u8],
         reached: &'a [Node],
@@ -117,6 +120,7 @@ impl<'a> Search<'a> {
             });
         }
         Self {
+            values,
             smooth,
             faces,
             reached,
@@ -214,13 +218,22 @@ impl<'a> Search<'a> {
         }
         let (_, num, length_mm) = best;
         let straight_mm = self.straight_mm(&way[..num]);
-        (straight_mm >= limits.min_length_mm && sum_at_best >= self.levels.kept * length_mm).then(
-            || Path {
-                nodes: way[..num].to_vec(),
-                radius_mm: sections[..num].iter().map(|s| s.radius_mm).collect(),
-                length_mm: straight_mm,
-            },
-        )
+        let is_airway = straight_mm >= limits.min_length_mm
+            && sum_at_best >= self.levels.kept * length_mm
+            && self.is_round(&way[..num]);
+        is_airway.then(|| Path {
+            nodes: way[..num].to_vec(),
+            radius_mm: sections[..num].iter().map(|s| s.radius_mm).collect(),
+            length_mm: straight_mm,
+        })
+    }
+
+    fn is_round(&self, way: &[u32]) -> bool {
+        let voxels: Vec<u32> = way
+            .iter()
+            .map(|n| self.reached[*n as usize].voxel)
+            .collect();
+        Profile::of(self.values, &voxels).is_none_or(|profile| profile.is_round())
     }
 
     /// Length of a way without its steps to and fro between voxels: from one place to the next a slice away.

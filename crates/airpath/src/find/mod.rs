@@ -10,8 +10,14 @@ pub mod flood;
 mod lungs;
 pub mod soft;
 mod spots;
+pub mod thin;
+mod thin_profile;
+mod thin_reach;
 pub mod trachea;
+mod tube_filter;
 pub mod tubeness;
 
 #[cfg(test)]
 mod extension_tests;
+#[cfg(test)]
+mod thin_tests;

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina._core import extend_lumen
+from carina._core import extend_lumen, extend_thin_lumen
 from carina.track.find.kernel import edge_undershoot_hu
 from carina.track.find.root_checks import LUNG_HU
 from carina.track.find.softened import Softened
 from carina.track.levels import AirScale
 from carina.track.stages import Stages
-from carina.volume.model import Note
+from carina.volume.model import Note, Volume
 
 __all__ = ["STOPPED", "Beyond", "follow_beyond"]
 
@@ -47,6 +47,19 @@ SHARP_BARS = (3.0, 5.0)
 MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
+
+# The thinnest, which are bright threads with a dark middle (docs/decisions/0060). A wall is brighter than lung; a dip
+# of so much, averaged over 5 mm, is none of the lung's; what blurs a CT, beside its voxels, is at most so wide (sigma).
+THIN_BRIGHTEST_HU = -400.0
+THIN_LEAST_WALL_HU = -700.0
+THIN_LEAST_DIP_HU = 22.0
+THIN_KEPT_DIP_HU = 20.0
+THIN_BLUR_MM = 0.85
+# An airway leads at least so far, in mm, in slices and in voxels: noise of one shows in its neighbours too. Where it
+# leaves from the side of another it leads farther: vessels and walls close off shorter strands of lung.
+THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
+THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 4.5, 4.0, 6.0
+MOST_REACHED_THIN = 0.1
 
 SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
 
@@ -102,13 +115,15 @@ def follow_beyond(
             break
         ran_out = True
         lumen[lumen > 1] = 0
+    np.minimum(lumen, 1, out=lumen)
+    if not (is_sharp or is_softened or ran_out):
+        followed = followed + _thin(volume, lumen, scale, stage, air=air)
     notes = []
     if followed:
         notes.append(
             f"{_length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were traced by the "
             "shape of their walls where the lumen is no darker than the lung"
         )
-    np.minimum(lumen, 1, out=lumen)
     # What the CT shows, before it was softened.
     rims_hu = searched.undershoot_hu if is_softened else undershoot_hu
     rims = f"the sharp kernel of this CT produces dark rims ({rims_hu or 0.0:.0f} HU) next to vessels"
@@ -131,6 +146,33 @@ def follow_beyond(
     kept = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
+
+
+def _thin(
+    volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float
+) -> list[dict[str, Any]]:
+    """Follow the thinnest airways from ``lumen`` (1 inside, changed in place)."""
+    _, voxel_mm, slice_mm = sorted(volume.spacing_mm)
+    found = extend_thin_lumen(
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        lumen,
+        air=air,
+        lung=(scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])),
+        brightest=scale.level(THIN_BRIGHTEST_HU),
+        least_wall=scale.level(THIN_LEAST_WALL_HU),
+        least_dip=scale.span(THIN_LEAST_DIP_HU),
+        kept_dip=scale.span(THIN_KEPT_DIP_HU),
+        blur_mm=THIN_BLUR_MM,
+        min_length_mm=max(THIN_MIN_MM, THIN_MIN_SLICES * slice_mm, THIN_MIN_VOXELS * voxel_mm),
+        min_side_mm=max(THIN_SIDE_MM, THIN_SIDE_SLICES * slice_mm, THIN_SIDE_VOXELS * voxel_mm),
+        most_reached=MOST_REACHED_THIN,
+        cancel=stage.cancel,
+        progress=stage.share,
+    )
+    np.minimum(lumen, 1, out=lumen)
+    followed: list[dict[str, Any]] = found["followed"]
+    return followed
 
 
 def _length_mm(followed: Sequence[dict[str, Any]]) -> float:

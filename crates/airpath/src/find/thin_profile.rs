@@ -1,0 +1,358 @@
+//! What a CT shows round a way, averaged along it, and how much of the way is a thin airway.
+
+use carina_grid::VolumeView;
+use carina_leastcost::lumen::interpolated;
+
+use crate::find::tube_filter::{NUM_SIDES, ROUNDNESS, ThinSection, across, sides};
+
+/// Places along a way are so far apart, mm.
+pub(crate) const EVERY_MM: f64 = 0.5;
+/// Values are averaged over so many places to both sides: 5 mm.
+const NUM_MEAN: usize = 5;
+/// Steps from voxel to voxel are smoothed out, and the direction is taken, over so many places to both sides.
+const NUM_SMOOTHED: usize = 2;
+const NUM_DIRECTION: usize = 3;
+/// A way from voxel to voxel is moved to its darkest by so much across it, mm, so many times.
+const OFFSETS_MM: [f64; 2] = [0.25, 0.5];
+const NUM_OFFSETS: usize = 1 + 8 * OFFSETS_MM.len();
+const NUM_CENTRED: usize = 2;
+/// Distances from the middle at which values are read, mm.
+const DISTANCES_MM: [f64; 8] = [0.6, 0.8, 1.0, 1.25, 1.6, 2.1, 2.6, 3.2];
+/// The crest of a wall is looked for at the first so many.
+const NUM_CRESTS: usize = 6;
+/// What a place may give a way, in thresholds: one bright wall must not pay for a long way without.
+const MOST_GAIN: f64 = 3.0;
+/// Of what is kept the mean is at least this many thresholds, and this share looks like an airway.
+const KEPT_MEAN: f64 = 1.2;
+const KEPT_SHARE: f64 = 0.75;
+/// The wall of a thin airway is thin: its crest lies so near, mm, behind it there is lung on so many of 8 sides (an artery
+/// lies along the others), and its radius is as steady as this (standard deviation, mm).
+const FARTHEST_CREST_MM: f64 = 1.3;
+const LEAST_THIN: f64 = 4.5;
+const STEADY_MM: f64 = 0.06;
+
+/// In its first places a way may be brighter than it is by so much of the wall's rise.
+const NUM_FIRST: usize = 4;
+const OPENNESS: f64 = 0.5;
+
+/// Of a whole way the second darkest side rises at least this share of the median side.
+const ROUND_WAY: f64 = 0.4;
+/// Walls farther out than this are not seen well enough to say on how many sides they are, mm.
+const WIDE_MM: f64 = 1.3;
+
+/// A way's places, each with what is seen round 5 mm of the way.
+#[derive(Debug, Clone)]
+pub(crate) struct Profile {
+    pub(crate) places: Vec<Place>,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Place {
+    /// Steps of mm along the grid's axes.
+    pub(crate) mm: [f64; 3],
+    /// In the middle, of this place alone and of the mean.
+    own: f64,
+    pub(crate) middle: f64,
+    /// How far the second darkest side rises over the middle.
+    dip: f64,
+    /// How far the median side does.
+    pub(crate) rise: f64,
+    /// Where the median side is half-way up, mm.
+    pub(crate) radius_mm: f64,
+    /// Where the median side is brightest, mm.
+    crest_mm: f64,
+    /// The darkest value of each side farther out.
+    beyond: [f64; NUM_SIDES],
+}
+
+/// What is asked of a way.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Asked {
+    pub(crate) section: ThinSection,
+    pub(crate) dip: f64,
+    pub(crate) length_mm: f64,
+}
+
+impl Profile {
+    /// Of the way through voxels that touch each other; none where there is but one place.
+    pub(crate) fn of(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
+        let curve = evenly(values, voxels);
+        (curve.len() > 1).then(|| Self::along(values, &curve))
+    }
+
+    /// The same, of the way moved to its darkest.
+    pub(crate) fn centred(values: VolumeView<'_, i16>, voxels: &[u32]) -> Option<Self> {
+        let curve = evenly(values, voxels);
+        let moved = |curve: Vec<[f64; 3]>, _| centred(&curve, |mm| value_at(values, mm));
+        (curve.len() > 1).then(|| Self::along(values, &(0..NUM_CENTRED).fold(curve, moved)))
+    }
+
+    fn along(values: VolumeView<'_, i16>, curve: &[[f64; 3]]) -> Self {
+        let spacing = values.grid().spacing_mm();
+        let at = |mm| value_at(values, mm);
+        let last = curve.len() - 1;
+        let seen: Vec<Seen> = frames(curve)
+            .zip(curve)
+            .map(|([first, second], middle)| {
+                let sides = sides(first, second, spacing);
+                Seen {
+                    middle: at(*middle),
+                    walls: DISTANCES_MM.map(|distance| {
+                        sides.map(|side| {
+                            let out = side.at(distance);
+                            at(std::array::from_fn(|a| middle[a] + out[a]))
+                        })
+                    }),
+                }
+            })
+            .collect();
+        let places = (0..curve.len())
+            .map(|n| {
+                let near = &seen[n.saturating_sub(NUM_MEAN)..=(n + NUM_MEAN).min(last)];
+                Place::of_mean(curve[n], seen[n].middle, near)
+            })
+            .collect();
+        Self { places }
+    }
+
+    /// How many of the places, from the first, are an airway: as far as following it pays, if that is enough for one.
+    pub(crate) fn kept(&self, asked: &Asked) -> usize {
+        let (mut gain, mut most, mut num) = (0.0, 0.0, 0);
+        let looks: Vec<bool> = self.places.iter().map(|p| p.looks_like(asked)).collect();
+        for (n, (place, looks)) in self.places.iter().zip(&looks).enumerate() {
+            gain += if *looks {
+                (place.dip / asked.dip).min(MOST_GAIN) - 1.0
+            } else {
+                -1.0
+            };
+            if gain > most {
+                (most, num) = (gain, n + 1);
+            }
+        }
+        if num == 0 || length_mm(num) < asked.length_mm {
+            return 0;
+        }
+        let sum: f64 = self.places[..num]
+            .iter()
+            .map(|p| p.dip.min(MOST_GAIN * asked.dip))
+            .sum();
+        let alike = looks[..num].iter().filter(|l| **l).count();
+        let is_kept =
+            sum >= KEPT_MEAN * asked.dip * num as f64 && alike as f64 >= KEPT_SHARE * num as f64;
+        if is_kept && self.is_open(num) && self.is_a_thread(num, &asked.section) {
+            num
+        } else {
+            0
+        }
+    }
+
+    /// Whether the wall is as thin as an airway's of that width, and that wide all along: what vessels close off is not.
+    fn is_a_thread(&self, num: usize, section: &ThinSection) -> bool {
+        let places = &self.places[..num];
+        let mean =
+            |value: &dyn Fn(&Place) -> f64| places.iter().map(value).sum::<f64>() / num as f64;
+        let radius_mm = mean(&|p| p.radius_mm);
+        let varies_mm = mean(&|p| (p.radius_mm - radius_mm).powi(2)).sqrt();
+        median(places, |p| p.crest_mm) <= FARTHEST_CREST_MM
+            && mean(&|p| p.num_thin(section)) >= LEAST_THIN
+            && varies_mm <= STEADY_MM
+    }
+
+    /// Whether the lumen opens into the one it leaves from: a way that begins in that one's wall leads to lung beside it.
+    fn is_open(&self, num: usize) -> bool {
+        let places = &self.places[..num];
+        let first = &places[..NUM_FIRST.min(num)];
+        let brightest = first.iter().map(|p| p.own).fold(f64::MIN, f64::max);
+        brightest - median(places, |p| p.own) <= OPENNESS * median(places, |p| p.rise)
+    }
+
+    /// Whether the wall is on all sides: a groove between a vessel and a wall is open on one. Wide lumens are not asked.
+    pub(crate) fn is_round(&self) -> bool {
+        median(&self.places, |p| p.radius_mm) > WIDE_MM
+            || median(&self.places, |p| p.dip / p.rise.max(1.0)) >= ROUND_WAY
+    }
+
+    /// Mean dip of the first places.
+    pub(crate) fn mean_dip(&self, num: usize) -> f64 {
+        self.places[..num].iter().map(|p| p.dip).sum::<f64>() / num.max(1) as f64
+    }
+}
+
+fn median(places: &[Place], value: impl Fn(&Place) -> f64) -> f64 {
+    let mut values: Vec<f64> = places.iter().map(value).collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Length of so many places.
+pub(crate) fn length_mm(num: usize) -> f64 {
+    EVERY_MM * num as f64
+}
+
+fn value_at(values: VolumeView<'_, i16>, mm: [f64; 3]) -> f64 {
+    let spacing = values.grid().spacing_mm();
+    f64::from(interpolated(
+        values,
+        std::array::from_fn(|a| mm[a] / spacing[a]),
+    ))
+}
+
+/// Values at one place.
+struct Seen {
+    middle: f64,
+    walls: [[f64; NUM_SIDES]; DISTANCES_MM.len()],
+}
+
+impl Place {
+    fn of_mean(mm: [f64; 3], own: f64, near: &[Seen]) -> Self {
+        let mean =
+            |value: &dyn Fn(&Seen) -> f64| near.iter().map(value).sum::<f64>() / near.len() as f64;
+        let middle = mean(&|seen| seen.middle);
+        let (mut dip, mut rises) = (f64::NEG_INFINITY, [0.0; NUM_CRESTS]);
+        let ring: [[f64; NUM_SIDES]; DISTANCES_MM.len()] = std::array::from_fn(|d| {
+            std::array::from_fn(|side| mean(&|seen| seen.walls[d][side]) - middle)
+        });
+        for (d, rise) in rises.iter_mut().enumerate() {
+            let mut sides = ring[d];
+            sides.sort_by(f64::total_cmp);
+            dip = dip.max(sides[1]);
+            *rise = 0.5 * (sides[NUM_SIDES / 2 - 1] + sides[NUM_SIDES / 2]);
+        }
+        let crest = (0..rises.len())
+            .max_by(|a, b| rises[*a].total_cmp(&rises[*b]))
+            .unwrap_or(0);
+        let half = 0.5 * rises[crest];
+        let outer = (0..=crest).find(|d| rises[*d] >= half).unwrap_or(crest);
+        let (r, rise) = if outer == 0 {
+            (0.0, 0.0)
+        } else {
+            (DISTANCES_MM[outer - 1], rises[outer - 1])
+        };
+        let share = ((half - rise) / (rises[outer] - rise).max(1e-9)).clamp(0.0, 1.0);
+        Self {
+            mm,
+            own,
+            middle,
+            dip,
+            rise: rises[crest],
+            radius_mm: r + share * (DISTANCES_MM[outer] - r),
+            beyond: std::array::from_fn(|side| {
+                ring[crest + 1..]
+                    .iter()
+                    .map(|r| r[side])
+                    .fold(f64::MAX, f64::min)
+                    + middle
+            }),
+            crest_mm: DISTANCES_MM[crest],
+        }
+    }
+
+    /// Sides with lung behind the wall.
+    fn num_thin(&self, section: &ThinSection) -> f64 {
+        let most = section.beyond(self.middle + self.rise);
+        self.beyond.iter().filter(|side| **side < most).count() as f64
+    }
+
+    fn looks_like(&self, asked: &Asked) -> bool {
+        let wall = self.middle + self.rise;
+        self.rise > 0.0
+            && wall >= asked.section.least_wall
+            && self.dip >= ROUNDNESS * self.rise
+            && asked.section.is_dark(self.middle, wall, self.radius_mm)
+    }
+}
+
+/// At each place of a curve two unit vectors across it, turned as little as may be from one place to the next.
+fn frames(curve: &[[f64; 3]]) -> impl Iterator<Item = [[f64; 3]; 2]> {
+    let last = curve.len() - 1;
+    let mut up = None;
+    (0..curve.len()).map(move |n| {
+        let (a, b) = (
+            n.saturating_sub(NUM_DIRECTION),
+            (n + NUM_DIRECTION).min(last),
+        );
+        let along = carina_grid::unit(std::array::from_fn(|x| curve[b][x] - curve[a][x]))
+            .unwrap_or([0.0, 0.0, 1.0]);
+        // Sides keep their place round the way: the one before, without its part along it.
+        let first = up
+            .and_then(|before: [f64; 3]| {
+                let part = carina_grid::dot(before, along);
+                carina_grid::unit(std::array::from_fn(|a| before[a] - part * along[a]))
+            })
+            .unwrap_or_else(|| across(along).0);
+        up = Some(first);
+        [first, carina_grid::cross(along, first)]
+    })
+}
+
+/// The curve moved to where the CT along it is darkest: a way from voxel to voxel cuts corners.
+fn centred(curve: &[[f64; 3]], at: impl Fn([f64; 3]) -> f64) -> Vec<[f64; 3]> {
+    let last = curve.len() - 1;
+    let moved = |n: usize, frame: &[[f64; 3]; 2], offset: [f64; 2]| -> [f64; 3] {
+        std::array::from_fn(|a| curve[n][a] + offset[0] * frame[0][a] + offset[1] * frame[1][a])
+    };
+    let frames: Vec<[[f64; 3]; 2]> = frames(curve).collect();
+    let seen: Vec<[f64; NUM_OFFSETS]> = (0..=last)
+        .map(|n| std::array::from_fn(|o| at(moved(n, &frames[n], offset_mm(o)))))
+        .collect();
+    let darkest: Vec<[f64; 3]> = (0..=last)
+        .map(|n| {
+            let near = &seen[n.saturating_sub(NUM_MEAN)..=(n + NUM_MEAN).min(last)];
+            let sum = |o: usize| near.iter().map(|values| values[o]).sum::<f64>();
+            let best = (0..NUM_OFFSETS)
+                .min_by(|a, b| sum(*a).total_cmp(&sum(*b)))
+                .unwrap_or(0);
+            moved(n, &frames[n], offset_mm(best))
+        })
+        .collect();
+    smoothed(&darkest)
+}
+
+/// Offsets across a way: none, and 8 round it at each distance, mm.
+fn offset_mm(n: usize) -> [f64; 2] {
+    let Some(n) = n.checked_sub(1) else {
+        return [0.0; 2];
+    };
+    let (sin, cos) = (std::f64::consts::TAU * (n % 8) as f64 / 8.0).sin_cos();
+    let mm = OFFSETS_MM[n / 8];
+    [mm * cos, mm * sin]
+}
+
+/// Each place the mean of those near it.
+fn smoothed(curve: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let last = curve.len().saturating_sub(1);
+    (0..curve.len())
+        .map(|n| {
+            let reach = NUM_SMOOTHED.min(n).min(last - n);
+            let near = &curve[n - reach..=n + reach];
+            std::array::from_fn(|a| near.iter().map(|p| p[a]).sum::<f64>() / near.len() as f64)
+        })
+        .collect()
+}
+
+/// Places at even distances along the way, its steps from voxel to voxel smoothed out.
+fn evenly(values: VolumeView<'_, i16>, voxels: &[u32]) -> Vec<[f64; 3]> {
+    let grid = values.grid();
+    let spacing = grid.spacing_mm();
+    let corners: Vec<[f64; 3]> = voxels
+        .iter()
+        .map(|v| {
+            let ijk = grid.voxel(*v as usize);
+            std::array::from_fn(|a| ijk[a] as f64 * spacing[a])
+        })
+        .collect();
+    let mut even = Vec::new();
+    let mut next_mm = 0.0;
+    let mut along_mm = 0.0;
+    for pair in corners.windows(2) {
+        let step: [f64; 3] = std::array::from_fn(|a| pair[1][a] - pair[0][a]);
+        let step_mm = carina_grid::length(step);
+        while next_mm <= along_mm + step_mm {
+            let share = (next_mm - along_mm) / step_mm;
+            even.push(std::array::from_fn(|a| pair[0][a] + share * step[a]));
+            next_mm += EVERY_MM;
+        }
+        along_mm += step_mm;
+    }
+    smoothed(&even)
+}

@@ -1,0 +1,237 @@
+//! Voxels that thin airways may lead through, from the lumen outwards, and the least-cost ways through them.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use carina_grid::Grid;
+use carina_leastcost::{TrackError, Watch};
+use rayon::prelude::*;
+
+use crate::find::extension_levels::LUMEN;
+
+/// How far ways lead from the lumen, and later on, through voxels without a dip, mm; half as far at that price.
+const FIRST_MM: f32 = 1.0;
+const MOST_MM: f32 = 4.0;
+/// Of a voxel's dip over what is asked for, less 1: what a mm of it adds to or takes from that way, and at most.
+const PRICE: f32 = 2.0;
+const MOST_GAIN: f32 = 0.5;
+/// A better way to a voxel is one that may lead so much farther, mm.
+const BETTER_MM: f32 = 0.05;
+
+/// A voxel that was reached.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Node {
+    pub(crate) voxel: u32,
+    pub(crate) dip: i16,
+    /// As far a way may lead on without a dip, mm.
+    left_mm: f32,
+}
+
+/// All that was reached.
+#[derive(Debug)]
+pub(crate) struct Reached {
+    pub(crate) nodes: Vec<Node>,
+    /// Where each voxel stands among the nodes.
+    at: VoxelMap,
+    around: Neighbours,
+}
+
+impl Reached {
+    /// What can be reached from the lumen; it ends with more than `most` voxels. Voxels without a dip that may be
+    /// measured have none.
+    pub(crate) fn from_lumen(
+        grid: &Grid,
+        lumen: &[u8],
+        dip: impl Fn(usize) -> Option<i16> + Sync,
+        asked: f64,
+        most: usize,
+        watch: &impl Watch,
+    ) -> Result<Self, TrackError> {
+        let around = Neighbours::new(grid);
+        let mut at = VoxelMap::new(lumen.len());
+        let mut nodes: Vec<Node> = Vec::new();
+        let mut wave: Vec<(u32, f32)> = Vec::new();
+        for here in 0..lumen.len() {
+            if lumen[here] == LUMEN {
+                around.each(here, |next, _| {
+                    if lumen[next] != LUMEN {
+                        wave.push((next as u32, FIRST_MM));
+                    }
+                });
+            }
+        }
+        while !wave.is_empty() && nodes.len() <= most {
+            watch.go_on(0.0)?;
+            // The best of the ways to each.
+            wave.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+            wave.dedup_by_key(|(voxel, _)| *voxel);
+            let dips: Vec<Option<i16>> = wave
+                .par_iter()
+                .map(|(voxel, _)| match at.get(*voxel) {
+                    Some(n) => Some(nodes[n as usize].dip),
+                    None => dip(*voxel as usize),
+                })
+                .collect();
+            let mut next_wave = Vec::new();
+            for ((voxel, left_mm), dip) in wave.drain(..).zip(dips) {
+                let Some(dip) = dip else { continue };
+                if let Some(n) = at.get(voxel) {
+                    let node = &mut nodes[n as usize];
+                    if left_mm <= node.left_mm + BETTER_MM {
+                        continue;
+                    }
+                    node.left_mm = left_mm;
+                } else {
+                    at.set(voxel, nodes.len() as u32);
+                    nodes.push(Node {
+                        voxel,
+                        dip,
+                        left_mm,
+                    });
+                }
+                let per_mm = PRICE * (f32::from(dip) / asked as f32 - 1.0);
+                around.each(voxel as usize, |next, step_mm| {
+                    let left_mm = (left_mm + step_mm * per_mm.min(MOST_GAIN)).min(MOST_MM);
+                    if left_mm >= 0.0
+                        && lumen[next] != LUMEN
+                        && at
+                            .get(next as u32)
+                            .is_none_or(|n| left_mm > nodes[n as usize].left_mm + BETTER_MM)
+                    {
+                        next_wave.push((next as u32, left_mm));
+                    }
+                });
+            }
+            wave = next_wave;
+        }
+        Ok(Self { nodes, at, around })
+    }
+
+    /// Calls `visit` with each node beside one, and how far away it is, mm.
+    pub(crate) fn each_beside(&self, node: u32, mut visit: impl FnMut(u32, f32)) {
+        self.around
+            .each(self.nodes[node as usize].voxel as usize, |next, step_mm| {
+                if let Some(n) = self.at.get(next as u32) {
+                    visit(n, step_mm);
+                }
+            });
+    }
+
+    /// The cheapest ways from the lumen.
+    pub(crate) fn ways(&self, lumen: &[u8], asked: f64) -> Ways {
+        // Micrometres times weight: integers have one order.
+        let weight =
+            |node: &Node| 1.0 + (2.0 * asked / f64::from(node.dip.max(1))).min(4.0).powi(2);
+        let num = self.nodes.len();
+        let mut ways = Ways {
+            before: vec![None; num],
+            along_mm: vec![f32::INFINITY; num],
+        };
+        let mut cost = vec![u64::MAX; num];
+        let mut open = BinaryHeap::new();
+        for (n, node) in self.nodes.iter().enumerate() {
+            let mut from_mm = f32::INFINITY;
+            self.around.each(node.voxel as usize, |next, step_mm| {
+                if lumen[next] == LUMEN {
+                    from_mm = from_mm.min(step_mm);
+                }
+            });
+            if from_mm.is_finite() {
+                cost[n] = (1e3 * f64::from(from_mm) * weight(node)) as u64;
+                ways.along_mm[n] = from_mm;
+                open.push(Reverse((cost[n], n as u32)));
+            }
+        }
+        while let Some(Reverse((here, n))) = open.pop() {
+            if here != cost[n as usize] {
+                continue;
+            }
+            let own = weight(&self.nodes[n as usize]);
+            self.each_beside(n, |m, step_mm| {
+                let mean = 0.5 * (own + weight(&self.nodes[m as usize]));
+                let there = here + (1e3 * f64::from(step_mm) * mean) as u64;
+                if there < cost[m as usize] {
+                    cost[m as usize] = there;
+                    ways.before[m as usize] = Some(n);
+                    ways.along_mm[m as usize] = ways.along_mm[n as usize] + step_mm;
+                    open.push(Reverse((there, m)));
+                }
+            });
+        }
+        ways
+    }
+}
+
+/// The cheapest way to each node.
+#[derive(Debug)]
+pub(crate) struct Ways {
+    /// The node before it; none beside the lumen.
+    pub(crate) before: Vec<Option<u32>>,
+    /// Its length, mm.
+    pub(crate) along_mm: Vec<f32>,
+}
+
+/// The neighbours by faces, edges and corners, and how far they are.
+#[derive(Debug)]
+pub(crate) struct Neighbours {
+    shape: [isize; 3],
+    steps: Vec<([isize; 3], f32)>,
+}
+
+impl Neighbours {
+    pub(crate) fn new(grid: &Grid) -> Self {
+        let spacing = grid.spacing_mm();
+        let steps = (0..27isize)
+            .filter(|n| *n != 13)
+            .map(|n| {
+                let step = [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1];
+                let mm = std::array::from_fn(|a| step[a] as f64 * spacing[a]);
+                (step, carina_grid::length(mm) as f32)
+            })
+            .collect();
+        Self {
+            shape: grid.shape_ijk().map(|n| n as isize),
+            steps,
+        }
+    }
+
+    pub(crate) fn each(&self, at: usize, mut visit: impl FnMut(usize, f32)) {
+        let [nx, ny, nz] = self.shape;
+        let at = at as isize;
+        let (i, j, k) = (at % nx, at / nx % ny, at / nx / ny);
+        for ([di, dj, dk], step_mm) in &self.steps {
+            let (x, y, z) = (i + di, j + dj, k + dk);
+            if (0..nx).contains(&x) && (0..ny).contains(&y) && (0..nz).contains(&z) {
+                visit((x + nx * (y + ny * z)) as usize, *step_mm);
+            }
+        }
+    }
+}
+
+const TILE: usize = 256;
+const NONE: u32 = u32::MAX;
+
+/// A number for some of a volume's voxels: room is taken where there are any.
+#[derive(Debug)]
+struct VoxelMap {
+    tiles: Vec<Option<Box<[u32; TILE]>>>,
+}
+
+impl VoxelMap {
+    fn new(num_voxels: usize) -> Self {
+        Self {
+            tiles: (0..num_voxels.div_ceil(TILE)).map(|_| None).collect(),
+        }
+    }
+
+    fn get(&self, voxel: u32) -> Option<u32> {
+        let tile = self.tiles[voxel as usize / TILE].as_ref()?;
+        let number = tile[voxel as usize % TILE];
+        (number != NONE).then_some(number)
+    }
+
+    fn set(&mut self, voxel: u32, number: u32) {
+        let tile = self.tiles[voxel as usize / TILE].get_or_insert_with(|| Box::new([NONE; TILE]));
+        tile[voxel as usize % TILE] = number;
+    }
+}
