@@ -59,10 +59,10 @@ def _began(pid: int) -> str | None:
         (["open", "--cluster", "127.0.0.2:1"], 1, "no token"),
     ],
 )
-def test_what_cannot_be_done_is_said_before_anything_is_started(tmp_path, arguments, code, words):
-    done = _run(tmp_path, *arguments, "--json")
-    assert done.returncode == code, done.stderr
-    assert words in json.loads(done.stdout)["error"]["message"]
+def test_what_cannot_be_done_is_said_before_anything_is_started(carina, arguments, code, words):
+    done = carina(*arguments, "--json")
+    assert done.code == code, done.err
+    assert words in done.json()["error"]["message"]
 
 
 class StubNode:

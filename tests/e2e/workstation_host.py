@@ -17,17 +17,22 @@ import sys
 import threading
 import time
 import traceback
+import types
+import zlib
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from carina import render
+from carina.case import packing
 from carina.commands import OpenDemo, OpenPath
+from carina.errors import CarinaError
 from carina.phone import PhoneSwitch
 from carina.render import AirwayView, mapcache, scene
 from carina.server import pacing
@@ -44,6 +49,7 @@ STARTS_S = 120.0
 OPENS_S = 600.0
 PER_PIXEL_S = 0.4 / (150 * 150)
 """A slow airway view's coarsest picture in a cell of 600 pixels takes 0.4 s: too slow for 5 pictures a second."""
+MOST_KEPT_BYTES = 1 << 20
 
 # The package hands on a function of the module's name.
 serve_module: Any = importlib.import_module("carina.server.serve")
@@ -185,6 +191,17 @@ def remember_scenes() -> None:
     scene.MapCache = KeptMaps  # type: ignore[misc]
 
 
+def remember_pieces() -> None:
+    """What each case writes of the same demo, deflated: a third of a second of the processor for each that opens."""
+    small = lru_cache(4096)(zlib.compress)
+
+    def compress(content: bytes | memoryview, level: int) -> bytes:
+        return small(bytes(content), level) if len(content) < MOST_KEPT_BYTES else zlib.compress(content, level)
+
+    kept = types.SimpleNamespace(compress=compress, decompressobj=zlib.decompressobj, error=zlib.error)
+    packing.zlib = kept  # type: ignore[assignment]
+
+
 def make_slow(slow_file: str) -> Any:
     """A factory of renderers that are slow while a file exists."""
 
@@ -196,9 +213,27 @@ def make_slow(slow_file: str) -> Any:
     return make
 
 
+class Ports:
+    """One port for each in turn, where it is free: a browser keeps what it compiled of a client by its address."""
+
+    first = 0
+
+    def bind(self) -> Any:
+        """A listening socket on loopback."""
+        try:
+            sock = bind("127.0.0.1", self.first)
+        except CarinaError:  # two are open at once
+            return bind("127.0.0.1", 0)
+        self.first = sock.getsockname()[1]
+        return sock
+
+
+PORTS = Ports()
+
+
 def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, **told: Any) -> str:
     """As ``carina.server.serve`` puts one together; its start URL. ``stack`` closes it."""
-    sock = stack.enter_context(bind("127.0.0.1", 0))
+    sock = stack.enter_context(PORTS.bind())
     gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
     slow_file = told.get("slow_file")
     SteadyBudget.slow_file = None if slow_file is None else Path(slow_file)
@@ -252,6 +287,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
 def main() -> None:
     """Until the input ends."""
     remember_scenes()
+    remember_pieces()
     pacing.FrameBudget = SteadyBudget  # type: ignore[misc]
     kept, numbers, opened = Kept(), itertools.count(1), {}
     for line in sys.stdin:
