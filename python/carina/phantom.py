@@ -52,8 +52,8 @@ class Phantom:
     """``(nz, ny, nx)`` signed distance to the lumen's surface, negative inside, at least 5 where no airway is near;
     None unless asked for."""
     upper_airway_zyx: NDArray[np.uint8] | None = None
-    """``(nz, ny, nx)``: 1 where a voxel's centre lies in the air above the cricoid (larynx and throat), which is no part
-    of the tree; None without a neck."""
+    """``(nz, ny, nx)``: 1 where a voxel's centre lies in the air above the cricoid (larynx and throat), no part of the
+    tree; None without a neck."""
 
     def __repr__(self) -> str:
         return f"Phantom({self.volume!r}, branches={len(self.truth['branches'])})"
@@ -98,9 +98,9 @@ def generate_phantom(
         neck round them. The trachea then ends at the lower border of the cricoid, ``truth["cricoid_lps"]``, 104 to
         126 mm above the carina; the air above it is ``upper_airway_zyx``, and no part of the tree.
     tube
-        Put a tube into the trachea: "endotracheal" (through the larynx where there is a neck, with its cuff and fluid on
-        it) or "tracheostomy" (through the front of the neck, open to the air outside). Its tip is ``truth["tube"]``; the
-        lumen's truth is the trachea's, tube and all.
+        Put a tube into the trachea: "endotracheal" (through the larynx where there is a neck, with its cuff and fluid
+        on it) or "tracheostomy" (through the front of the neck, open to the air outside; it needs the neck). Its tip is
+        in ``truth["tube"]``; the lumen's truth is the trachea's, tube and all.
     box_lps
         ``((x, y, z), (x, y, z))`` lower and upper corner of the part to make, in mm; the whole chest unless told. The
         truth is always the whole tree.

@@ -5,8 +5,7 @@ use carina_grid::{cross, dot, length};
 use crate::airways::AirwayTree;
 use crate::neck::Neck;
 use crate::random::Random;
-use crate::shapes::{Piece, along, cover, direction, hermite, mix, sub};
-use crate::voxels::SIGMA_MM;
+use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, hermite, mix, sub};
 
 /// Which way a tube goes into the trachea.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -7,10 +7,8 @@ use crate::airway_tube::AirwayTube;
 use crate::airways::AirwayTree;
 use crate::body::{Body, with_solid};
 use crate::nodule::Nodule;
-use crate::shapes::{Piece, along, cover, direction, mix, smooth_max, smooth_min, sub};
+use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, mix, smooth_max, smooth_min, sub};
 
-/// Blur of the scanner beside the voxel's own box: FWHM 0.8 mm.
-pub(crate) const SIGMA_MM: f64 = 0.35;
 /// Beyond this many mm from a surface the blur is over ([`cover`] ends at 1.88 sigma).
 const BLUR_MM: f64 = 1.88 * SIGMA_MM;
 /// Samples within a voxel are at most this far apart, for slices up to 3 mm.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.track.find.air_upwards import Section
 from carina.volume.model import Volume
 
-__all__ = ["fill_trachea"]
+__all__ = ["add_sections", "fill_trachea"]
 
 # Wider than any trachea.
 MAX_TRACHEA_RADIUS_MM = 18.0
@@ -46,3 +47,15 @@ def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int
                 break
             outside = wider
         part[~outside[1:-1, 1:-1]] = 1
+
+
+def add_sections(lumen: NDArray[np.uint8], sections: list[Section]) -> None:
+    """Make one lumen of a tube's air, the air round it and the tube between them: one on the wall encloses none.
+
+    Parameters
+    ----------
+    lumen
+        (nz, ny, nx) uint8, 1 inside, in canonical order; changed in place.
+    """
+    for section in sections:
+        section.window_of(lumen)[section.whole] = 1
