@@ -116,7 +116,9 @@ def closed(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[n
     return filled(tight[4:-4, 4:-4] | mask)
 
 
-def follow_up(volume: Volume, scale: AirScale, air: float, start: tuple[int, int, int], stage: Stages) -> list[Section]:
+def follow_up(
+    volume: Volume, scale: AirScale, air: float, start: tuple[int, int, int], stage: Stages, *, down: bool = False
+) -> list[Section]:
     """The sections above a voxel of the trachea, from there up, until the air or the scan ends.
 
     Each is the air that lies on the section below it. A tube's air and the air round it are one section.
@@ -129,6 +131,8 @@ def follow_up(volume: Volume, scale: AirScale, air: float, start: tuple[int, int
         Values below are air.
     start
         (i, j, k) in the trachea's air.
+    down
+        The other way.
     """
     dx, dy, dz = volume.spacing_mm
     step = (dy, dx)
@@ -144,7 +148,7 @@ def follow_up(volume: Volume, scale: AirScale, air: float, start: tuple[int, int
     below: NDArray[np.bool_] | None = None
     corner = (0, 0)
     lost_mm, tubes = 0.0, 0
-    for k in range(start[2], volume.shape_zyx[0]):
+    for k in range(start[2], -1, -1) if down else range(start[2], volume.shape_zyx[0]):
         if stage.cancel is not None and stage.cancel():
             raise CancelledError("stopped while finding the airways")
         moved = (min(max(j - size[0], 0), max(nj - 2 * size[0], 0)), min(max(i - size[1], 0), max(ni - 2 * size[1], 0)))

@@ -152,7 +152,7 @@ def _found(
         refuse_a_root_below_the_carina(volume, branches)
         if trachea_mm is not None:
             refuse_a_root_of_one_lung(volume, branches, trachea_mm)
-    badges += [] if top is None else notes_of(top, branches[0])
+    badges += [] if top is None else notes_of(top, branches)
     tree = AirwayTree(branches, _smooth=tracker.smooth)
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import flood_lumen
-from carina.track.find.air_upwards import Section, follow_up
+from carina.track.find.air_upwards import SEPTUM_MM2, Section, follow_up
 from carina.track.find.softened import Softened
 from carina.track.find.upper_airway import (
     BELOW_THE_CORDS_MM,
@@ -25,7 +25,7 @@ from carina.track.stages import Stages
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Note, Volume
 
-__all__ = ["LARYNX", "TUBE", "TopOfTrachea", "notes_of", "top_of_trachea"]
+__all__ = ["LARYNX", "TUBE", "TopOfTrachea", "notes_of", "top_of_trachea", "without_its_tube"]
 
 LARYNX = "track.larynx"
 TUBE = "track.tube"
@@ -35,6 +35,7 @@ WALL_HU = 40.0
 # The cricoid's lower border is that of an adult whose cords lie 21.5 mm above it.
 ROOT_BELOW_CRICOID_MM = BELOW_THE_CORDS_MM - 21.5
 AT_CARINA_MM = 10.0
+MOST_BELOW = 0.85
 # More air than a throat holds is the world outside.
 MOST_THROAT_MM3 = 150_000.0
 
@@ -52,6 +53,8 @@ class TopOfTrachea:
     """Those of the trachea that a tube lies in."""
     tip_lps: NDArray[np.float64] | None
     """The tube's tip; None where there is no tube."""
+    cut: list[Section]
+    """Those beside an opening, where the lumen is no wider than they are."""
     starts_in_it: bool
     """The lowest section already lies in the tube."""
     is_open: bool
@@ -102,10 +105,23 @@ def top_of_trachea(
         upper_zyx=None if cords is None else _upper_airway(volume, scale, sections[cords.begins_at + 1 :], top.k),
         sections=in_tube,
         tip_lps=None if tube is None else sections[tube.first].centre_lps,
+        cut=[trachea[n] for n, section in enumerate(sections[: len(trachea)]) if any(section is c for c, _ in cut)],
         starts_in_it=tube is not None and tube.first == 0,
         is_open=is_open,
         cords=cords,
     )
+
+
+def without_its_tube(
+    top: TopOfTrachea, lowest: tuple[int, int, int], scale: AirScale, stage: Stages
+) -> NDArray[np.int16]:
+    """The values (nz, ny, nx) that were searched, with air for a tube's wall; below ``lowest`` (i, j, k) as well."""
+    volume = top.searched.volume
+    values = volume.hu_zyx.copy()
+    below = follow_up(volume, scale, scale.level(AIR_END_HU), lowest, stage, down=True)
+    for section in [*top.sections, *(s for s in below if s.septum_mm2 >= SEPTUM_MM2)]:
+        section.window_of(values)[section.whole] = round(scale.level(-1000.0))
+    return values
 
 
 def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
@@ -139,7 +155,7 @@ def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: 
     return mask
 
 
-def notes_of(top: TopOfTrachea, trunk: Branch) -> list[Note]:
+def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
     """What a person should know about it, in words."""
     notes: list[Note] = []
     if top.cords is not None:
@@ -152,7 +168,7 @@ def notes_of(top: TopOfTrachea, trunk: Branch) -> list[Note]:
         notes.append(Note(LARYNX, words, badge=True))
     if top.tip_lps is not None:
         name = "a tracheostomy tube" if top.is_open else "a tracheal tube"
-        above_mm = _to_end(trunk, top.tip_lps)
+        above_mm = _to_carina(branches, top.tip_lps)
         tip = f"its tip {above_mm:.0f} mm above the carina"
         if top.starts_in_it:
             # Its tip lies below where the trachea was followed from, which is the carina unless the search went wrong.
@@ -168,7 +184,22 @@ def notes_of(top: TopOfTrachea, trunk: Branch) -> list[Note]:
     return notes
 
 
-def _to_end(trunk: Branch, point: NDArray[np.float64]) -> float:
-    """Along the trunk from the place nearest to a point to its end, mm."""
-    nearest = int(np.argmin(np.linalg.norm(trunk.points - point, axis=1)))
-    return float(np.linalg.norm(np.diff(trunk.points[nearest:], axis=0), axis=1).sum())
+def _to_carina(branches: tuple[Branch, ...], point: NDArray[np.float64]) -> float:
+    """Along the trachea from the place nearest to a point to the carina, mm.
+
+    A stub beside a tube is no carina: the trachea goes on as long as one child holds nearly all that is below.
+    """
+    size = [1] * len(branches)
+    # Parents come before their children.
+    for branch in reversed(branches):
+        if branch.parent is not None:
+            size[branch.parent] += size[branch.id]
+    line = [branches[0]]
+    while line[-1].children:
+        largest = max(line[-1].children, key=lambda child: size[child])
+        if size[largest] < MOST_BELOW * (size[line[-1].id] - 1):
+            break
+        line.append(branches[largest])
+    points = np.concatenate([branch.points for branch in line])
+    nearest = int(np.argmin(np.linalg.norm(points - point, axis=1)))
+    return float(np.linalg.norm(np.diff(points[nearest:], axis=0), axis=1).sum())

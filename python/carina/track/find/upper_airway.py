@@ -234,7 +234,7 @@ def as_one_trachea(
             own[n] = dataclasses.replace(
                 section,
                 air=air,
-                whole=(section.whole & inside if reaches else section.whole) | core,
+                whole=inside if reaches else section.whole | core,
                 voxel=(int(nearest[1]), int(nearest[0]), section.k),
                 centre_lps=middle,
             )
