@@ -69,7 +69,8 @@ def _phantom(options: str) -> Phantom:
     with (folder / "rest.pickle").open("rb") as file:
         rest = pickle.load(file)
     volume = Volume(values, rest["lps_from_ijk"], source=rest["source"])
-    return Phantom(volume=volume, lumen_zyx=lumen, truth=rest["truth"])
+    upper = np.asarray(np.load(folder / "upper.npy", mmap_mode="r")) if (folder / "upper.npy").exists() else None
+    return Phantom(volume=volume, lumen_zyx=lumen, truth=rest["truth"], upper_airway_zyx=upper)
 
 
 def keep(made: Phantom, folder: Path) -> None:
@@ -82,6 +83,8 @@ def keep(made: Phantom, folder: Path) -> None:
     draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix="draft-"))
     np.save(draft / "ct.npy", made.volume.hu_zyx)
     np.save(draft / "lumen.npy", made.lumen_zyx)
+    if made.upper_airway_zyx is not None:
+        np.save(draft / "upper.npy", made.upper_airway_zyx)
     rest = {"lps_from_ijk": made.volume.lps_from_ijk, "source": made.volume.source, "truth": made.truth}
     (draft / "rest.pickle").write_bytes(pickle.dumps(rest))
     draft.rename(folder)

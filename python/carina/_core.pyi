@@ -122,7 +122,7 @@ def force_limits() -> tuple[float, float, float]:
 # ---- phantom ----
 
 def chest_lumen_distances(
-    seed: int, generations: int, stenosis: bool, points_lps: NDArray[np.float64]
+    seed: int, generations: int, stenosis: bool, neck: bool, points_lps: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(n,) signed mm, negative in the lumen."""
 
@@ -133,11 +133,14 @@ def generate_chest(
     stenosis: bool,
     nodule: bool,
     noise_hu: float,
+    neck: bool,
+    tube: str | None,
     box_lps: list[list[float]] | None,
     with_distance: bool,
     proceed: Callable[[float], bool],
 ) -> dict[str, Any]:
-    """hu_zyx, lumen_zyx, lps_from_ijk, branches, and nodule, stenosis, lumen_distance_mm where asked for."""
+    """hu_zyx, lumen_zyx, lps_from_ijk, branches, and what else was asked for: nodule, stenosis, tube, cricoid_lps with
+    upper_airway_zyx, lumen_distance_mm."""
 
 # ---- isoregion ----
 

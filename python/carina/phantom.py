@@ -46,10 +46,14 @@ class Phantom:
     lumen_zyx: NDArray[np.uint8]
     """``(nz, ny, nx)``: 1 where a voxel's *centre* lies in an airway's lumen."""
     truth: dict[str, Any]
-    """The document of ``truth.json``: a ``carina-tree`` (LPS, mm), exact; with ``nodule`` and ``stenosis``, or None."""
+    """The document of ``truth.json``: a ``carina-tree`` (LPS, mm), exact; with ``nodule`` and ``stenosis``, or None;
+    ``cricoid_lps`` and ``tube`` where they were asked for."""
     lumen_distance_mm: NDArray[np.float32] | None = None
     """``(nz, ny, nx)`` signed distance to the lumen's surface, negative inside, at least 5 where no airway is near;
     None unless asked for."""
+    upper_airway_zyx: NDArray[np.uint8] | None = None
+    """``(nz, ny, nx)``: 1 where a voxel's centre lies in the air above the cricoid (larynx and throat), no part of the
+    tree; None without a neck."""
 
     def __repr__(self) -> str:
         return f"Phantom({self.volume!r}, branches={len(self.truth['branches'])})"
@@ -63,6 +67,8 @@ def generate_phantom(
     stenosis: bool = False,
     nodule: bool = False,
     noise_hu: float = 20.0,
+    neck: bool = False,
+    tube: str | None = None,
     box_lps: Sequence[Sequence[float]] | None = None,
     with_distance: bool = False,
     progress: Progress | None = None,
@@ -87,6 +93,14 @@ def generate_phantom(
         Put a round nodule of 5 to 10 mm radius near the end of an airway.
     noise_hu
         Standard deviation of the noise, 0 to 200 HU; correlated in plane.
+    neck
+        Go on above the chest, to 195 mm above the carina: larynx with the vocal cords, piriform sinuses, throat and the
+        neck round them. The trachea then ends at the lower border of the cricoid, ``truth["cricoid_lps"]``, 104 to
+        126 mm above the carina; the air above it is ``upper_airway_zyx``, and no part of the tree.
+    tube
+        Put a tube into the trachea: "endotracheal" (through the larynx where there is a neck, with its cuff and fluid
+        on it) or "tracheostomy" (through the front of the neck, open to the air outside; it needs the neck). Its tip is
+        in ``truth["tube"]``; the lumen's truth is the trachea's, tube and all.
     box_lps
         ``((x, y, z), (x, y, z))`` lower and upper corner of the part to make, in mm; the whole chest unless told. The
         truth is always the whole tree.
@@ -140,7 +154,7 @@ def generate_phantom(
         return True
 
     made = _core.generate_chest(
-        seed, spacing, int(generations), stenosis, nodule, float(noise_hu), box, with_distance, proceed
+        seed, spacing, int(generations), stenosis, nodule, float(noise_hu), neck, tube, box, with_distance, proceed
     )
     branches = [
         {
@@ -168,16 +182,18 @@ def generate_phantom(
         "nodule": made.get("nodule"),
         "stenosis": made.get("stenosis"),
     }
+    truth |= {key: made[key] for key in ("cricoid_lps", "tube") if key in made}
     return Phantom(
         volume=_volume(made["hu_zyx"], np.array(made["lps_from_ijk"]), seed),
         lumen_zyx=_frozen(made["lumen_zyx"]),
         truth=truth,
         lumen_distance_mm=_frozen(made["lumen_distance_mm"]) if with_distance else None,
+        upper_airway_zyx=_frozen(made["upper_airway_zyx"]) if neck else None,
     )
 
 
 def lumen_distance_at(
-    points_lps: ArrayLike, *, seed: int = 0, generations: int = 6, stenosis: bool = False
+    points_lps: ArrayLike, *, seed: int = 0, generations: int = 6, stenosis: bool = False, neck: bool = False
 ) -> NDArray[np.float64]:
     """The exact lumen of a phantom at any points: what its voxels are made from, without voxels.
 
@@ -185,7 +201,7 @@ def lumen_distance_at(
     ----------
     points_lps
         (n, 3) LPS mm.
-    seed, generations, stenosis
+    seed, generations, stenosis, neck
         As for :func:`generate_phantom`.
 
     Returns
@@ -200,11 +216,13 @@ def lumen_distance_at(
     True
     """
     points = np.atleast_2d(np.ascontiguousarray(points_lps, dtype=np.float64))
-    return _core.chest_lumen_distances(seed, generations, stenosis, points)
+    return _core.chest_lumen_distances(seed, generations, stenosis, neck, points)
 
 
 def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[Path]:
     """Write ``ct.nii.gz``, ``lumen.nii.gz`` and ``truth.json`` into a folder, which is made if missing.
+
+    With a neck ``upper-airway.nii.gz`` too: the air above the cricoid.
 
     Parameters
     ----------
@@ -216,7 +234,7 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     Returns
     -------
     list of Path
-        The three files. NIfTI is RAS by convention; SimpleITK turns the LPS grid into it and back.
+        The files. NIfTI is RAS by convention; SimpleITK turns the LPS grid into it and back.
 
     Examples
     --------
@@ -233,9 +251,13 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
         ("lumen.nii.gz", "the lumen", lambda file: _write_nifti(file, phantom.lumen_zyx, matrix, "the lumen")),
         ("truth.json", "the ground truth", lambda file: file.write(_json(phantom.truth).encode())),
     )
+    upper = phantom.upper_airway_zyx
+    if upper is not None:
+        name, what = "upper-airway.nii.gz", "the upper airway"
+        parts = (*parts[:2], (name, what, lambda file: _write_nifti(file, upper, matrix, what)), parts[2])
     drafts: list[Draft] = []
     try:
-        # All three are on the disk before the first takes its place: a disk that fills up leaves the former three.
+        # All are on the disk before the first takes its place: a disk that fills up leaves the former ones.
         for name, what, write in parts:
             draft = Draft(folder / name, what=what)
             drafts.append(draft)
@@ -251,7 +273,7 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     finally:
         for draft in drafts:
             draft.discard()
-    return [folder / name for name in ("ct.nii.gz", "lumen.nii.gz", "truth.json")]
+    return [folder / name for name, _, _ in parts]
 
 
 def _write_nifti(file: BinaryIO, values: NDArray[Any], lps_from_ijk: NDArray[np.float64], what: str) -> None:

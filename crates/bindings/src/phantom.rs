@@ -1,6 +1,6 @@
 //! Bindings of `carina-phantom`.
 
-use carina_phantom::{Branch, Chest, ChestOptions, PhantomError};
+use carina_phantom::{Branch, Chest, ChestOptions, PhantomError, TubeKind};
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -53,10 +53,25 @@ fn generate_chest<'py>(
     stenosis: bool,
     nodule: bool,
     noise_hu: f64,
+    neck: bool,
+    tube: Option<&str>,
     box_lps: Option<[[f64; 3]; 2]>,
     with_distance: bool,
     proceed: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyDict>> {
+    let tube = match tube {
+        None => None,
+        Some("endotracheal") => Some(TubeKind::Endotracheal),
+        Some("tracheostomy") => Some(TubeKind::Tracheostomy),
+        Some(other) => {
+            return Err(PhantomError::Option {
+                what: "tube",
+                expected: "endotracheal or tracheostomy",
+                found: other.to_owned(),
+            }
+            .into_py());
+        }
+    };
     let options = ChestOptions {
         seed,
         spacing_mm,
@@ -64,6 +79,8 @@ fn generate_chest<'py>(
         stenosis,
         nodule,
         noise_hu,
+        neck,
+        tube,
         box_lps,
         with_distance,
     };
@@ -114,6 +131,27 @@ fn generate_chest<'py>(
         dict.set_item("reference_radius_mm", s.reference_radius_mm)?;
         out.set_item("stenosis", dict)?;
     }
+    if let Some(cricoid) = chest.cricoid_lps {
+        out.set_item("cricoid_lps", cricoid)?;
+    }
+    if let Some(tube) = chest.tube {
+        let dict = PyDict::new(py);
+        dict.set_item(
+            "kind",
+            match tube.kind {
+                TubeKind::Endotracheal => "endotracheal",
+                TubeKind::Tracheostomy => "tracheostomy",
+            },
+        )?;
+        dict.set_item("tip_lps", tube.tip_lps)?;
+        dict.set_item("above_carina_mm", tube.above_carina_mm)?;
+        dict.set_item("outer_radius_mm", tube.outer_mm)?;
+        dict.set_item("inner_radius_mm", tube.inner_mm)?;
+        out.set_item("tube", dict)?;
+    }
+    if let Some(upper) = chest.upper_airway {
+        out.set_item("upper_airway_zyx", volume(py, upper, shape_zyx)?)?;
+    }
     out.set_item("hu_zyx", volume(py, chest.hu, shape_zyx)?)?;
     out.set_item("lumen_zyx", volume(py, chest.lumen, shape_zyx)?)?;
     if let Some(distance) = chest.lumen_distance_mm {
@@ -133,6 +171,7 @@ fn chest_lumen_distances<'py>(
     seed: u64,
     generations: usize,
     stenosis: bool,
+    neck: bool,
     points_lps: numpy::PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let points = crate::scope_drive::points(&points_lps)?;
@@ -140,6 +179,7 @@ fn chest_lumen_distances<'py>(
         seed,
         generations,
         stenosis,
+        neck,
         ..ChestOptions::default()
     };
     let found = py

@@ -1,4 +1,5 @@
 use crate::anatomy::{Solid, Tissue, VERTEBRA_MM, solids, spine_y};
+use crate::neck::Neck;
 use crate::random::value_noise;
 use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 
@@ -7,6 +8,7 @@ use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
 pub(crate) struct Body {
     seed: u64,
     pub(crate) solids: Vec<Solid>,
+    pub(crate) neck: Option<Neck>,
 }
 
 /// Room of the pleura at its widest: half width, half depth, and the heights of its widest level and of its apex, mm.
@@ -80,6 +82,7 @@ impl Body {
         let mut body = Self {
             seed,
             solids: solids(rib_cage),
+            neck: None,
         };
         // Sternum: a row of flat tubes side by side.
         for x in [-11.0, -4.0, 4.0, 11.0] {
@@ -99,6 +102,39 @@ impl Body {
             }
         }
         body
+    }
+
+    /// The same body with its neck.
+    pub(crate) fn with_neck(mut self, neck: Neck) -> Self {
+        // The chest's arches end where the neck's begin.
+        self.solids.retain(|s| {
+            s.tissue != Tissue::Bone || s.piece.start[1] < 30.0 || s.piece.start[2] < 92.0
+        });
+        self.solids.extend(neck.solids(spine_y));
+        self.neck = Some(neck);
+        self
+    }
+
+    /// Middle of the vertebral bodies at a height.
+    fn spine_y(&self, z: f64) -> f64 {
+        self.neck
+            .as_ref()
+            .map_or_else(|| spine_y(z), |neck| neck.spine_y(z, spine_y(z)))
+    }
+
+    /// Surfaces at one point.
+    pub(crate) fn surfaces(&self, p: [f64; 3]) -> Surfaces {
+        let mut s = surfaces(p);
+        if let Some(neck) = &self.neck
+            && p[2] > 60.0
+        {
+            let [a, b, y] = neck.skin(p[2], chest_skin(p[2]));
+            s.skin = Neck::slope(p[2]) * superellipsoid(&[(p[0], a), (p[1] - y, b)]);
+            let share = Neck::share(p[2]);
+            let at = [0.0, self.spine_y(p[2]), p[2]];
+            s.spine = ellipsoid(p, at, [mix(18.0, 13.0, share), mix(15.0, 10.5, share), 1e6]);
+        }
+        s
     }
 
     /// HU of the lung's tissue without its airways and vessels: denser behind (lying on the back), finely textured.
@@ -121,8 +157,13 @@ impl Body {
         // Chest wall and shoulders: muscle round the cavity and the neck, kept under the fat.
         let neck = ellipsoid(p, [0.0, 6.0, 118.0], [122.0, 70.0, 66.0]);
         let back = ellipsoid(p, [0.0, 84.0, p[2]], [62.0, 26.0, 1e6]);
-        let wall = (s.cavity - 18.0).min(neck).min(back);
-        let muscle = smooth_max(wall, s.skin + 12.0, 4.0);
+        let mut wall = (s.cavity - 18.0).min(neck).min(back);
+        let mut fat_mm = 12.0;
+        if self.neck.is_some() {
+            wall = wall.min(106.0 - p[2]);
+            fat_mm = mix(12.0, 6.0, Neck::share(p[2]));
+        }
+        let muscle = smooth_max(wall, s.skin + fat_mm, 4.0);
         let strands = value_noise(self.seed ^ 0x14, [p[0] / 14.0, p[1] / 5.0, p[2] / 14.0]);
         // Fat runs between the muscles.
         let seams = ((strands.abs() - 0.05) * 14.0).clamp(0.0, 1.0);
@@ -145,11 +186,12 @@ impl Body {
         if lung > 0.0 {
             hu = mix(hu, self.parenchyma_hu(p), lung);
         }
-        with_spine(hu, p, s.spine, sigma_mm)
+        let share = self.neck.as_ref().map_or(0.0, |_| Neck::share(p[2]));
+        with_spine(hu, p, s.spine, self.spine_y(p[2]), share, sigma_mm)
     }
 }
 
-fn with_spine(hu: f64, p: [f64; 3], spine: f64, sigma_mm: f64) -> f64 {
+fn with_spine(hu: f64, p: [f64; 3], spine: f64, spine_y: f64, neck: f64, sigma_mm: f64) -> f64 {
     if spine > 30.0 {
         return hu;
     }
@@ -161,8 +203,8 @@ fn with_spine(hu: f64, p: [f64; 3], spine: f64, sigma_mm: f64) -> f64 {
     let end_plate = mix(bone, 330.0, cover((disc - 0.8).abs() - 0.8, sigma_mm));
     let body = mix(end_plate, 85.0, cover(disc, sigma_mm));
     let hu = mix(hu, body, cover(spine, sigma_mm));
-    let y = p[1] - spine_y(p[2]) - 21.0;
-    let canal = (p[0] * p[0] + y * y).sqrt() - 8.5;
+    let y = p[1] - spine_y - mix(21.0, 16.5, neck);
+    let canal = (p[0] * p[0] + y * y).sqrt() - mix(8.5, 7.0, neck);
     mix(hu, 22.0, cover(canal, sigma_mm))
 }
 
@@ -214,9 +256,14 @@ pub(crate) fn with_solid(hu: f64, solid: &Solid, p: [f64; 3], sigma_mm: f64) -> 
 
 fn skin(p: [f64; 3]) -> f64 {
     // Shoulders narrow towards the neck; the arms are up.
-    let up = ((p[2] - 30.0) / 90.0).clamp(0.0, 1.2);
-    let (a, b) = (168.0 - 26.0 * up * up, 121.0 - 34.0 * up * up);
-    superellipsoid(&[(p[0], a), (p[1] + 2.0, b)])
+    let [a, b, y] = chest_skin(p[2]);
+    superellipsoid(&[(p[0], a), (p[1] - y, b)])
+}
+
+/// Half width, half depth and middle (y) of the chest's skin at a height.
+pub(crate) fn chest_skin(z: f64) -> [f64; 3] {
+    let up = ((z - 30.0) / 90.0).clamp(0.0, 1.2);
+    [168.0 - 26.0 * up * up, 121.0 - 34.0 * up * up, -2.0]
 }
 
 fn cavity(p: [f64; 3]) -> f64 {

@@ -1,8 +1,10 @@
 use carina_grid::{Affine, Grid, length};
 
 use crate::PhantomError;
+use crate::airway_tube::{AirwayTube, TubeKind, TubeTruth};
 use crate::airways::AirwayTree;
-use crate::body::{Body, lung_distance};
+use crate::body::{Body, chest_skin, lung_distance};
+use crate::neck::{NECK_TOP_Z, Neck};
 use crate::nodule::Nodule;
 use crate::random::Random;
 use crate::shapes::{along, normals, sub, tilted};
@@ -29,6 +31,10 @@ pub struct ChestOptions {
     pub nodule: bool,
     /// Standard deviation of the noise, 0 to 200.
     pub noise_hu: f64,
+    /// Go on above the chest: larynx, throat and the neck round them. The trachea then ends at the cricoid.
+    pub neck: bool,
+    /// Put a tube into the trachea; a tracheostomy needs the neck.
+    pub tube: Option<TubeKind>,
     /// Part of the chest to voxelize, `[lo, hi]` in LPS mm; the truth is always whole.
     pub box_lps: Option<[[f64; 3]; 2]>,
     /// Also hand over the signed distance to the lumen.
@@ -44,6 +50,8 @@ impl Default for ChestOptions {
             stenosis: false,
             nodule: false,
             noise_hu: 20.0,
+            neck: false,
+            tube: None,
             box_lps: None,
             with_distance: false,
         }
@@ -74,6 +82,8 @@ pub struct Chest {
     pub hu: Vec<i16>,
     /// 1 where a voxel's centre is inside an airway's lumen.
     pub lumen: Vec<u8>,
+    /// 1 where a voxel's centre is in the air above the cricoid (larynx, throat); `None` without a neck.
+    pub upper_airway: Option<Vec<u8>>,
     /// Signed distance to the lumen's surface in mm, negative inside, exact to the fillets at the carinas; 5 or more where
     /// no airway is near. Only when asked for.
     pub lumen_distance_mm: Option<Vec<f32>>,
@@ -83,6 +93,10 @@ pub struct Chest {
     pub nodule: Option<Nodule>,
     /// The stenosis, if any.
     pub stenosis: Option<Stenosis>,
+    /// Middle of the airway at the lower border of the cricoid, LPS mm; `None` without a neck.
+    pub cricoid_lps: Option<[f64; 3]>,
+    /// The tube in the trachea, if any.
+    pub tube: Option<TubeTruth>,
 }
 
 impl ChestOptions {
@@ -105,7 +119,12 @@ impl ChestOptions {
         if !(0.0..=200.0).contains(&self.noise_hu) {
             return refuse("noise", "0 to 200 HU", self.noise_hu.to_string());
         }
-        let [lo, hi] = self.box_lps.unwrap_or([LO_LPS, HI_LPS]);
+        if self.tube == Some(TubeKind::Tracheostomy) && !self.neck {
+            return refuse("tracheostomy", "a chest with its neck", "none".to_owned());
+        }
+        let top = if self.neck { NECK_TOP_Z } else { TOP_Z };
+        let whole = [LO_LPS, [HI_LPS[0], HI_LPS[1], top]];
+        let [lo, hi] = self.box_lps.unwrap_or(whole);
         if (0..3).any(|a| !(hi[a] - lo[a] >= 2.0 * self.spacing_mm[a] && hi[a] - lo[a] < 2000.0)) {
             let found = format!("{lo:?} to {hi:?}");
             return refuse("box", "two voxels to 2 m on each axis", found);
@@ -122,6 +141,19 @@ impl ChestOptions {
         let lps_from_ijk =
             Affine::from_columns([sx, 0.0, 0.0], [0.0, sy, 0.0], [0.0, 0.0, sz], origin);
         Ok(Grid::new([num[2], num[1], num[0]], lps_from_ijk)?)
+    }
+
+    fn body_and_tree(&self) -> (Body, AirwayTree) {
+        let body = Body::new(self.seed);
+        if !self.neck {
+            let tree = AirwayTree::grow(self.seed, self.generations, TOP_Z);
+            return (body, tree);
+        }
+        let top_z = Neck::trachea_top_z(self.seed);
+        let tree = AirwayTree::grow(self.seed, self.generations, top_z);
+        let trachea = &tree.branches[0];
+        let neck = Neck::new(self.seed, trachea.points[0], trachea.radius_mm[0]);
+        (body.with_neck(neck), tree)
     }
 }
 
@@ -146,8 +178,7 @@ impl Chest {
         points: &[[f64; 3]],
     ) -> Result<Vec<f64>, PhantomError> {
         let grid = options.grid()?;
-        let body = Body::new(options.seed);
-        let mut tree = AirwayTree::grow(options.seed, options.generations, TOP_Z);
+        let (body, mut tree) = options.body_and_tree();
         if options.stenosis {
             narrow(&mut tree, &mut Random::new(options.seed, 5));
         }
@@ -161,8 +192,7 @@ impl Chest {
         proceed: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, PhantomError> {
         options.grid()?;
-        let body = Body::new(options.seed);
-        let mut tree = AirwayTree::grow(options.seed, options.generations, TOP_Z);
+        let (body, mut tree) = options.body_and_tree();
         let stenosis = options
             .stenosis
             .then(|| narrow(&mut tree, &mut Random::new(options.seed, 5)));
@@ -173,7 +203,10 @@ impl Chest {
         if !proceed(0.0) {
             return Err(PhantomError::Cancelled);
         }
-        let scene = Scene::new(&tree, &body, &vessels, nodule);
+        let tube = options
+            .tube
+            .map(|kind| AirwayTube::new(kind, options.seed, &tree, body.neck.as_ref(), chest_skin));
+        let scene = Scene::new(&tree, &body, &vessels, nodule).with_tube(tube.as_ref());
         let voxels = scene
             .voxelize(
                 grid,
@@ -186,10 +219,13 @@ impl Chest {
             grid: grid.clone(),
             hu: voxels.hu,
             lumen: voxels.lumen,
+            upper_airway: options.neck.then_some(voxels.upper),
             lumen_distance_mm: voxels.distance,
             tree,
             nodule,
             stenosis,
+            cricoid_lps: body.neck.as_ref().map(|neck| neck.cricoid_lps),
+            tube: tube.map(|tube| tube.truth),
         })
     }
 }

@@ -8,12 +8,14 @@
 //! All random choices come from the seed and the place, never from the order of work: one seed, one case, on any number
 //! of threads.
 
+mod airway_tube;
 mod airways;
 mod analytic;
 mod anatomy;
 mod body;
 mod chest;
 mod error;
+mod neck;
 mod nodule;
 mod noise;
 mod random;
@@ -22,6 +24,7 @@ mod skeleton;
 mod vessels;
 mod voxels;
 
+pub use airway_tube::{TubeKind, TubeTruth};
 pub use airways::{AirwayTree, Branch};
 pub use analytic::{shells, tube, y_junction};
 pub use chest::{Chest, ChestOptions, Stenosis};

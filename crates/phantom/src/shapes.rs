@@ -2,6 +2,9 @@
 
 use carina_grid::{cross, dot, length, unit};
 
+/// Blur of the scanner beside the voxel's own box: FWHM 0.8 mm.
+pub(crate) const SIGMA_MM: f64 = 0.35;
+
 pub(crate) fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] + b[i])
 }

@@ -3,13 +3,12 @@
 use carina_grid::{Affine, Grid, dot, length};
 use rayon::prelude::*;
 
+use crate::airway_tube::AirwayTube;
 use crate::airways::AirwayTree;
-use crate::body::{Body, surfaces, with_solid};
+use crate::body::{Body, with_solid};
 use crate::nodule::Nodule;
-use crate::shapes::{Piece, along, cover, direction, mix, smooth_max, smooth_min, sub};
+use crate::shapes::{Piece, SIGMA_MM, along, cover, direction, mix, smooth_max, smooth_min, sub};
 
-/// Blur of the scanner beside the voxel's own box: FWHM 0.8 mm.
-const SIGMA_MM: f64 = 0.35;
 /// Beyond this many mm from a surface the blur is over ([`cover`] ends at 1.88 sigma).
 const BLUR_MM: f64 = 1.88 * SIGMA_MM;
 /// Samples within a voxel are at most this far apart, for slices up to 3 mm.
@@ -50,6 +49,7 @@ pub(crate) struct Scene<'a> {
     body: &'a Body,
     vessels: &'a [Piece],
     nodule: Option<Nodule>,
+    tube: Option<&'a AirwayTube>,
     airways: Vec<AirwayPiece>,
     /// Per branch: how much of its lumen's darkness the blur leaves in its middle, against a flat surface.
     depth: Vec<f64>,
@@ -148,7 +148,7 @@ impl<'a> Bricks<'a> {
     }
 
     /// What a brick holds apart from pieces.
-    fn kind(&self, brick: usize) -> Kind {
+    fn kind(&self, body: &Body, brick: usize) -> Kind {
         let at = [
             brick % self.num[0],
             brick / self.num[0] % self.num[1],
@@ -161,7 +161,7 @@ impl<'a> Bricks<'a> {
         let spacing = self.grid.spacing_mm();
         let reach =
             length(std::array::from_fn(|a| spacing[a] * half[a])) + 0.5 * length(spacing) + BLUR_MM;
-        let s = surfaces(centre);
+        let s = body.surfaces(centre);
         // The distances are good to some tens of per cent at this range; the factor is the guard.
         if s.skin > 1.7 * reach {
             Kind::Air
@@ -194,7 +194,7 @@ impl<'a> Scene<'a> {
                 if branch.parent.is_none() {
                     let axis = direction(sub(piece.end, piece.start));
                     behind = Some(direction(along([0.0, 1.0, 0.0], -axis[1], axis)));
-                    if n == 1 {
+                    if n == 1 && body.neck.is_none() {
                         // The windpipe goes on upwards beyond the truth's first point, and out of the volume.
                         piece.start = along(piece.start, -40.0, axis);
                     }
@@ -222,13 +222,48 @@ impl<'a> Scene<'a> {
             body,
             vessels,
             nodule,
+            tube: None,
             airways,
             depth,
         }
     }
 
-    /// Signed distance to the lumen from the pieces in `near`, with the branch it belongs to.
+    /// The same scene with a tube in its trachea.
+    pub(crate) const fn with_tube(mut self, tube: Option<&'a AirwayTube>) -> Self {
+        self.tube = tube;
+        self
+    }
+
+    /// Signed distance to the air of trachea, bronchi and the upper airway, which counts to the trachea's.
     fn lumen(&self, p: [f64; 3], near: &[u32]) -> Option<Lumen> {
+        let below = self.tree_lumen(p, near);
+        let Some(neck) = &self.body.neck else {
+            return below;
+        };
+        let distance = neck.upper_airway(p);
+        if distance >= 8.0 {
+            return below;
+        }
+        let upper = Lumen {
+            distance,
+            branch: 0,
+        };
+        Some(below.map_or(upper, |below| {
+            if below.branch == 0 {
+                Lumen {
+                    distance: smooth_min(below.distance, distance, 1.0),
+                    branch: 0,
+                }
+            } else if below.distance < distance {
+                below
+            } else {
+                upper
+            }
+        }))
+    }
+
+    /// Signed distance to the lumen from the pieces in `near`, with the branch it belongs to.
+    fn tree_lumen(&self, p: [f64; 3], near: &[u32]) -> Option<Lumen> {
         let far = Lumen {
             distance: f64::INFINITY,
             branch: u32::MAX,
@@ -297,6 +332,15 @@ impl<'a> Scene<'a> {
         )
     }
 
+    /// A distance to all airways as one to the tree's, which ends at the cricoid.
+    fn below_the_cricoid(&self, p: [f64; 3], distance: f64) -> f64 {
+        self.body.neck.as_ref().map_or(distance, |neck| {
+            distance
+                .max(p[2] - neck.cricoid_lps[2])
+                .min(5.0f64.max(distance))
+        })
+    }
+
     fn vessel_distance(&self, p: [f64; 3], near: &[u32]) -> f64 {
         near.iter()
             .map(|&n| self.vessels[n as usize].distance(p).0)
@@ -319,7 +363,7 @@ impl<'a> Scene<'a> {
             .map(|&p| {
                 grid.voxel_at(grid.to_ijk(carina_grid::Lps(p)))
                     .and_then(|voxel| self.lumen(p, near.of(bricks.at(voxel))))
-                    .map_or(5.0, |lumen| lumen.distance)
+                    .map_or(5.0, |lumen| self.below_the_cricoid(p, lumen.distance))
             })
             .collect()
     }
@@ -348,6 +392,12 @@ impl<'a> Scene<'a> {
                     .map(|a| a.piece.axis_bounds(margin + a.reach(widest_wall))),
             ),
             vessels: Lists::new(&bricks, self.vessels.iter().map(|v| v.bounds(margin))),
+            tube: Lists::new(
+                &bricks,
+                self.tube
+                    .iter()
+                    .flat_map(|t| t.pieces.iter().map(|piece| piece.bounds(margin))),
+            ),
             solids: Lists::new(
                 &bricks,
                 self.body.solids.iter().map(|s| s.piece.bounds(margin)),
@@ -358,6 +408,7 @@ impl<'a> Scene<'a> {
         let mut out = Voxels {
             hu: vec![0; grid.num_voxels()],
             lumen: vec![0; grid.num_voxels()],
+            upper: vec![0; self.body.neck.as_ref().map_or(0, |_| grid.num_voxels())],
             distance: with_distance.then(|| vec![0.0; grid.num_voxels()]),
         };
         let bricks_in_plane = bricks.num[0] * bricks.num[1];
@@ -371,7 +422,7 @@ impl<'a> Scene<'a> {
             let first_brick = z0 / bricks.size[2] * bricks_in_plane;
             let kinds: Vec<Kind> = (first_brick..z1.div_ceil(bricks.size[2]) * bricks_in_plane)
                 .into_par_iter()
-                .map(|b| bricks.kind(b))
+                .map(|b| bricks.kind(self.body, b))
                 .collect();
             let mut nothing: Vec<f32> = Vec::new();
             let distance = out
@@ -410,13 +461,22 @@ impl<'a> Scene<'a> {
             }
             crate::noise::finish(
                 values,
-                &mut out.hu[range],
+                &mut out.hu[range.clone()],
                 nx,
                 slice_len,
                 z0,
                 noise.0,
                 noise.1,
             );
+            if !out.upper.is_empty() {
+                for (l, u) in out.lumen[range.clone()]
+                    .iter_mut()
+                    .zip(&mut out.upper[range.clone()])
+                {
+                    *u = *l >> 1;
+                    *l &= 1;
+                }
+            }
             if !proceed(z1 as f64 / nz as f64) {
                 return None;
             }
@@ -449,8 +509,11 @@ impl<'a> Scene<'a> {
             let mut hu = match kinds[brick - first_brick] {
                 Kind::Air => AIR_HU,
                 Kind::Lung => self.body.parenchyma_hu(p),
-                Kind::Mixed => self.body.hu(p, &surfaces(p), body_sigma),
+                Kind::Mixed => self.body.hu(p, &self.body.surfaces(p), body_sigma),
             };
+            if let Some(neck) = &self.body.neck {
+                hu = neck.with_cartilage(hu, p, neck.upper_airway(p), body_sigma);
+            }
             for &n in lists.solids.of(brick) {
                 hu = with_solid(hu, &self.body.solids[n as usize], p, body_sigma);
             }
@@ -511,10 +574,19 @@ impl<'a> Scene<'a> {
                     hu = hu * (1.0 - outer) + WALL_HU * (outer - inner) + AIR_HU * inner;
                 }
             }
+            if let Some(tube) = self.tube {
+                hu = tube.lay_over(hu, p, lists.tube.of(brick), &offsets, to_lumen);
+            }
             *value = hu as f32;
-            lumen[x] = u8::from(to_lumen < 0.0);
+            let below = self.below_the_cricoid(p, to_lumen);
+            // 2: in the upper airway.
+            lumen[x] = if to_lumen >= 0.0 {
+                0
+            } else {
+                1 + u8::from(below >= 0.0)
+            };
             if let Some(d) = distance.get_mut(x) {
-                *d = to_lumen as f32;
+                *d = below as f32;
             }
         }
     }
@@ -524,6 +596,8 @@ impl<'a> Scene<'a> {
 pub(crate) struct Voxels {
     pub(crate) hu: Vec<i16>,
     pub(crate) lumen: Vec<u8>,
+    /// 1 in the air above the cricoid; empty without a neck.
+    pub(crate) upper: Vec<u8>,
     pub(crate) distance: Option<Vec<f32>>,
 }
 
@@ -531,6 +605,7 @@ struct Near {
     airways: Lists,
     vessels: Lists,
     solids: Lists,
+    tube: Lists,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -448,6 +448,12 @@ def phantom(
     generations: Annotated[int, typer.Option(help="Deepest airway generation (the trachea is 0).")] = 6,
     stenosis: Annotated[bool, typer.Option("--stenosis", help="Add a stenosis to one bronchus.")] = False,
     nodule: Annotated[bool, typer.Option("--nodule", help="Add a nodule.")] = False,
+    neck: Annotated[
+        bool, typer.Option("--neck", help="Include the neck: larynx and throat above the cricoid.")
+    ] = False,
+    tube: Annotated[
+        str | None, typer.Option(help="Add a tube in the trachea: endotracheal, or tracheostomy (needs --neck).")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Generate a synthetic chest CT with exact ground truth: ct.nii.gz, lumen.nii.gz, truth.json.
@@ -464,6 +470,8 @@ def phantom(
             generations=generations,
             stenosis=stenosis,
             nodule=nodule,
+            neck=neck,
+            tube=tube,
             progress=progress_printer(),
         )
         written = write_phantom(made, output)

@@ -16,6 +16,7 @@ from carina.track.find.found import Airways
 from carina.track.find.growth import doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
+from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
 from carina.track.find.totals import doubt_of_totals
 from carina.track.levels import AirScale
 from carina.track.names.naming import name_tree
@@ -122,6 +123,7 @@ def _found(
     leaks = np.empty((0, 3))
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
+    top: TopOfTrachea | None = None
     if given is not None:
         lumen, levels, end = given, None, float("nan")
         badges += doubts_of_given(volume, lumen)
@@ -134,7 +136,7 @@ def _found(
         grown = grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
-        noise, leaks, trachea_mm = grown.noise, grown.leaks_lps, grown.trachea_mm
+        noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
         badges += grown.badges
         found_notes += grown.notes
     stage.begin("measuring the lumen")
@@ -150,6 +152,7 @@ def _found(
         refuse_a_root_below_the_carina(volume, branches)
         if trachea_mm is not None:
             refuse_a_root_of_one_lung(volume, branches, trachea_mm)
+    badges += [] if top is None else notes_of(top, branches)
     tree = AirwayTree(branches, _smooth=tracker.smooth)
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
@@ -185,6 +188,7 @@ def _found(
         notes=(*found_notes, *(badge.words for badge in badges)),
         wall_levels=levels,
         uncertain=uncertain,
+        upper_airway_zyx=None if top is None else top.upper_zyx,
     )
 
 

@@ -61,9 +61,14 @@ class CanonicalOrder:
         lumen = np.empty(stored.shape_zyx, dtype=np.uint8)
         self._axes.view(lumen)[...] = airways.lumen_zyx
         lumen.flags.writeable = False
+        upper: NDArray[np.uint8] | None = None
+        if airways.upper_airway_zyx is not None:
+            upper = np.empty(stored.shape_zyx, dtype=np.uint8)
+            self._axes.view(upper)[...] = airways.upper_airway_zyx
+            upper.flags.writeable = False
         i, j, k = (int(v) for v in np.rint(stored.to_ijk(self.volume.to_lps(np.array(airways.tracker.root_ijk)))))
         levels = airways.wall_levels
         tracker = PathTracker(stored, lambda: edited_core(stored, lumen, (i, j, k), levels), root_ijk=(i, j, k))
         tracker.follow_branches(airways.tree.branches)
         tree = AirwayTree(airways.tree.branches, _smooth=tracker.smooth, notes=airways.tree.notes)
-        return dataclasses.replace(airways, lumen_zyx=lumen, tree=tree, tracker=tracker)
+        return dataclasses.replace(airways, lumen_zyx=lumen, tree=tree, tracker=tracker, upper_airway_zyx=upper)

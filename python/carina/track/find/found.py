@@ -56,6 +56,9 @@ class Airways:
     """What could not be followed and why, the widest first; last, where the CT stops being trustworthy."""
     bridges: tuple[NDArray[np.float64], ...] = ()
     """(n, 3) LPS mm each: ways of the bridges that a person made and did not cut; what leads there stays a bridge."""
+    upper_airway_zyx: NDArray[np.uint8] | None = field(default=None, repr=False, compare=False)
+    """(nz, ny, nx), 1 in the air above the cricoid, larynx and throat: no part of lumen and tree. None where the scan
+    ends below them; not kept in a case file."""
     evidence: KeptForVolume[Any] = field(default_factory=KeptForVolume, repr=False, compare=False)
     """What the CT shows of airways beyond those found, for edits; found when first needed, the same after each edit."""
 

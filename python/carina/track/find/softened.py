@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -69,6 +70,19 @@ class Softened:
         )
         volume = dataclasses.replace(self.volume, hu_zyx=values)
         return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None)
+
+    def walled(self, wall: Callable[[NDArray[np.int16]], None]) -> Softened:
+        """The same with some air made tissue: ``wall`` writes it into the values (nz, ny, nx) that it is given."""
+        values = self.volume.hu_zyx.copy()
+        wall(values)
+        volume = dataclasses.replace(self.volume, hu_zyx=values)
+        if self._values is None:
+            return dataclasses.replace(self, volume=volume)
+        sharp = self._sharp.hu_zyx.copy()
+        wall(sharp)
+        return dataclasses.replace(
+            self, volume=volume, _sharp=dataclasses.replace(self._sharp, hu_zyx=sharp), _values=values
+        )
 
     def keep_cut_off_lumen(self, scale: AirScale, noise: float) -> None:
         """Make air of the airways' lumen that was cut off at the least value of the CT.

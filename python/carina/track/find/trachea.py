@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.track.find.air_upwards import Section
 from carina.volume.model import Volume
 
-__all__ = ["fill_trachea"]
+__all__ = ["add_sections", "fill_trachea"]
 
 # Wider than any trachea.
 MAX_TRACHEA_RADIUS_MM = 18.0
+# Voxels.
+BESIDE = 8
 
 
 def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int_]) -> None:
@@ -46,3 +49,24 @@ def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int
                 break
             outside = wider
         part[~outside[1:-1, 1:-1]] = 1
+
+
+def add_sections(lumen: NDArray[np.uint8], sections: list[Section], cut: list[Section]) -> None:
+    """Make one lumen of a tube's air, the air round it and the tube between them: one on the wall encloses none.
+
+    Parameters
+    ----------
+    lumen
+        (nz, ny, nx) uint8, 1 inside, in canonical order; changed in place.
+    cut
+        Sections beside an opening in the neck: the lumen there ends where they end.
+    """
+    for section in sections:
+        section.window_of(lumen)[section.whole] = 1
+    for section in cut:
+        window = section.window_of(lumen)
+        at = np.argwhere(section.whole)
+        # Not beyond what can hang together with it in its slice.
+        low, high = np.maximum(at.min(axis=0) - BESIDE, 0), at.max(axis=0) + BESIDE + 1
+        near = (slice(low[0], high[0]), slice(low[1], high[1]))
+        window[near][~section.whole[near]] = 0

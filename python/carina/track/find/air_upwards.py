@@ -1,0 +1,218 @@
+"""The air of the trachea followed upwards, slice by slice, into larynx and throat where the scan reaches them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import CancelledError
+from carina.track.levels import AirScale
+from carina.track.stages import Stages
+from carina.volume.model import Volume
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+__all__ = ["Section", "disc", "follow_up", "grown", "spread"]
+
+# Half the side of what is looked at in each slice.
+WINDOW_MM = 45.0
+# A section's edge moves by no more than this per mm up: what leaves the trachea to the front or side is not followed.
+SPREAD_PER_MM = 1.0
+# The wall of a tube is up to 1.5 mm thick; across so much the air beside it counts to it.
+BRIDGED_MM = 1.2
+# Cords that are shut hide the air between trachea and vestibule for no more than this.
+LOST_MM = 14.0
+# Air in the tube's neighbourhood, not lung.
+AIR_HU = -930.0
+BESIDE_MM = 3.2
+ROUND_MM = 2.5
+# Plastic and its line for X-rays, between air on both sides: at least this much of it, with at least this peak.
+SEPTUM_MM2 = 12.0
+SEPTUM_HU = 150.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """The trachea, larynx or throat in one slice."""
+
+    k: int
+    corner: tuple[int, int]
+    """The first voxel (j, i) of the masks."""
+    air: NDArray[np.bool_]
+    """(ny, nx) in the window: its air."""
+    whole: NDArray[np.bool_]
+    """The air and what it encloses or nearly encloses: the wall of a tube."""
+    voxel: tuple[int, int, int]
+    """A voxel (i, j, k) of its air, nearest to its middle."""
+    centre_lps: NDArray[np.float64]
+    area_mm2: float
+    width_mm: float
+    """From right to left."""
+    depth_mm: float
+    """From front to back."""
+    septum_mm2: float
+    """What is no air between its air."""
+    peak: float
+    """The brightest value in it or close round it, in HU."""
+    leaves_in_front: bool
+    """Air goes on in front of it, beyond what is followed."""
+
+    def window_of(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """The part of (nz, ny, nx) values that the masks lie on."""
+        j, i = self.corner
+        nj, ni = self.air.shape
+        return values[self.k, j : j + nj, i : i + ni]
+
+
+def disc(radius_mm: float, step_mm: tuple[float, float]) -> list[tuple[int, int]]:
+    """The offsets (j, i) within a radius, the middle left out."""
+    rj, ri = (int(radius_mm / step) for step in step_mm)
+    return [
+        (j, i)
+        for j in range(-rj, rj + 1)
+        for i in range(-ri, ri + 1)
+        if (j, i) != (0, 0) and np.hypot(j * step_mm[0], i * step_mm[1]) <= radius_mm
+    ]
+
+
+def spread(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
+    """The mask moved by each offset, together."""
+    out = mask.copy()
+    nj, ni = mask.shape
+    for j, i in offsets:
+        out[max(j, 0) : nj + min(j, 0), max(i, 0) : ni + min(i, 0)] |= mask[
+            max(-j, 0) : nj + min(-j, 0), max(-i, 0) : ni + min(-i, 0)
+        ]
+    return out
+
+
+SIDES = [(-1, 0), (1, 0), (0, -1), (0, 1)]
+
+
+def grown(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What of ``within`` hangs together with ``start`` by sides."""
+    out = start & within
+    size = -1
+    while size != (size := int(out.sum())):
+        # Several steps at once: counting costs as much as a step.
+        for _ in range(4):
+            out = spread(out, SIDES) & within
+    return out
+
+
+def filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    outside = np.zeros_like(mask)
+    outside[[0, -1], :] = outside[:, [0, -1]] = True
+    return ~grown(outside, ~mask)
+
+
+def closed(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Gaps narrower than the offsets' disc closed, then holes filled."""
+    wider = spread(np.pad(mask, 4), offsets)
+    tight = ~spread(~wider, offsets)
+    return filled(tight[4:-4, 4:-4] | mask)
+
+
+def follow_up(
+    volume: Volume, scale: AirScale, air: float, start: tuple[int, int, int], stage: Stages, *, down: bool = False
+) -> list[Section]:
+    """The sections above a voxel of the trachea, from there up, until the air or the scan ends.
+
+    Each is the air that lies on the section below it. A tube's air and the air round it are one section.
+
+    Parameters
+    ----------
+    volume
+        In canonical order: slices from the feet up.
+    air
+        Values below are air.
+    start
+        (i, j, k) in the trachea's air.
+    down
+        The other way.
+    """
+    dx, dy, dz = volume.spacing_mm
+    step = (dy, dx)
+    size = [int(np.ceil(WINDOW_MM / s)) for s in step]
+    _, nj, ni = volume.shape_zyx
+    bridge = disc(BRIDGED_MM + 0.7 * max(dx, dy), step)
+    limit = disc(max(SPREAD_PER_MM * dz, dx, dy) + 0.3, step)
+    beside, close_by = disc(BESIDE_MM + 0.5 * max(dx, dy), step), disc(ROUND_MM, step)
+    strict, to_hu = scale.level(AIR_HU), 1.0 / scale.span(1.0)
+    zero = scale.level(0.0)
+    found: list[Section] = []
+    i, j, k = start
+    below: NDArray[np.bool_] | None = None
+    corner = (0, 0)
+    lost_mm, tubes = 0.0, 0
+    for k in range(start[2], -1, -1) if down else range(start[2], volume.shape_zyx[0]):
+        if stage.cancel is not None and stage.cancel():
+            raise CancelledError("stopped while finding the airways")
+        moved = (min(max(j - size[0], 0), max(nj - 2 * size[0], 0)), min(max(i - size[1], 0), max(ni - 2 * size[1], 0)))
+        values = volume.hu_zyx[k, moved[0] : moved[0] + 2 * size[0], moved[1] : moved[1] + 2 * size[1]]
+        is_air = values < air
+        if below is None:
+            last = np.zeros(values.shape, dtype=np.bool_)
+            last[j - moved[0], i - moved[1]] = True
+            seeds, allowed = last, np.ones_like(last)
+        else:
+            last = _moved(below, moved[0] - corner[0], moved[1] - corner[1], values.shape)
+            allowed = spread(last, limit)
+            seeds = last & is_air
+            if tubes >= 3:
+                seeds |= spread(last, beside) & (values < strict)
+                allowed = allowed | spread(last, beside)
+        region = grown(seeds & allowed, is_air & allowed)
+        if not region.any():
+            lost_mm += dz
+            if lost_mm > LOST_MM or below is None:
+                break
+            continue
+        lost_mm = 0.0
+        corner = moved
+        whole = closed(region, bridge)
+        septum = whole & ~is_air
+        at = np.argwhere(whole)
+        middle = at.mean(axis=0)
+        cells = np.argwhere(region)
+        off = np.hypot(*((cells - middle) * step).T)
+        jj, ii = cells[int(np.argmin(off))] + moved
+        j, i = (int(v) for v in np.rint(middle) + moved)
+        extent = (np.ptp(at, axis=0) + 1) * step
+        more = spread(region, SIDES) & is_air & ~region
+        front = np.argwhere(more)[:, 0]
+        near = spread(whole, close_by) & ~region
+        septum_mm2 = float(septum.sum() * dx * dy)
+        peak = (float(values[near].max()) - zero) * to_hu if near.any() else -1000.0
+        tubes = (
+            tubes + 1 if septum_mm2 >= SEPTUM_MM2 and peak >= SEPTUM_HU else max(tubes - 1, 0) if tubes < 3 else tubes
+        )
+        found.append(
+            Section(
+                k=k,
+                corner=corner,
+                air=region,
+                whole=whole,
+                voxel=(int(ii), int(jj), k),
+                centre_lps=volume.to_lps(np.array([middle[1] + moved[1], middle[0] + moved[0], k], dtype=np.float64)),
+                area_mm2=float(whole.sum() * dx * dy),
+                width_mm=float(extent[1]),
+                depth_mm=float(extent[0]),
+                septum_mm2=septum_mm2,
+                peak=peak,
+                leaves_in_front=bool(len(front) and (front < middle[0] - 0.25 * extent[0] / dy).any()),
+            )
+        )
+        below = whole
+    return found
+
+
+def _moved(mask: NDArray[np.bool_], dj: int, di: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """A mask in a window that begins so many voxels later."""
+    out = np.zeros(shape, dtype=np.bool_)
+    part = mask[max(dj, 0) : max(dj, 0) + shape[0] - max(-dj, 0), max(di, 0) : max(di, 0) + shape[1] - max(-di, 0)]
+    out[max(-dj, 0) : max(-dj, 0) + part.shape[0], max(-di, 0) : max(-di, 0) + part.shape[1]] = part
+    return out

@@ -1,0 +1,205 @@
+"""The top of the trachea where the scan goes on above it, or where a tube lies in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import flood_lumen
+from carina.track.find.air_upwards import SEPTUM_MM2, Section, follow_up
+from carina.track.find.softened import Softened
+from carina.track.find.upper_airway import (
+    BELOW_THE_CORDS_MM,
+    Cords,
+    Tube,
+    as_one_trachea,
+    opening_in_front,
+    the_cords,
+    tube_in,
+)
+from carina.track.levels import AirScale
+from carina.track.paths.tracker import Point, as_point
+from carina.track.stages import Stages
+from carina.track.tree.airway_tree import Branch
+from carina.volume.model import Note, Volume
+
+__all__ = ["LARYNX", "TUBE", "TopOfTrachea", "notes_of", "top_of_trachea", "without_its_tube"]
+
+LARYNX = "track.larynx"
+TUBE = "track.tube"
+
+AIR_END_HU = -800.0
+WALL_HU = 40.0
+# The cricoid's lower border is that of an adult whose cords lie 21.5 mm above it.
+ROOT_BELOW_CRICOID_MM = BELOW_THE_CORDS_MM - 21.5
+AT_CARINA_MM = 10.0
+MOST_BELOW = 0.85
+# More air than a throat holds is the world outside.
+MOST_THROAT_MM3 = 150_000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopOfTrachea:
+    seeds: list[tuple[int, int, int]]
+    """Voxels (i, j, k) of the trachea, from its top down."""
+    start: Point
+    searched: Softened
+    """With tissue in place of what is no trachea."""
+    upper_zyx: NDArray[np.uint8] | None
+    """(nz, ny, nx), 1 in larynx and throat; None where the scan ends below them."""
+    sections: list[Section]
+    """Those of the trachea that a tube lies in."""
+    tip_lps: NDArray[np.float64] | None
+    """The tube's tip; None where there is no tube."""
+    cut: list[Section]
+    """Those beside an opening, where the lumen is no wider than they are."""
+    starts_in_it: bool
+    """The lowest section already lies in the tube."""
+    is_open: bool
+    """Open to the air outside in front of the neck."""
+    cords: Cords | None
+
+
+def top_of_trachea(
+    soft: Softened, seeds: list[tuple[int, int, int]], scale: AirScale, stage: Stages
+) -> TopOfTrachea | None:
+    """Where the trachea really begins, and what it is open to; None where it begins where it was found.
+
+    Parameters
+    ----------
+    seeds
+        Voxels (i, j, k) of the trachea as it was found, from the top down; larynx and throat may be among them.
+    """
+    stage.begin("finding the upper end of the trachea")
+    volume = soft.volume
+    sections = follow_up(volume, scale, scale.level(AIR_END_HU), seeds[-1], stage)
+    if len(sections) < 3:
+        return None
+    tube = tube_in(sections)
+    cords = the_cords(sections, tube)
+    trachea = sections if cords is None else sections[: cords.begins_at + 1]
+    opening = opening_in_front(volume, scale, trachea)
+    if tube is None and cords is None and opening is None:
+        return None
+    is_open = opening is not None or _leaves_with_its_tube(trachea, tube)
+    trachea, cut = as_one_trachea(volume, sections, tube, len(trachea), is_open=is_open)
+    top = trachea[-1]
+    wall = round(scale.level(WALL_HU))
+
+    def wall_off(values: NDArray[np.int16]) -> None:
+        if cords is not None:
+            values[top.k + 1 :] = wall
+        if opening is not None:
+            part, air = opening
+            values[part][air] = wall
+        for section, air in cut:
+            section.window_of(values)[air] = wall
+
+    in_tube = [] if tube is None else trachea[tube.first : tube.last + 4]
+    return TopOfTrachea(
+        seeds=[s.voxel for s in reversed(trachea)],
+        start=as_point(volume.to_lps(np.array(top.voxel, dtype=np.float64))),
+        searched=soft if cords is None and opening is None and not cut else soft.walled(wall_off),
+        upper_zyx=None if cords is None else _upper_airway(volume, scale, sections[cords.begins_at + 1 :], top.k),
+        sections=in_tube,
+        tip_lps=None if tube is None else sections[tube.first].centre_lps,
+        cut=[trachea[n] for n, section in enumerate(sections[: len(trachea)]) if any(section is c for c, _ in cut)],
+        starts_in_it=tube is not None and tube.first == 0,
+        is_open=is_open,
+        cords=cords,
+    )
+
+
+def without_its_tube(
+    top: TopOfTrachea, lowest: tuple[int, int, int], scale: AirScale, stage: Stages
+) -> NDArray[np.int16]:
+    """The values (nz, ny, nx) that were searched, with air for a tube's wall; below ``lowest`` (i, j, k) as well."""
+    volume = top.searched.volume
+    values = volume.hu_zyx.copy()
+    below = follow_up(volume, scale, scale.level(AIR_END_HU), lowest, stage, down=True)
+    for section in [*top.sections, *(s for s in below if s.septum_mm2 >= SEPTUM_MM2)]:
+        section.window_of(values)[section.whole] = round(scale.level(-1000.0))
+    return values
+
+
+def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
+    """A tube that ends below the top of the trachea, where air goes on in front of it."""
+    if tube is None or tube.last + 3 >= len(trachea):
+        return False
+    return any(section.leaves_in_front for section in trachea[max(tube.last - 3, 0) : tube.last + 4])
+
+
+def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: int) -> NDArray[np.uint8]:
+    """The air above the trachea's top slice that hangs together with its sections; those alone where that is open."""
+    mask = np.zeros(volume.shape_zyx, dtype=np.uint8)
+    if not above:
+        return mask
+    level = round(scale.level(AIR_END_HU))
+    found, _ = flood_lumen(
+        np.ascontiguousarray(volume.hu_zyx[top_k + 1 :]),
+        volume.lps_from_ijk,
+        [(s.voxel[0], s.voxel[1], s.voxel[2] - top_k - 1) for s in above],
+        first_level=level,
+        core_level=level,
+        last_level=level,
+        leak_mm3=MOST_THROAT_MM3,
+        small_leak_mm3=MOST_THROAT_MM3,
+        closed_radius_mm=1.0,
+        min_contrast=0.0,
+    )
+    mask[top_k + 1 :] = found
+    for section in above:
+        section.window_of(mask)[section.air] = 1
+    return mask
+
+
+def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
+    """What a person should know about it, in words."""
+    notes: list[Note] = []
+    if top.cords is not None:
+        scale = top.cords.above_root_mm / BELOW_THE_CORDS_MM
+        words = (
+            f"the scan includes the larynx: the tree begins about {ROOT_BELOW_CRICOID_MM * scale:.0f} mm below the "
+            f"cricoid ({top.cords.above_root_mm:.0f} mm below the vocal cords); the larynx and the throat above it are "
+            "upper airway and not part of the tree"
+        )
+        notes.append(Note(LARYNX, words, badge=True))
+    if top.tip_lps is not None:
+        name = "a tracheostomy tube" if top.is_open else "a tracheal tube"
+        above_mm = _to_carina(branches, top.tip_lps)
+        tip = f"its tip {above_mm:.0f} mm above the carina"
+        if top.starts_in_it:
+            # Its tip lies below where the trachea was followed from, which is the carina unless the search went wrong.
+            tip = "its tip at or below the carina" if above_mm < AT_CARINA_MM else f"{tip} or lower"
+        words = f"{name} is in the trachea, {tip}; what is in it and around it is treated as one trachea"
+        notes.append(Note(TUBE, words, badge=True))
+    elif top.is_open:
+        words = (
+            "the trachea is open to the air outside through the front of the neck (a tracheostomy without a tube); "
+            "the opening is not part of the tree"
+        )
+        notes.append(Note(TUBE, words, badge=True))
+    return notes
+
+
+def _to_carina(branches: tuple[Branch, ...], point: NDArray[np.float64]) -> float:
+    """Along the trachea from the place nearest to a point to the carina, mm.
+
+    A stub beside a tube is no carina: the trachea goes on as long as one child holds nearly all that is below.
+    """
+    size = [1] * len(branches)
+    # Parents come before their children.
+    for branch in reversed(branches):
+        if branch.parent is not None:
+            size[branch.parent] += size[branch.id]
+    line = [branches[0]]
+    while line[-1].children:
+        largest = max(line[-1].children, key=lambda child: size[child])
+        if size[largest] < MOST_BELOW * (size[line[-1].id] - 1):
+            break
+        line.append(branches[largest])
+    points = np.concatenate([branch.points for branch in line])
+    nearest = int(np.argmin(np.linalg.norm(points - point, axis=1)))
+    return float(np.linalg.norm(np.diff(points[nearest:], axis=0), axis=1).sum())

@@ -1,0 +1,298 @@
+"""Where the trachea ends upwards: at the cricoid, below the vocal cords; and what tube keeps it open."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, Section, disc, spread
+from carina.track.levels import AirScale
+from carina.volume.model import Volume
+
+__all__ = ["Cords", "Tube", "as_one_trachea", "opening_in_front", "the_cords", "tube_in"]
+
+# The cords are not looked for nearer to the carina than so many diameters of the trachea: an adult's lie 7 of them up,
+# a newborn's 8.
+LEAST_DIAMETERS = 4.0
+# Narrower than this share of the trachea, from side to side or in area: the cone under the cords, or a stenosis.
+NARROW_WIDTH = 0.7
+NARROW_AREA = 0.6
+# A slit: this much narrower from side to side than from front to back.
+SLIT = 0.6
+# The throat is this much wider than the trachea.
+THROAT_WIDTH = 1.3
+# What lies above is looked at so far up; a trachea again as long as this makes the narrow place a stenosis.
+ABOVE_MM = 45.0
+TRACHEA_AGAIN_MM = 20.0
+AGAIN_BY_A_TUBE_MM = 9.0
+# From the cone under the true cords to the wide part of the vestibule; that from the cords on.
+LONGEST_MM = 40.0
+ABOVE_CORDS_MM = 20.0
+# The cords lie 18 to 25 mm above the lower border of an adult's cricoid; the tree begins this far below them, and so
+# below the cricoid. In smaller tracheas, children's, all that is smaller.
+BELOW_THE_CORDS_MM = 26.5
+ADULT_DIAMETER_MM = 15.0
+LEAST_SIZE = 0.4
+# The cone under the cords begins to narrow so far below them, at most.
+CONE_MM = 9.0
+# A tube lies in the trachea for at least this.
+LEAST_TUBE_MM = 12.0
+# A tube whose wall lies on the trachea's all round: so bright all along, so narrow, for so long.
+LINE_HU = 500.0
+TIGHT_AREA = 0.55
+LEAST_TIGHT_MM = 25.0
+# Sections beside such an opening that reach forward are deeper than the trachea by this factor.
+DEEPER = 1.12
+# Fluid round a tube leaves less than this share of the trachea's area; at least so much of its radius is trachea.
+LITTLE_AREA = 0.8
+CORE = 0.9
+# An opening in the front of the neck: followed forward so far, and up and down so far, in air as dark as this.
+FORWARD_MM = 160.0
+ASIDE_MM = 25.0
+UP_DOWN_MM = 30.0
+OPEN_AIR_HU = -900.0
+# Beside the trachea's own air this much of it is the world outside.
+OUTSIDE_MM3 = 12_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Cords:
+    at: int
+    """Place of the cords among the sections."""
+    begins_at: int
+    """Of the first section below the cricoid: where the tree begins."""
+    above_root_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tube:
+    first: int
+    """Places of its tip and of its upper end among the sections."""
+    last: int
+
+
+def _heights(sections: list[Section]) -> NDArray[np.float64]:
+    return np.array([section.centre_lps[2] for section in sections])
+
+
+def _typical(sections: list[Section], heights: NDArray[np.float64], tube: Tube | None) -> tuple[float, float, float]:
+    """Width, depth and area of the trachea: the median over its lower part, below a tube's tip where there is one."""
+    stop = len(sections) if tube is None else max(tube.first - 1, 1)
+    lower = [s for s, z in zip(sections[:stop], heights[:stop], strict=True) if z - heights[0] <= 60.0]
+    rows = np.array([[s.width_mm, s.depth_mm, s.area_mm2] for s in lower])
+    width, depth, area = np.median(rows, axis=0)
+    return float(width), float(depth), float(area)
+
+
+def tube_in(sections: list[Section]) -> Tube | None:
+    """The tube among the sections, from its tip up; None where there is none.
+
+    Plastic or metal between the air in it and the air round it; or, where it fills the trachea, a narrow round lumen
+    with something as bright as its line all along.
+    """
+    heights = _heights(sections)
+    open_all = float(np.median([s.area_mm2 for s in sections[: max(len(sections) // 3, 1)]]))
+    peaks = np.array([s.peak for s in sections])
+    shows = np.array([s.septum_mm2 >= SEPTUM_MM2 for s in sections])
+    tight = np.array([s.area_mm2 <= TIGHT_AREA * open_all and s.peak >= LINE_HU for s in sections])
+    for signs, least_mm in ((shows, LEAST_TUBE_MM), (shows | tight, LEAST_TIGHT_MM)):
+        # The line, or the metal, shows in most slices, whatever the voxels make of it in one.
+        runs = [
+            (first, last)
+            for first, last in _runs(signs, heights, gap_mm=4.0)
+            if heights[last] - heights[first] >= least_mm and np.quantile(peaks[first : last + 1], 0.6) >= SEPTUM_HU
+        ]
+        if runs:
+            return Tube(runs[0][0], runs[-1][1])
+    return None
+
+
+def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: float) -> list[tuple[int, int]]:
+    """First and last places of the runs of signs; smaller gaps are bridged."""
+    runs: list[tuple[int, int]] = []
+    for n in np.flatnonzero(signs):
+        if runs and (heights[n] - heights[runs[-1][1]] <= gap_mm or n == runs[-1][1] + 1):
+            runs[-1] = (runs[-1][0], int(n))
+        else:
+            runs.append((int(n), int(n)))
+    return runs
+
+
+def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
+    """The vocal cords among the sections; None where the scan, or its air, ends below them.
+
+    Going up, the trachea narrows from side to side to a slit, or to nothing where the cords are shut, and what follows
+    is no trachea again. A stenosis is followed by trachea; where the scan ends just above a narrow place, only a slit
+    is the cords.
+    """
+    heights = _heights(sections)
+    width, depth, area = _typical(sections, heights, tube)
+    diameter = 2.0 * float(np.sqrt(area / np.pi))
+    up = heights - heights[0]
+    narrow = np.array([s.width_mm < NARROW_WIDTH * width or s.area_mm2 < NARROW_AREA * area for s in sections])
+    # Cords that are shut show as missing slices.
+    steps = np.diff(heights)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    for n in np.flatnonzero(steps > 2.5 * usual):
+        narrow[n] = True
+    runs = _runs(narrow, heights, gap_mm=1.5)
+    for number, (first, last) in enumerate(runs):
+        if up[first] < LEAST_DIAMETERS * diameter or first == 0:
+            continue
+        end = float(heights[last])
+        above = [s for s, z in zip(sections[last + 1 :], heights[last + 1 :], strict=True) if z - end <= ABOVE_MM]
+        if _is_trachea_again(above, width, depth, area):
+            continue
+        # Fluid that stands on a tube's cuff leaves the tube's own lumen alone; above it there is some trachea again.
+        if tube is not None and number + 1 < len(runs):
+            following = heights[runs[number + 1][0]] - end
+            if AGAIN_BY_A_TUBE_MM <= following <= ABOVE_MM:
+                continue
+        is_slit = min(s.width_mm / s.depth_mm for s in sections[first : last + 1]) <= SLIT
+        is_throat = any(s.width_mm >= THROAT_WIDTH * width for s in above)
+        is_shut = bool((steps[first : last + 1] > 2.5 * usual).any())
+        if not is_slit and not is_throat and not (is_shut and above):
+            continue
+        # The true cords: the first least area, for the false ones lie above; not far above where the cone begins.
+        areas = np.array([s.area_mm2 for s in sections[first : last + 1]])
+        near = heights[first : last + 1] - heights[first] <= CONE_MM
+        at = first + int(np.flatnonzero(near & (areas <= 1.1 * areas[near].min()))[0])
+        if tube is not None and heights[last] - heights[first] > LONGEST_MM:
+            # Fluid up to the cords: the upper end of the larynx is all that shows.
+            at = int(np.flatnonzero(heights <= heights[last] - ABOVE_CORDS_MM)[-1])
+        size = min(max(diameter / ADULT_DIAMETER_MM, LEAST_SIZE), 1.0)
+        begins = np.flatnonzero(heights <= heights[at] - BELOW_THE_CORDS_MM * size)
+        if len(begins):
+            root = int(begins[-1])
+            return Cords(at, root, float(heights[at] - heights[root]))
+    return None
+
+
+def _is_trachea_again(above: list[Section], width: float, depth: float, area: float) -> bool:
+    like = np.array(
+        [
+            0.75 * width <= s.width_mm <= 1.25 * width
+            and 0.65 * area <= s.area_mm2 <= 1.35 * area
+            and s.depth_mm <= 1.4 * depth
+            for s in above
+        ],
+        dtype=np.bool_,
+    )
+    if not like.any():
+        return False
+    heights = _heights(above)
+    return any(heights[b] - heights[a] >= TRACHEA_AGAIN_MM for a, b in _runs(like, heights, gap_mm=1.5))
+
+
+def as_one_trachea(
+    volume: Volume, sections: list[Section], tube: Tube | None, stop: int, *, is_open: bool
+) -> tuple[list[Section], list[tuple[Section, NDArray[np.bool_]]]]:
+    """The first ``stop`` sections, each as the trachea's own.
+
+    Where an opening leaves the trachea its air reaches forward, and where fluid stands round a tube only the tube's own
+    lumen is left. There the trachea is an ellipse of its usual size whose middle lies on the line between the sections
+    below and above.
+
+    Returns
+    -------
+    list, list
+        The sections, and of each that reached forward the air that was cut off.
+    """
+    heights = _heights(sections)
+    width, depth, area = _typical(sections, heights, tube)
+    forward = np.array([is_open and (s.leaves_in_front or s.depth_mm > DEEPER * depth) for s in sections[:stop]])
+    by_tube = np.arange(stop) <= (-1 if tube is None else tube.last + 3)
+    little = np.array([s.area_mm2 < LITTLE_AREA * area for s in sections[:stop]]) & by_tube
+    cut: list[tuple[Section, NDArray[np.bool_]]] = []
+    own = list(sections[:stop])
+    dx, dy, _ = volume.spacing_mm
+    for first, last in _runs(forward | little, heights, gap_mm=4.0):
+        if first == 0:
+            continue
+        reaches = any(s.leaves_in_front for s in sections[first : last + 1]) and is_open
+        low = sections[first - 1]
+        high = sections[last + 1] if last + 1 < len(sections) else None
+        for n in range(first, last + 1):
+            section = sections[n]
+            share = 0.0 if high is None else (section.k - low.k) / (high.k - low.k)
+            middle = low.centre_lps + share * ((high or low).centre_lps - low.centre_lps)
+            i, j, _ = volume.to_ijk(middle)
+            nj, ni = section.air.shape
+            jj, ii = np.ogrid[:nj, :ni]
+            y, x = (jj + section.corner[0] - j) * dy, (ii + section.corner[1] - i) * dx
+            off_middle = (x / (0.5 * width)) ** 2 + (y / (0.5 * depth)) ** 2
+            inside, core = off_middle <= 1.0, off_middle <= CORE**2
+            air = section.air & inside if reaches else section.air
+            if not air.any():
+                continue
+            cells = np.argwhere(air)
+            off = np.hypot((cells[:, 0] + section.corner[0] - j) * dy, (cells[:, 1] + section.corner[1] - i) * dx)
+            nearest = cells[int(np.argmin(off))] + section.corner
+            own[n] = dataclasses.replace(
+                section,
+                air=air,
+                whole=inside if reaches else section.whole | core,
+                voxel=(int(nearest[1]), int(nearest[0]), section.k),
+                centre_lps=middle,
+            )
+            if reaches:
+                cut.append((section, section.air & ~inside))
+    return own, cut
+
+
+def opening_in_front(
+    volume: Volume, scale: AirScale, sections: list[Section]
+) -> tuple[tuple[slice, slice, slice], NDArray[np.bool_]] | None:
+    """The air of an opening in the front of the neck that joins the trachea to the air outside.
+
+    Returns
+    -------
+    tuple of slices, numpy.ndarray
+        A part [z, y, x] of the volume, and which of its voxels are that air, none of the trachea's own; None where
+        there is no such opening.
+    """
+    cut = [s for s in sections if s.leaves_in_front]
+    if not cut:
+        return None
+    dx, dy, dz = volume.spacing_mm
+    nk, nj, ni = volume.shape_zyx
+    low, high = cut[0].k, cut[-1].k
+    around = int(UP_DOWN_MM / dz)
+    k0, k1 = max(low - around, 0), min(high + around + 1, nk)
+    middle_i, middle_j = (int(np.median([s.voxel[a] for s in cut])) for a in (0, 1))
+    aside, forward = int(ASIDE_MM / dx), int(FORWARD_MM / dy)
+    part = (
+        slice(k0, k1),
+        slice(max(middle_j - forward, 0), min(middle_j + int(10.0 / dy), nj)),
+        slice(max(middle_i - aside, 0), min(middle_i + aside + 1, ni)),
+    )
+    air = volume.hu_zyx[part] < scale.level(OPEN_AIR_HU)
+    own = np.zeros(air.shape, dtype=np.bool_)
+    start = np.zeros(air.shape, dtype=np.bool_)
+    for section in sections:
+        if not k0 <= section.k < k1:
+            continue
+        at = np.argwhere(section.air) + section.corner - (part[1].start, part[2].start)
+        inside = ((at >= 0) & (at < air.shape[1:])).all(axis=1)
+        own[section.k - k0, at[inside, 0], at[inside, 1]] = True
+        if section.leaves_in_front:
+            start[section.k - k0] = spread(own[section.k - k0], disc(1.5 * max(dx, dy), (dy, dx)))
+    free = air & ~own
+    reached = start & free
+    size = -1
+    while size != (size := int(reached.sum())):
+        for _ in range(4):
+            wider = reached.copy()
+            for axis in range(3):
+                ahead = [slice(None)] * 3
+                behind = [slice(None)] * 3
+                ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+                wider[tuple(ahead)] |= reached[tuple(behind)]
+                wider[tuple(behind)] |= reached[tuple(ahead)]
+            reached = wider & free
+    if size * dx * dy * dz < OUTSIDE_MM3:
+        return None
+    return part, reached
