@@ -18,7 +18,7 @@ __all__ = ["MISFIT", "POOR_FIT", "calibrated", "fit_of", "misfit_note"]
 Frame = NDArray[np.float64]
 
 MISFIT = "track.tree-unlike-human"
-POOR_FIT = 3.0
+POOR_FIT = 2.5
 """A tree that fits less well is no human bronchial tree, or not in the orientation of its file: docs/decisions/0063."""
 AGAINST = 1.5
 """What an advantage over the other orientations counts, beside the evidence itself."""
@@ -72,7 +72,7 @@ def fit_of(
 
     Evidence over chance, per bronchus that carries a reading, of the central airways, and one and a half times what it
     is above the best of the six orientations that no patient has (upside down, back to front, and those mirrored). It
-    is 4 to 5 in phantoms, 3.2 to 4.9 in the three patients it was seen in, below 3 in nearly all trees that branch
+    is 4 to 5 in phantoms, 3.2 to 4.9 in the three patients it was seen in, below 2.5 in most trees that branch
     at random, below 2.2 in vessels and below 1.5 in trees that stand on their heads.
 
     Parameters
