@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from xml.sax.saxutils import escape
 
-__all__ = ["line_plot", "timeline"]
+__all__ = ["line_plot", "reliability_plot", "timeline"]
 
 COLOURS = ("#3b82c4", "#d97a2b", "#4a9b5c", "#b0509a", "#8a7a2f", "#2aa5a5", "#c23b5e", "#777777")
 INK = "#777777"
@@ -107,3 +108,43 @@ def timeline(title: str, jobs: Mapping[str, Sequence[tuple[float, float, int]]])
         parts += [_line((x, foot), (x, foot + 4), INK), _text(x, foot + 18, f"{n * step:g}", anchor="middle")]
     parts.append(_text(LEFT + inner_w / 2, foot + 38, "ms; numbers and colours are frames", anchor="middle"))
     return _svg(title, parts, height=height)
+
+
+def reliability_plot(
+    title: str, judged: Mapping[str, Sequence[tuple[float, bool]]], *, num_bins: int = 10, least: int = 5
+) -> str:
+    """The share that is true over the confidence that was told, by bins; on the diagonal confidence is a probability.
+
+    Parameters
+    ----------
+    judged
+        (confidence, is true), by name.
+    least
+        Bins with fewer are not drawn.
+    """
+    inner_w, inner_h = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        return LEFT + x * inner_w, TOP + inner_h - y * inner_h
+
+    parts = [_line(at(0.0, 0.0), at(1.0, 1.0), INK)]
+    for k in range(0, 11, 2):
+        parts.append(_text(at(k / 10, 0.0)[0], HEIGHT - BOTTOM + 18, f"{k / 10:.1f}", anchor="middle"))
+        parts.append(_text(LEFT - 8, at(0.0, k / 10)[1] + 4, f"{k / 10:.1f}", anchor="end"))
+    parts += [_line(at(0.0, 0.0), at(1.0, 0.0), INK), _line(at(0.0, 0.0), at(0.0, 1.0), INK)]
+    parts.append(_text(LEFT + inner_w / 2, HEIGHT - 10, "confidence", anchor="middle"))
+    parts.append(_text(LEFT, TOP - 4, "share that is true"))
+    for number, (name, members) in enumerate(judged.items()):
+        colour = COLOURS[number % len(COLOURS)]
+        bins: list[list[tuple[float, bool]]] = [[] for _ in range(num_bins)]
+        for share, hit in members:
+            bins[min(int(share * num_bins), num_bins - 1)].append((share, hit))
+        places = [
+            at(sum(s for s, _ in inside) / len(inside), sum(h for _, h in inside) / len(inside))
+            for inside in bins
+            if len(inside) >= least
+        ]
+        parts += [_line(a, b, colour, 2.0) for a, b in pairwise(places)]
+        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>' for x, y in places]
+        parts.append(_text(WIDTH - RIGHT + 12, TOP + 16 + 20 * number, name, colour=colour))
+    return _svg(title, parts)

@@ -2,7 +2,8 @@
 
 A true segment is *right* where the tree's branch that lies along it bears its name; *wrong* where it bears the name of
 another segment or of a stem; else it has no name. Subsegments have no truth in the phantoms: their letters on the found
-tree are compared with those on the true one, which the same rule gave.
+tree are compared with those on the true one, which the same rule gave. Whether confidence is a probability is asked by
+``track_confidence``.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from carina.config import load_settings
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, branch_side_and_lobe, find_airways, name_tree, name_words
 from carina.volume import Volume, open_volume
+from carina_bench import track_confidence
 
 __all__ = ["along", "lobe_lengths", "run", "tally"]
 
@@ -69,6 +71,7 @@ def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
             "better": "lower",
         },
     ]
+    rows += track_confidence.run(quick, say)
     for case, folder in (LOBE_CASES | OTHER_LOBE_CASES).items():
         say(f"lobes: {case}")
         limit = 0.98 if case in LOBE_CASES else None

@@ -34,6 +34,10 @@ def test_airways_says_what_it_found_and_writes_tree_and_lumen(carina, case, tmp_
     words = carina("airways", case / "ct.nii.gz")
     assert "Trachea" in words.out
     assert "mm wide" in words.out
+    # A bronchus that side branches cut in pieces is one row.
+    heads = {row["row"] for row in report["branches"]}
+    assert sum("mm long" in line for line in words.out.splitlines()) == len(heads)
+    assert all(report["branches"][0].keys() == row.keys() for row in report["branches"])
 
 
 def test_a_lumen_from_another_tool_takes_the_place_of_the_automatic_one(carina, case, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from plugged_chest import CHEST, named, plugged
 
 import carina
-from carina.track import AirwayTree, Branch, find_absent
+from carina.track import AirwayTree, Branch, find_absent, name_tree
 from carina.track.tree.uncertain import Uncertainty
 from carina.volume import Volume
 from made import made_phantom
@@ -59,6 +59,45 @@ def test_a_lobe_of_which_nothing_was_found_is_told_once(chest, name):
     absences = find_absent(without(chest[1].tree, name))
     assert [absence.name for absence in absences] == [name]
     assert absences[0].carrier in ("BI", "LMB", "RMB")
+
+
+def resected(seed, lobe, stump_mm=4.0):
+    """A true tree after a lobectomy: of the lobe a stump is left; its neighbours have moved a little to its place."""
+    box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
+    made = carina.generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box, generations=5)
+    whole = AirwayTree.from_json(made.truth)
+    lost = whole.named(lobe)
+    cut = without(whole, lobe)
+    left_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lost.points, axis=0), axis=1))])
+    kept = max(int((left_mm <= stump_mm).sum()), 2)
+    stump = dataclasses.replace(lost, name=None, children=(), points=lost.points[:kept], radius=lost.radius[:kept])
+    siblings = whole.branch(lost.parent).children
+    carrier = dataclasses.replace(cut.branch(lost.parent), children=siblings)
+    branches = [carrier if b.id == carrier.id else b for b in cut.branches]
+    branches.insert(1 + branches.index(carrier), stump)
+    middle = lost.points[-1]
+    is_right = middle[0] < 0.0
+
+    def moved(points):
+        toward = middle - points
+        beside = (np.abs(points[:, 0]) > 15.0) & ((points[:, 0] < 0.0) == is_right)
+        return points + beside[:, None] * 0.15 * toward * np.exp(-np.linalg.norm(toward, axis=1) / 80.0)[:, None]
+
+    return whole, AirwayTree(tuple(dataclasses.replace(b, name=None, points=moved(b.points)) for b in branches))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("lobe", ["RUL", "RML"])
+def test_a_lobe_that_was_resected_is_told_once_with_resection_among_the_reasons(seed, lobe):
+    whole, tree = resected(seed, lobe)
+    read = name_tree(tree)
+    assert read.notes == ()
+    (absence,) = find_absent(read)
+    assert absence.name == lobe
+    assert "resected" in absence.reason
+    true = {b.id: b.name for b in whole.branches if b.name is not None and b.name[1:2] == "B"}
+    left = [b for b in read.branches if b.id in true]
+    assert sum(b.name == true[b.id] for b in left) >= 0.8 * len(left)
 
 
 @pytest.mark.parametrize(("name", "lacking", "carrier"), [("RML", {"RML", "RLL"}, "BI"), ("LB6", {"LB6"}, "LLL")])

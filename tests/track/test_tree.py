@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 
 import numpy as np
@@ -44,6 +45,48 @@ def test_a_tree_survives_its_document_bit_for_bit(tree):
         assert (a.cost, a.confidence) == (b.cost, b.confidence)
         assert a.points.tobytes() == b.points.tobytes()
         assert a.radius.tobytes() == b.radius.tobytes()
+
+
+def cut_in_two(**lower: object) -> AirwayTree:
+    """RB6 goes on past a side branch; ``lower`` changes its second piece."""
+
+    def piece(number, parent, children, name, radius_mm):
+        start_mm = {0: 0.0, 1: 10.0, 2: 20.0, 3: 20.0, 4: 30.0}[number]
+        points = np.array([[0.0, 0.0, -start_mm], [0.0, 0.0, -start_mm - 10.0]])
+        radius = np.full(2, radius_mm)
+        return Branch(number, parent, children, number, name, "tracked", points, radius, name_from=name and "anatomy")
+
+    second = dataclasses.replace(piece(2, 1, (4,), "RB6", 1.5), **lower)
+    return AirwayTree(
+        (
+            piece(0, None, (1,), "RLL", 4.0),
+            piece(1, 0, (2, 3), "RB6", 2.0),
+            second,
+            piece(3, 1, (), None, 1.0),
+            piece(4, 2, (), "RB6a", 1.0),
+        )
+    )
+
+
+def test_a_bronchus_that_a_side_branch_cuts_in_two_is_one_row():
+    tree = cut_in_two()
+    rows = tree.rows()
+    assert [(row.name, [b.id for b in row.branches], row.depth) for row in rows] == [
+        ("RLL", [0], 0),
+        ("RB6", [1, 2], 1),
+        (None, [3], 2),
+        ("RB6a", [4], 2),
+    ]
+    assert (rows[1].length_mm, rows[1].lumen_mm, rows[1].calibre) == (20.0, (3.0, 4.0), "3.0 to 4.0")
+    page = tree.to_html()
+    assert page.count(">RB6<") == 1
+    assert "3.0 to 4.0" in page
+    assert len(tree.to_json()["branches"]) == 5
+
+
+@pytest.mark.parametrize("lower", [{"name_from": "person"}, {"kind": "bridge"}, {"name": "RB7"}])
+def test_what_a_person_named_or_drew_is_a_row_of_its_own(lower):
+    assert [[b.id for b in row.branches] for row in cut_in_two(**lower).rows()][1:3] == [[1], [2]]
 
 
 def test_unknown_keys_are_ignored_and_order_does_not_matter(tree):

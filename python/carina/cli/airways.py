@@ -103,10 +103,10 @@ def find(
         f"{len(airways.tree)} branches up to generation {deepest}, {length_mm / 1000.0:.2f} m in total, "
         f"lumen volume {lumen_ml:.1f} ml"
     )
-    for row in rows:
-        name, kind = row["name"] or "-", kind_words(row["kind"])
-        wide = f"{row['lumen_mm']:4.1f} mm wide" if kind is None else f"{kind}: the CT shows no airway here"
-        print(f"{'  ' * row['generation']}{row['id']:>4} {name:<18} {row['length_mm']:6.1f} mm long, {wide}")
+    for row in airways.tree.rows():
+        kind = kind_words(row.branches[0].kind)
+        wide = f"{row.calibre:>4} mm wide" if kind is None else f"{kind}: the CT shows no airway here"
+        print(f"{'  ' * row.depth}{row.id:>4} {row.name or '-':<18} {row.length_mm:6.1f} mm long, {wide}")
     for absence in airways.absent:
         print(absence.words)
     return exit_code
@@ -201,10 +201,13 @@ def _airways(
 
 
 def _rows(airways: Airways) -> list[dict[str, Any]]:
+    row_of = {branch.id: row.id for row in airways.tree.rows() for branch in row.branches}
     return [
         {
             "id": branch.id,
             "parent": branch.parent,
+            # Pieces of one bronchus, which side branches cut in two, have the same.
+            "row": row_of[branch.id],
             "generation": branch.generation,
             "name": branch.name,
             "name_confidence": branch.name_confidence,

@@ -35,7 +35,7 @@ from carina.track.surface.outline import LumenOutline
 from carina.track.surface.wall import wall_field
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.track.targets.tracking import track_paths
-from carina.track.tree.airway_tree import AirwayTree, Branch, Route
+from carina.track.tree.airway_tree import AirwayTree, Branch, Route, TreeRow
 from carina.track.tree.between import way_between
 from carina.track.tree.drawn import DrawnPart, drawn_part, drawn_tree, kind_words
 from carina.track.tree.uncertain import Uncertainty
@@ -76,6 +76,7 @@ __all__ = [
     "TrackedPath",
     "TreeEdit",
     "TreeMeasures",
+    "TreeRow",
     "Uncertainty",
     "aimed_path",
     "branch_side_and_lobe",

@@ -5,10 +5,10 @@ import { Button, Input, type Key, SearchField, Tree, TreeItem, TreeItemContent }
 import { ClickCounter } from "../input/clicks";
 import { keyOf } from "../input/keymap";
 import type { BranchNode, BranchTree } from "../state/airways";
-import { lineage } from "../state/airways";
+import { headOf, lineage, rowChildren } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { filterTree, kindWords, lumenMm, marksOf, tooltipOf } from "../state/branch-words";
-import { fixed, plural, sentence } from "../state/format";
+import { calibreOf, filterTree, kindWords, marksOfRow, tooltipOf } from "../state/branch-words";
+import { plural, sentence } from "../state/format";
 import { wantsBranch } from "../state/tools";
 import { below } from "../state/tree-index";
 import { AbsentAirways } from "./AbsentAirways";
@@ -28,8 +28,9 @@ export function BranchList() {
   const words = useApp((state) => emptyWords(state.session?.airways, state.session?.airways_words ?? null));
   const failed = useApp((state) => state.session?.airways === "failed");
   const arming = useApp((state) => state.ui.armed === "root");
-  const chosen = useApp((state) => state.route?.spans.at(-1)?.branch_id ?? null);
-  const shown = useApp(shownBranch);
+  const routeEnd = useApp((state) => state.route?.spans.at(-1)?.branch_id ?? null);
+  const chosen = rowOf(tree, routeEnd);
+  const shown = useApp((state) => rowOf(state.tree, shownBranch(state)));
   /** A row is a branch to cut, to smooth, or whose fork is moved. */
   const forTool = useApp((state) => wantsBranch(state.ui.armed, state.ui.forkHeld !== null));
   /** Rows move up when one is cut: the second click of a double click must not mean the one that lies there then. */
@@ -53,7 +54,7 @@ export function BranchList() {
     if (tree === null || shown === null) return;
     const open = lineage(tree, shown)
       .slice(0, -1)
-      .map((node) => String(node.branch.id));
+      .map((node) => String(headOf(node).branch.id));
     setExpanded((old) => (open.every((id) => old.has(id)) ? old : new Set([...old, ...open])));
     // After the rows above it are there.
     requestAnimationFrame(() => list.current !== null && bringIntoList(list.current, shown));
@@ -83,7 +84,7 @@ export function BranchList() {
       </section>
     );
   }
-  const count = filtered === null ? tree.byId.size : filtered.hits.length;
+  const count = filtered === null ? numRows(tree) : filtered.hits.length;
   return (
     <section className="branches" aria-label="Airways">
       <ListHead>
@@ -126,8 +127,10 @@ export function BranchList() {
             selectedKeys={chosen === null ? [] : [String(chosen)]}
             onSelectionChange={(keys) => {
               const [key] = [...keys];
-              if (key !== undefined && Number(key) !== chosen) station.chooseBranch(Number(key));
-              else if (key !== undefined) station.ui({ selected: Number(key) });
+              // The route leads to the end of the bronchus, past its side branches.
+              const last = key === undefined ? null : lastPiece(tree, Number(key));
+              if (last !== null && last !== routeEnd) station.chooseBranch(last);
+              else if (last !== null) station.ui({ selected: last });
               giveKeysBackAfterClick();
             }}
             expandedKeys={filtered === null ? expanded : new Set([...filtered.shown].map(String))}
@@ -172,12 +175,13 @@ function BranchSearch({ value, onChange }: { value: string; onChange: (text: str
 
 /** Marks the branches of the tip, of the cursor and of the panel without rendering hundreds of rows again. */
 function RowStyles({ tree }: { tree: BranchTree }) {
-  const here = useApp((state) => state.pose?.branch_id ?? null);
-  const hovered = useApp((state) => state.ui.hovered?.branchId ?? null);
-  const selected = useApp((state) => state.ui.selected);
+  const here = useApp((state) => rowOf(tree, state.pose?.branch_id ?? null));
+  const pointed = useApp((state) => state.ui.hovered?.branchId ?? null);
+  const hovered = rowOf(tree, pointed);
+  const selected = useApp((state) => rowOf(tree, state.ui.selected));
   const cuts = useApp((state) => state.ui.armed === "cut");
   const rules: string[] = [];
-  const doomed = hovered === null || !cuts ? undefined : tree.byId.get(hovered);
+  const doomed = pointed === null || !cuts ? undefined : tree.byId.get(pointed);
   if (doomed !== undefined) {
     const rows = below(doomed).map(({ branch }) => `[data-branch="${branch.id}"]`);
     rules.push(`.branch-tree :is(${rows.join()}) { color: var(--warning); }`);
@@ -232,8 +236,9 @@ function giveKeysBackAfterClick(): void {
 function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | null }) {
   const { branch } = node;
   const kind = kindWords(branch.kind);
-  const lumen = lumenMm(node);
-  const children = only === null ? node.children : node.children.filter((child) => only.has(child.branch.id));
+  const lumen = calibreOf(node);
+  const onward = rowChildren(node);
+  const children = only === null ? onward : onward.filter((child) => only.has(child.branch.id));
   return (
     <TreeItem id={String(branch.id)} textValue={node.label}>
       <TreeItemContent>
@@ -249,8 +254,8 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
             <span className={`side ${node.side}${kind === null ? "" : " drawn"}`} data-lobe={node.lobe ?? undefined} />
             <span className="name">
               {node.label}
-              {marksOf(node).map((mark) => (
-                <abbr key={mark.sign} className="mark" title={mark.words}>
+              {marksOfRow(node).map((mark) => (
+                <abbr key={mark.words} className="mark" title={mark.words}>
                   {mark.sign}
                 </abbr>
               ))}
@@ -264,7 +269,7 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
             </span>
             {lumen === null ? null : (
               <span className="numbers quiet lumen" title="lumen, mm">
-                {fixed(lumen, 1)}
+                {lumen}
               </span>
             )}
           </div>
@@ -276,6 +281,16 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
     </TreeItem>
   );
 }
+
+/** The first piece of a branch's row, which stands for it in the list; null where there is none. */
+function rowOf(tree: BranchTree | null, id: number | null): number | null {
+  const node = id === null ? undefined : tree?.byId.get(id);
+  return node === undefined ? null : headOf(node).branch.id;
+}
+
+const lastPiece = (tree: BranchTree, id: number): number => tree.byId.get(id)?.row.at(-1)?.branch.id ?? id;
+
+const numRows = (tree: BranchTree): number => [...tree.byId.values()].filter((node) => headOf(node) === node).length;
 
 function emptyWords(airways: string | undefined, words: string | null): string {
   switch (airways) {

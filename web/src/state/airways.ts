@@ -69,6 +69,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
       lengthMm: lengthOf(branch),
       diameterMm: medianDiameter(branch),
       children: [],
+      row: [],
       measures: measured.get(branch.id) ?? null,
       longName: title?.long ?? null,
       lobe: title?.lobe ?? null,
@@ -82,6 +83,7 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
     return node;
   };
   const root = build(rootBranch);
+  giveRows(root, [root]);
   let best: { worth: number; sides: [BranchNode, Side][] } = { worth: 0, sides: [] };
   for (const node of byId.values()) {
     const sides = node.children.map((child) => ({ child, ...leaning(node, child) }));
@@ -96,6 +98,31 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
   for (const [child, side] of best.sides) giveSide(child, side);
   return { root, byId, index: indexOf(byId.values()), uncertain: extras.uncertain ?? [], absent: extras.absent ?? [] };
 }
+
+/** A branch continues its parent's row where it is the only child of the same name, source and kind. */
+function giveRows(node: BranchNode, row: BranchNode[]): void {
+  node.row = row;
+  const onward = node.children.filter((child) => goesOn(node, child));
+  for (const child of node.children) {
+    if (onward.length === 1 && child === onward[0]) {
+      row.push(child);
+      giveRows(child, row);
+    } else giveRows(child, [child]);
+  }
+}
+
+const goesOn = ({ branch: above }: BranchNode, { branch }: BranchNode): boolean =>
+  above.name !== null &&
+  branch.name === above.name &&
+  branch.name_from === above.name_from &&
+  branch.kind === above.kind;
+
+/** The piece that stands for a branch in the list: the first of its row. */
+export const headOf = (node: BranchNode): BranchNode => node.row[0] ?? node;
+
+/** The rows of the list that leave a row, side branches of its pieces first. */
+export const rowChildren = (head: BranchNode): BranchNode[] =>
+  head.row.flatMap((piece) => piece.children.filter((child) => headOf(child) === child));
 
 /** How many tips lie below a child, and how far to the patient's left of the fork (mean, mm). */
 function leaning(node: BranchNode, child: BranchNode): { meanX: number; tips: number } {

@@ -12,6 +12,8 @@ export interface BranchNode {
   /** Median diameter, mm. */
   diameterMm: number;
   children: BranchNode[];
+  /** The pieces of its bronchus, which side branches cut in two, from the trachea outwards: one row of the list. */
+  row: readonly BranchNode[];
   /** Null until it was measured. */
   measures: BranchMeasures | null;
   /** The name in full, such as "apical segment, RUL". */

@@ -1,14 +1,17 @@
 import { describe, expect, it } from "vitest";
 import type { BranchMeasures, TreeBranch } from "../wire/messages";
-import { type BranchTree, buildTree, type TreeExtras } from "./airways";
+import { type BranchTree, buildTree, headOf, rowChildren, type TreeExtras } from "./airways";
 import {
+  calibreOf,
   drawnShare,
   drawnWords,
   factsOf,
   filterTree,
   marksOf,
+  marksOfRow,
   nameWords,
   routeDoubts,
+  rowLengthMm,
   tooltipOf,
 } from "./branch-words";
 import { testBranch } from "./branches.testing";
@@ -68,6 +71,49 @@ const node = (tree: BranchTree, id: number) => {
   return found;
 };
 const NBSP = "\u202f";
+
+describe("a bronchus that a side branch cuts in two", () => {
+  const name = { name: "RB6", name_from: "anatomy", name_confidence: 0.9 } as const;
+  const given = (change: Partial<TreeBranch> = {}): BranchTree => {
+    const tree = buildTree({
+      format: "carina-tree",
+      version: 1,
+      space: "LPS",
+      unit: "mm",
+      root: 0,
+      branches: [
+        branch(0, null, [1, 2], { name: "RLL", name_from: "anatomy", name_confidence: 1 }),
+        branch(1, 0, [3, 4], { ...name, radius: [2, 2] }),
+        branch(2, 0, []),
+        branch(3, 1, [5], { ...name, radius: [1.5, 1.5], name_confidence: 0.55, generation: 2, ...change }),
+        branch(4, 1, [], { generation: 2 }),
+        branch(5, 3, [], { generation: 3 }),
+      ],
+    });
+    if (tree === null) throw new Error("no tree");
+    return tree;
+  };
+
+  it("is one row with all its pieces, the total length and the calibre range", () => {
+    const tree = given();
+    const head = node(tree, 1);
+    expect(head.row.map((piece) => piece.branch.id)).toEqual([1, 3]);
+    expect(headOf(node(tree, 3))).toBe(head);
+    expect(rowChildren(head).map((child) => child.branch.id)).toEqual([4, 5]);
+    expect(rowLengthMm(head)).toBe(60);
+    expect(calibreOf(head)).toBe("3.0\u20134.0");
+    expect(tooltipOf(head)).toContain("2 pieces between side branches");
+    expect(marksOfRow(head).map((mark) => mark.sign)).toEqual(["?"]);
+    expect(filterTree(tree, "RB6")?.hits).toEqual([1]);
+    expect(factsOf(node(tree, 3)).map((fact) => fact.term)).toContain("All pieces");
+  });
+
+  it("is two rows where a person named one of them, or drew one", () => {
+    for (const change of [{ name_from: "person" }, { kind: "bridge" }, { name: "RB7" }] as const) {
+      expect(node(given(change), 1).row.map((piece) => piece.branch.id)).toEqual([1]);
+    }
+  });
+});
 
 describe("a branch in words", () => {
   const tree = made({ titles: [{ branch_id: 1, long: "apical segment, RUL", lobe: "RUL" }], measures: [MEASURES] });

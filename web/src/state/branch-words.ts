@@ -1,8 +1,8 @@
 /** What the list and the panel say about a branch: its title, how sure it is, its figures with their errors. */
 
 import type { BranchMeasures, RouteSpan } from "../wire/messages";
-import type { BranchNode, BranchTree } from "./airways";
-import { fixed, mm } from "./format";
+import { type BranchNode, type BranchTree, headOf, rowChildren } from "./airways";
+import { fixed, mm, plural } from "./format";
 
 /** Below these the list marks a name, or a branch, as doubtful. */
 const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
@@ -28,6 +28,16 @@ export function marksOf(node: BranchNode): readonly Mark[] {
   return marks;
 }
 
+/** Small signs behind a row of the list: of each kind that of the piece with the least confidence. */
+export function marksOfRow(head: BranchNode): readonly Mark[] {
+  const least = (of: (piece: BranchNode) => number | null): BranchNode =>
+    head.row.reduce((a, b) => ((of(b) ?? 1) < (of(a) ?? 1) ? b : a), head);
+  const name = marksOf(least(({ branch }) => branch.name_confidence)).filter(({ sign }) => sign === "?");
+  const airway = marksOf(least(({ branch }) => branch.confidence)).filter(({ sign }) => sign === "~");
+  const variants = head.row.flatMap((piece) => marksOf(piece).filter(({ sign }) => sign === "v"));
+  return [...name, ...airway, ...variants.filter(({ words }, n) => variants.findIndex((v) => v.words === words) === n)];
+}
+
 /** Whether it is not sure that a branch is airway all along. */
 export const isDoubtful = ({ branch }: BranchNode): boolean =>
   branch.doubtful_mm > 0 || (branch.confidence !== null && branch.confidence < DOUBTFUL.airway);
@@ -45,17 +55,31 @@ export function drawnWords(node: BranchNode): string | null {
   return doubtful > 0 ? `Drawn by hand. The CT shows no wall along ${mm(doubtful, 0)} of it.` : "Drawn by hand.";
 }
 
-/** The whole of it, for a tooltip. */
-export function tooltipOf(node: BranchNode): string {
-  const { branch } = node;
-  const lumen = lumenMm(node);
+/** The whole of a row, for a tooltip. */
+export function tooltipOf(head: BranchNode): string {
+  const { branch } = head;
+  const lumen = calibreOf(head);
+  const pieces = head.row.length;
   const facts = [
-    node.longName === null ? node.label : `${node.label}, ${node.longName}`,
-    `generation ${branch.generation}, ${mm(node.lengthMm, 0)} long${lumen === null ? "" : `, lumen ${mm(lumen)}`}`,
+    head.longName === null ? head.label : `${head.label}, ${head.longName}`,
+    `generation ${branch.generation}, ${mm(rowLengthMm(head), 0)} long${lumen === null ? "" : `, lumen ${lumen}\u202fmm`}`,
   ];
-  const drawn = drawnWords(node);
+  if (pieces > 1) facts.push(`${plural(pieces, "piece", "pieces")} between side branches`);
+  const drawn = drawnWords(head);
   if (drawn !== null) facts.push(drawn);
-  return [...facts, ...marksOf(node).map((mark) => mark.words)].join("\n");
+  return [...facts, ...marksOfRow(head).map((mark) => mark.words)].join("\n");
+}
+
+/** All pieces of a row together. */
+export const rowLengthMm = (head: BranchNode): number => head.row.reduce((sum, piece) => sum + piece.lengthMm, 0);
+
+/** The lumens of a row's pieces, "3.1\u20134.0", one number where both read the same; null where there is none. */
+export function calibreOf(head: BranchNode): string | null {
+  const lumens = head.row.map(lumenMm).filter((lumen) => lumen !== null);
+  if (lumens.length === 0) return null;
+  const least = fixed(Math.min(...lumens), 1);
+  const most = fixed(Math.max(...lumens), 1);
+  return least === most ? least : `${least}\u2013${most}`;
 }
 
 /** The lumen's diameter, measured or from the centreline; null where there is none: what a person drew has no calibre. */
@@ -89,6 +113,17 @@ export function factsOf(node: BranchNode): readonly Fact[] {
     { term: "Generation", value: `${node.branch.generation} (trachea is 0)` },
     { term: "Length", value: mm(measures?.length_mm ?? node.lengthMm) },
   ];
+  const { length } = node.row;
+  if (length > 1) {
+    const piece = 1 + node.row.indexOf(node);
+    facts.push(
+      { term: "Piece", value: `${piece} of ${length}, between side branches` },
+      {
+        term: "All pieces",
+        value: `${mm(rowLengthMm(headOf(node)))} long, lumen ${calibreOf(headOf(node)) ?? "?"}\u202fmm`,
+      },
+    );
+  }
   if (node.branch.kind === "manual") facts.push({ term: "Lumen", value: "not measured: drawn by hand" });
   else if (measures === null) facts.push({ term: "Lumen", value: `about ${mm(node.diameterMm)}` });
   else facts.push(...measuredFacts(measures));
@@ -128,7 +163,7 @@ export interface Filtered {
 }
 
 /**
- * The branches that a text means; null for no text. Words are looked for in names, long names and lobes; `g3` is a
+ * The rows that a text means, by their first pieces; null for no text. Words are looked for in names, long names and lobes; `g3` is a
  * generation, `?` all that is doubtful, `bridge` and `by hand` what a person drew.
  */
 export function filterTree(tree: BranchTree, text: string): Filtered | null {
@@ -144,10 +179,10 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
   const shown = new Set<number>();
   const hits: number[] = [];
   const visit = (node: BranchNode): boolean => {
-    const own = matches(node);
+    const own = node.row.some(matches);
     if (own) hits.push(node.branch.id);
     let any = own;
-    for (const child of node.children) any = visit(child) || any;
+    for (const child of rowChildren(node)) any = visit(child) || any;
     if (any) shown.add(node.branch.id);
     return any;
   };

@@ -24,8 +24,9 @@ export function paintTree(
 ): void {
   const names = new NamePlaces();
   for (const place of scene.uncertain) paintUncertain(ink, viewport, geometry, asVec3(place.lps), inPlane);
-  if (scene.selected !== null && scene.selected !== scene.hovered?.node) {
-    paintNode(ink, viewport, geometry, scene.selected, inPlane);
+  // All pieces of the bronchus, as its one row of the list says.
+  for (const piece of scene.selected?.row ?? []) {
+    if (piece !== scene.hovered?.node) paintNode(ink, viewport, geometry, piece, inPlane);
   }
   if (scene.hovered !== null) {
     const { node } = scene.hovered;

@@ -171,6 +171,8 @@ def _found(
         tree = dataclasses.replace(tree, branches=_named(tree.branches))
     if given is not None:
         tree = unnamed_where_doubted(tree)
+    # The names' own doubt, of a tree that does not look like a human one.
+    badges += tree.notes
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
     if core.num_settled < core.num_nodes:

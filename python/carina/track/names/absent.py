@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from carina.display import one_line
+from carina.track.names.goodness import MISFIT
 from carina.track.names.model import LOBES
 from carina.track.names.words import MIRRORED_CHEST, bare_name, name_words
 from carina.track.tree.airway_tree import AirwayTree, Branch
@@ -35,6 +36,8 @@ _TRUNKS = {
 _LETTERS = "abcdeiv"
 # An airway that ends this far beyond its carrier's end is an ordinary tip, not what is missing.
 FARTHEST_MM = 25.0
+# A tip without a name that is no longer than this may be the stump of a lobe's bronchus.
+STUMP_MM = 10.0
 _SWAP = {ord("R"): "L", ord("L"): "R"}
 
 
@@ -109,7 +112,8 @@ def find_absent(tree: AirwayTree, uncertain: Sequence[Uncertainty] = ()) -> tupl
     Parameters
     ----------
     tree
-        With names. Where neither main bronchus has one, there is too little to tell what is missing.
+        With names. Where neither main bronchus has one, or the tree does not look like a human one, there is too little
+        to tell what is missing.
     uncertain
         Where its airways end, and why: :attr:`carina.track.Airways.uncertain`.
 
@@ -128,7 +132,7 @@ def find_absent(tree: AirwayTree, uncertain: Sequence[Uncertainty] = ()) -> tupl
     ['RUL', 'RML', 'RLL', 'LUL', 'LLL']
     """
     names = [None if branch.name is None else bare_name(branch.name) for branch in tree.branches]
-    if not {"RMB", "LMB"} & set(names):
+    if not {"RMB", "LMB"} & set(names) or any(note.code == MISFIT for note in tree.notes):
         return ()
     is_mirrored = "LML" in names or (tree.root.variant or "").startswith(MIRRORED_CHEST)
     found = _Found(tree, names, uncertain)
@@ -199,6 +203,9 @@ class _Found:
             start = next(iter(self._branches.values()))
         beyond = list(self._beyond(start))
         unnamed = [branch for branch in beyond if self._names[branch.id] is None]
+        if name in _LOBE_CARRIERS or name == "LML":
+            # What a resection leaves of a lobe's bronchus is no lobe.
+            unnamed = [branch for branch in unnamed if branch.children or branch.length_mm > STUMP_MM]
         farthest_mm = self._along_mm(start, start.id) + FARTHEST_MM
         lost = [branch.id for branch in beyond if branch.id in self._ends]
         ends = [self._ends[one] for one in lost if self._along_mm(start, one) <= farthest_mm]

@@ -74,7 +74,7 @@ def carried_names(tree: AirwayTree, named: AirwayTree, place_of: dict[int, int])
                 variant=whole.variant,
             )
         )
-    return dataclasses.replace(tree, branches=tuple(made))
+    return dataclasses.replace(tree, branches=tuple(made), notes=named.notes)
 
 
 def _is_same(upper: Branch, lower: Branch) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.names.drawn import carried_names, seen_part
+from carina.track.names.goodness import MISFIT, POOR_FIT, calibrated, fit_of, misfit_note
 from carina.track.names.letters import LetterRule, letter_order
 from carina.track.names.model import LOBES, Grammar, grammar
 from carina.track.names.shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
@@ -21,10 +22,10 @@ from carina.track.names.solve import Solution, Solver
 from carina.track.names.words import MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
 from carina.track.tree.airway_tree import AirwayTree
 
-__all__ = ["LetterRule", "NameWords", "branch_side_and_lobe", "name_tree", "name_words"]
+__all__ = ["LetterRule", "NameWords", "branch_side_and_lobe", "name_tree", "name_words", "segment_readings"]
 
 SURE_ENOUGH = 0.5
-"""A name is given where its reading holds at least this share of all; the lobe alone is told of the rest."""
+"""A name is given where it is right at least this often; the lobe alone is told of the rest."""
 UNFIT = -40.0
 """Log odds of a reading that a person's name contradicts."""
 MIRRORED = math.log(1e-3)
@@ -63,6 +64,12 @@ class _Named:
     grammar: Grammar
     frame: NDArray[np.float64]
     mirrored: bool
+    fit: float | None
+    """See :func:`carina.track.names.goodness.fit_of`."""
+
+    @property
+    def is_misfit(self) -> bool:
+        return self.fit is not None and self.fit < POOR_FIT
 
 
 def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATERAL_BACK) -> AirwayTree:
@@ -85,7 +92,9 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
         The same branches, ids and geometry. ``name``, ``name_confidence`` and ``name_from`` ("anatomy") are new, but
         for branches that a person named: those are kept, and what they say holds for the rest. Where the confidence
         would be below 0.5 the name is None. Branches between which only a twig leaves share a name. ``variant`` says
-        what is uncommon at a branch. What was drawn without evidence (kind ``manual``), and what hangs on it, gets no
+        what is uncommon at a branch. Where the tree does not look like a human bronchial tree, its ``notes`` say so
+        with what to check (``track.tree-unlike-human``), no segment is named, and no name has a confidence above 0.5.
+        What was drawn without evidence (kind ``manual``), and what hangs on it, gets no
         name, and the others have those that they would have without it.
 
     Examples
@@ -110,6 +119,10 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
     read = _read(tree)
     names, notes = _names_of(read, letter_rule)
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
+    lasting = tuple(note for note in tree.notes if note.code != MISFIT)
+    if read.is_misfit:
+        names, notes = _kept_of_misfit(names), {}
+        lasting = (*lasting, misfit_note())
     made = []
     for number, branch in enumerate(tree.branches):
         if branch.name_from == "person":
@@ -127,7 +140,16 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
                 variant=notes.get(number),
             )
         )
-    return dataclasses.replace(tree, branches=tuple(made))
+    return dataclasses.replace(tree, branches=tuple(made), notes=lasting)
+
+
+def _kept_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tuple[str | None, float]]:
+    """Of a tree that does not look like a human one no segment is named, and nothing told with more than 0.5."""
+    return {
+        number: (name, min(sure, SURE_ENOUGH))
+        for number, (name, sure) in names.items()
+        if name is not None and ((words := name_words(name)) is None or words.boyden is None)
+    }
 
 
 def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
@@ -140,7 +162,7 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
     tree, place_of = seen_part(tree)
     read = _read(tree)
     found: dict[int, str | None] = dict.fromkeys((branch.id for branch in tree.branches), None)
-    by_place = _lobes_of(read)
+    by_place = {} if read.is_misfit else _lobes_of(read)
     for number, branch in enumerate(tree.branches):
         lobe = by_place.get(number)
         if branch.name_from == "person" and branch.name is not None:
@@ -149,6 +171,26 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
                 lobe = words.lobe
         found[branch.id] = lobe
     return {branch.id: found.get(place_of.get(branch.id, -1)) for branch in whole.branches}
+
+
+def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, float, tuple[int, ...]]]]:
+    """What the calibration of names is made from: the fit of a tree, its segments and the shares of their readings.
+
+    Returns
+    -------
+    (float or None, list of (str, float, tuple of int))
+        See :func:`carina.track.names.goodness.fit_of`; segment, share of all readings 0 to 1, ids of the branches.
+    """
+    read = _read(tree)
+    found = []
+    for bronchus, reading in zip(read.bronchi, read.solution.readings, strict=True):
+        if reading.state is None or reading.again or read.grammar.kind[reading.state] != "segment":
+            continue
+        word = _told(read.grammar.names[reading.state], mirrored=read.mirrored)
+        segment = segment_of(word)
+        if segment is not None:
+            found.append((segment, reading.confidence, tuple(tree.branches[piece].id for piece in bronchus.pieces)))
+    return read.fit, found
 
 
 # Reading.
@@ -194,7 +236,8 @@ def _read(tree: AirwayTree) -> _Named:
             break
         score, solution, frame = other, solver.solution(), closer
     solution = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held).solution()
-    return _Named(bronchi, solution, rules, frame, mirrored)
+    fit = fit_of(rules, bronchi, lungs, frame, mirrored=mirrored, max_forks=COARSE_FORKS)
+    return _Named(bronchi, solution, rules, frame, mirrored, fit)
 
 
 def _closer_frame(
@@ -278,10 +321,10 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
         parent = bronchus.parent
         if reading.state is None:
             continue
-        sure[number] = reading.confidence
+        sure[number] = calibrated(reading.confidence, read.fit)
         if reading.again and parent is not None:
             words[number] = words[parent]
-            sure[number] = min(reading.confidence, sure[parent]) if words[parent] else 0.0
+            sure[number] = min(sure[number], sure[parent]) if words[parent] else 0.0
             continue
         words[number] = _word(rules, reading.state, seen)
     _halves(read, words, rule)
@@ -354,7 +397,7 @@ def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], r
             state = readings[group[0]].inside
             assert state is not None
             if readings[group[0]].twin:
-                base, depth, trust = rules.names[state], 0, readings[group[0]].confidence
+                base, depth, trust = rules.names[state], 0, calibrated(readings[group[0]].confidence, read.fit)
             else:
                 base_word, depth, trust = words[number], level[number], float(sure[number])
                 settled = readings[number].settled

@@ -16,7 +16,7 @@ from carina.display.ways import DRAWN_COLOUR, Way, generation_colour, ways_svg
 from carina.errors import TrackingError, UsageError
 from carina.volume.model import Note
 
-__all__ = ["AirwayTree", "Branch", "Route"]
+__all__ = ["AirwayTree", "Branch", "Route", "TreeRow"]
 
 FORMAT = "carina-tree"
 VERSION = 1
@@ -93,6 +93,49 @@ class Branch:
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
+class TreeRow:
+    """One bronchus as a listing shows it: a branch, or the pieces of one that side branches cut in two."""
+
+    branches: tuple[Branch, ...]
+    """Its pieces, from the trachea outwards; each begins where the one before it ends. The first stands for the row."""
+    depth: int
+    """Rows passed on the way here: 0 in the trachea."""
+
+    @property
+    def id(self) -> int:
+        """Of the first piece."""
+        return self.branches[0].id
+
+    @property
+    def name(self) -> str | None:
+        """Of all its pieces."""
+        return self.branches[0].name
+
+    @property
+    def generation(self) -> int:
+        """Where it begins."""
+        return self.branches[0].generation
+
+    @property
+    def length_mm(self) -> float:
+        """Of all pieces together."""
+        return sum(branch.length_mm for branch in self.branches)
+
+    @property
+    def lumen_mm(self) -> tuple[float, float]:
+        """Least and greatest median diameter of its pieces, mm."""
+        widths = [2.0 * float(np.median(branch.radius)) for branch in self.branches]
+        return min(widths), max(widths)
+
+    @property
+    def calibre(self) -> str:
+        """Those in words, with one decimal: "3.1 to 4.0", one number where both read the same."""
+        least, most = (f"{width:.1f}" for width in self.lumen_mm)
+        return least if least == most else f"{least} to {most}"
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
 class Route:
     """A smooth way from the root to a tip, for a flight.
 
@@ -160,16 +203,16 @@ class AirwayTree:
         svg = ways_svg(
             [branch.as_way() for branch in inner_first[::-1]], height_px=320, alt="airway tree, from the front"
         )
+        listed = sorted(self.rows(), key=lambda row: (row.generation, row.id))
         rows = [
-            (b.name or f"branch {b.id}", b.generation, b.length_mm, 2.0 * float(np.median(b.radius)))
-            for b in inner_first[:MAX_ROWS]
+            (row.name or f"branch {row.id}", row.generation, row.length_mm, row.calibre) for row in listed[:MAX_ROWS]
         ]
         num_named = sum(branch.name is not None for branch in self.branches)
         num_drawn = sum(branch.kind == "manual" for branch in self.branches)
         lines = [
             f"{len(self)} branches ({num_named} named), {len(self.tips())} tips, "
             f"generations 0 to {inner_first[-1].generation}"
-            + (f"; the first {len(rows)} branches are listed" if len(self) > len(rows) else ""),
+            + (f"; the first {len(rows)} branches are listed" if len(listed) > len(rows) else ""),
             "seen from the front (patient's right on the left); line width: lumen; colour: generation",
             *([f"{num_drawn} branches drawn by hand, in amber"] if num_drawn else []),
             *more,
@@ -205,6 +248,40 @@ class AirwayTree:
     def named(self, name: str) -> Branch | None:
         """The branch of that name, if any."""
         return next((branch for branch in self.branches if branch.name == name), None)
+
+    def rows(self) -> tuple[TreeRow, ...]:
+        """The branches as rows of a listing, in the order of the tree; each branch is in one row.
+
+        A bronchus that goes on past a side branch is several branches, and one row. A branch goes on in its parent's
+        row where it has the parent's name from the same source, is of the same kind, and is the only child of which
+        that holds. Branches without a name are rows of their own.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> def piece(number, parent, children, start_mm, name):
+        ...     points = np.array([[0.0, 0, -start_mm], [0, 0, -start_mm - 10]])
+        ...     return Branch(number, parent, children, number, name, "tracked", points, np.full(2, 2.0))
+        >>> pieces = piece(0, None, (1, 2), 0, "RB6"), piece(1, 0, (), 10, "RB6"), piece(2, 0, (), 10, None)
+        >>> [(row.name, row.length_mm, len(row.branches)) for row in AirwayTree(pieces).rows()]
+        [('RB6', 20.0, 2), (None, 10.0, 1)]
+        """
+        by_id = {branch.id: branch for branch in self.branches}
+        head_of: dict[int, int] = {}
+        pieces: dict[int, list[Branch]] = {}
+        # Parents come first.
+        for branch in self.branches:
+            head_of[branch.id] = branch.id
+            if branch.parent is not None:
+                parent = by_id[branch.parent]
+                if [child for child in parent.children if _goes_on(parent, by_id[child])] == [branch.id]:
+                    head_of[branch.id] = head_of[parent.id]
+            pieces.setdefault(head_of[branch.id], []).append(branch)
+        depths: dict[int, int] = {}
+        for head, members in pieces.items():
+            above = members[0].parent
+            depths[head] = 0 if above is None else depths[head_of[above]] + 1
+        return tuple(TreeRow(tuple(members), depths[head]) for head, members in pieces.items())
 
     def lineage(self, branch_id: int) -> list[Branch]:
         """The branches from the root to this one."""
@@ -312,6 +389,14 @@ class AirwayTree:
         if by_id:
             raise _refused(f"branch {next(iter(by_id))} is not connected to the root")
         return cls(tuple(ordered), notes=_read_badges(document.get("badges", ())))
+
+
+def _goes_on(parent: Branch, child: Branch) -> bool:
+    return (
+        parent.name is not None
+        and (child.name, child.name_from) == (parent.name, parent.name_from)
+        and child.kind == parent.kind
+    )
 
 
 def route_along(

@@ -19,7 +19,14 @@ UncertaintyKind = Literal["blocked", "leak", "volume", "faint", "fine"]
 Points = NDArray[np.float64]
 
 FAINT = 0.5
-"""A branch whose confidence is lower is listed as uncertain."""
+"""A branch whose confidence is lower is more likely no airway, and listed as uncertain."""
+# How often branches whose walls score so are true airways: (score, share), rising. Isotonic, on phantoms of the seeds
+# 101 to 114, good and degraded, with strands beside the airways; judged on the seeds 201 to 214 (docs/decisions/0063;
+# carina_bench.track_confidence makes it).
+AIRWAY_SHARE = (
+    *((0.0, 0.0), (0.260, 0.001), (0.619, 0.010), (0.798, 0.066), (0.874, 0.161), (0.913, 0.275), (0.936, 0.620)),
+    *((0.962, 0.675), (0.975, 0.817), (0.986, 0.944), (0.992, 0.969), (0.997, 0.981), (1.0, 0.999)),
+)
 # Airways thinner than this are at the end of what a CT shows; one that ends wider has been lost on the way.
 FINE_MM = 2.5
 FINE_VOX = 3.0
@@ -150,7 +157,8 @@ def with_confidence(volume: Volume, tree: AirwayTree, noise: float) -> AirwayTre
 
     Three things count, each from 0 to 1: the share of sides with wall; how far the wall rises above the lumen, over the
     noise (``1 - exp(-rise / 3 noise)``); and the diameter in voxels (a lumen below 2 voxels is a blur: half of it is
-    taken on trust). They are multiplied; a branch has the median of its sections.
+    taken on trust). They are multiplied; a branch has the median of its sections. That score becomes a probability: how
+    often branches of phantoms that score so are true airways.
 
     Parameters
     ----------
@@ -162,10 +170,11 @@ def with_confidence(volume: Volume, tree: AirwayTree, noise: float) -> AirwayTre
 
 def judged(volume: Volume, branch: Branch, noise: float) -> Branch:
     """One branch with its confidence, see :func:`with_confidence`."""
-    return dataclasses.replace(branch, confidence=_confidence(volume, branch, noise))
+    share = np.interp(_wall_score(volume, branch, noise), *np.array(AIRWAY_SHARE).T)
+    return dataclasses.replace(branch, confidence=round(float(share), 3))
 
 
-def _confidence(volume: Volume, branch: Branch, noise: float) -> float:
+def _wall_score(volume: Volume, branch: Branch, noise: float) -> float:
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     # Not at the forks, where a side is open.
@@ -197,7 +206,7 @@ def _confidence(volume: Volume, branch: Branch, noise: float) -> float:
     walled = (rise > 3.0 * noise).mean(axis=1)
     contrast = 1.0 - np.exp(-np.maximum(np.median(rise, axis=1), 0.0) / (3.0 * max(noise, 1e-6)))
     calibre = np.clip(0.5 + 0.25 * 2.0 * radius / float(np.cbrt(np.prod(spacing))), 0.5, 1.0)
-    return round(float(np.clip(np.median(walled * contrast * calibre), 0.0, 1.0)), 3)
+    return float(np.clip(np.median(walled * contrast * calibre), 0.0, 1.0))
 
 
 def _values_at(volume: Volume, points: Points) -> Points:
