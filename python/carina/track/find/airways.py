@@ -120,7 +120,7 @@ def _found(
     # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
     noise: float | None = None
     searched = volume
-    leaks = np.empty((0, 3))
+    leaks = threads = np.empty((0, 3))
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
@@ -137,6 +137,7 @@ def _found(
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
         noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
+        threads = grown.threads_lps
         badges += grown.badges
         found_notes += grown.notes
     stage.begin("measuring the lumen")
@@ -157,7 +158,7 @@ def _found(
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
         stage.begin("assessing the branches")
-        tree = with_confidence(searched, tree, noise)
+        tree = with_confidence(searched, tree, noise, threads)
         uncertain = find_uncertain(searched, tree, leaks)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
         badges += [] if total is None else [total]

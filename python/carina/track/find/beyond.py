@@ -71,6 +71,8 @@ class Beyond:
     notes: tuple[str, ...]
     badge: Note | None
     """That the search ran out and what was done about it; None where it did not."""
+    threads_lps: NDArray[np.float64]
+    """(n, 3) LPS mm, points along the thinnest airways, which were judged by what the CT shows along 5 mm of each."""
 
 
 def follow_beyond(
@@ -116,8 +118,9 @@ def follow_beyond(
         ran_out = True
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
-    if not (is_sharp or is_softened or ran_out):
-        followed = followed + _thin(volume, lumen, scale, stage, air=air)
+    threads = [] if is_sharp or is_softened or ran_out else _thin(volume, lumen, scale, stage, air=air)
+    threads_lps = np.concatenate([np.empty((0, 3)), *(way["points_lps"] for way in threads)])
+    followed = followed + threads
     notes = []
     if followed:
         notes.append(
@@ -132,20 +135,19 @@ def follow_beyond(
             "noise hides the walls of the airways in this CT; they were searched for in a smoothed copy of it, and "
             f"small airways are missing. {SOFT_KERNEL}"
         )
-        return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
+        return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps)
     if not (is_sharp or ran_out):
         if rims_hu is None or not is_softened:
-            return Beyond(tuple(notes), None)
+            return Beyond(tuple(notes), None, threads_lps)
         words = f"{rims}; the airways were searched for in a softened copy of it"
         if rims_hu <= most_hu:
-            return Beyond((*notes, words), None)
-        return Beyond(
-            tuple(notes), Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
-        )
+            return Beyond((*notes, words), None, threads_lps)
+        note = Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
+        return Beyond(tuple(notes), note, threads_lps)
     what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
     kept = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
-    return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
+    return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps)
 
 
 def _thin(
