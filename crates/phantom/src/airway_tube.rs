@@ -81,51 +81,48 @@ impl AirwayTube {
         let lean = random.range(-1.6, 2.2);
         let moved = |p: [f64; 3]| [p[0], p[1] + lean, p[2]];
         let mut points: Vec<[f64; 3]> = Vec::new();
-        match (kind, neck) {
-            (TubeKind::Tracheostomy, Some(neck)) => {
-                let stoma_z = neck.cricoid_lps[2] - random.range(8.0, 15.0);
-                // The bend begins below the stoma.
-                let bend_z = stoma_z - 14.0;
-                points.extend(
-                    trachea[1..=tip]
-                        .iter()
-                        .rev()
-                        .filter(|p| p[2] < bend_z)
-                        .map(|&p| moved(p)),
-                );
-                let from = points
-                    .last()
-                    .copied()
-                    .unwrap_or_else(|| moved(trachea[tip]));
-                let skin = neck.front_y(stoma_z, chest_skin(stoma_z));
-                let out = [from[0], skin - 14.0, stoma_z + 4.0];
-                let reach = length(sub(out, from));
-                let leave = direction(match points.len() {
-                    0 | 1 => [0.0, -0.1, 1.0],
-                    n => sub(points[n - 1], points[n - 2]),
-                })
-                .map(|v| v * 0.9 * reach);
-                let arrive = [0.0, -1.3 * reach, 0.0];
-                let num = (reach / 1.5).ceil() as usize;
-                points.extend(
-                    (1..=num).map(|n| hermite(from, leave, out, arrive, n as f64 / num as f64)),
-                );
-            }
-            _ => {
-                points.extend(trachea[..=tip].iter().rev().map(|&p| moved(p)));
-                if let Some(neck) = neck {
-                    // The lean goes over into the larynx's way within a few points.
-                    let way = neck.way_up();
-                    points.truncate(points.len().saturating_sub(6));
-                    points.extend_from_slice(&way[2..]);
-                } else {
-                    let last = points[points.len() - 1];
-                    points.push(along(
-                        last,
-                        40.0,
-                        direction(sub(last, points[points.len() - 2])),
-                    ));
-                }
+        if let (TubeKind::Tracheostomy, Some(neck)) = (kind, neck) {
+            let stoma_z = neck.cricoid_lps[2] - random.range(8.0, 15.0);
+            // The bend begins below the stoma.
+            let bend_z = stoma_z - 14.0;
+            points.extend(
+                trachea[1..=tip]
+                    .iter()
+                    .rev()
+                    .filter(|p| p[2] < bend_z)
+                    .map(|&p| moved(p)),
+            );
+            let from = points
+                .last()
+                .copied()
+                .unwrap_or_else(|| moved(trachea[tip]));
+            let skin = neck.front_y(stoma_z, chest_skin(stoma_z));
+            let out = [from[0], skin - 14.0, stoma_z + 4.0];
+            let reach = length(sub(out, from));
+            let leave = direction(match points.len() {
+                0 | 1 => [0.0, -0.1, 1.0],
+                n => sub(points[n - 1], points[n - 2]),
+            })
+            .map(|v| v * 0.9 * reach);
+            let arrive = [0.0, -1.3 * reach, 0.0];
+            let num = (reach / 1.5).ceil() as usize;
+            points.extend(
+                (1..=num).map(|n| hermite(from, leave, out, arrive, n as f64 / num as f64)),
+            );
+        } else {
+            points.extend(trachea[..=tip].iter().rev().map(|&p| moved(p)));
+            if let Some(neck) = neck {
+                // The lean goes over into the larynx's way within a few points.
+                let way = neck.way_up();
+                points.truncate(points.len().saturating_sub(6));
+                points.extend_from_slice(&way[2..]);
+            } else {
+                let last = points[points.len() - 1];
+                points.push(along(
+                    last,
+                    40.0,
+                    direction(sub(last, points[points.len() - 2])),
+                ));
             }
         }
         let tip_lps = points[0];

@@ -18,6 +18,10 @@ const TOP_Z: f64 = 110.0;
 
 /// What chest to make.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "independent switches, each named where it is set"
+)]
 pub struct ChestOptions {
     /// The same seed gives the same chest.
     pub seed: u64,
