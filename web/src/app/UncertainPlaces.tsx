@@ -3,12 +3,25 @@
 import { Button } from "react-aria-components";
 import { plural, sentence } from "../state/format";
 import { groupsOf } from "../state/uncertain";
-import { asVec3 } from "../state/vec";
+import { asVec3, type Vec3 } from "../state/vec";
 import type { Uncertainty } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { showPlace } from "./gestures-flat";
 
 const NONE: readonly Uncertainty[] = [];
+
+/** Makes the bridge that a place offers: the same edit as the tool's, undone the same way. */
+function BridgeButton({ beyond }: { beyond: Vec3 }) {
+  const station = useStation();
+  return (
+    <Button
+      className="plain-text bridge"
+      onPress={() => station.send({ type: "edit_tree", edit: { kind: "bridge", lps: beyond } })}
+    >
+      Bridge
+    </Button>
+  );
+}
 
 export function UncertainPlaces() {
   const station = useStation();
@@ -38,6 +51,7 @@ export function UncertainPlaces() {
                     </span>
                     {why === null ? sentence(words) : words}
                   </Button>
+                  {place.beyond_lps === null ? null : <BridgeButton beyond={asVec3(place.beyond_lps)} />}
                 </li>
               ))}
             </ul>

@@ -10,6 +10,10 @@ const place = (kind: Uncertainty["kind"], width_mm: number, more: Partial<Uncert
   confidence: null,
   num_ends: null,
   voxel_mm: null,
+  length_mm: null,
+  calibre_mm: null,
+  calibre_error_mm: null,
+  beyond_lps: null,
   ...more,
 });
 
@@ -29,6 +33,20 @@ describe("places that could not be followed", () => {
     expect(plain(groups[1]?.places[0]?.words ?? "")).toBe(
       "lost where the lumen is 3.9 mm wide: its wall is too thin here, and the search would have leaked into the lung",
     );
+  });
+
+  it("say of what is filled how long, how wide from wall to wall, and that an airway lies beyond", () => {
+    const groups = groupsOf([
+      place("filled", 0, { length_mm: 11.6, calibre_mm: 6.44, calibre_error_mm: 0.6, beyond_lps: [1, 2, 3] }),
+      place("filled", 2.3, { length_mm: 9 }),
+    ]);
+    expect(groups.map(({ why }) => why)).toEqual([
+      "possibly secretions or a mucus plug; a CT cannot distinguish these from a tumour or a collapsed airway",
+    ]);
+    expect(groups[0]?.places.map(({ words }) => plain(words))).toEqual([
+      "narrowed or filled here over 12 mm: no air is visible in a bronchus 6.4 ± 0.6 mm wide from wall to wall; there is an airway beyond it, which a bridge can reach",
+      "narrowed or filled here over 9 mm: the air is 2.3 mm wide; its calibre from wall to wall cannot be measured here",
+    ]);
   });
 
   it("say it each by itself where they have nothing in common but their kind", () => {

@@ -25,6 +25,11 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
         what: `the lumen ends where it is ${width} wide`,
         why: "possibly mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
       };
+    case "filled":
+      return {
+        what: filledWords(place),
+        why: "possibly secretions or a mucus plug; a CT cannot distinguish these from a tumour or a collapsed airway",
+      };
     case "faint":
       return {
         what: `its wall is barely visible (confidence ${fixed(place.confidence ?? 0, 2)})`,
@@ -38,6 +43,18 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
         why: null,
       };
   }
+}
+
+/** How long, how much air, and from wall to wall. */
+function filledWords(place: Uncertainty): string {
+  const air = place.width_mm === 0 ? "no air is visible" : `the air is ${mm(place.width_mm)} wide`;
+  const calibre = place.calibre_mm;
+  const bronchus =
+    calibre === null
+      ? "; its calibre from wall to wall cannot be measured here"
+      : ` in a bronchus ${fixed(calibre, 1)} \u00b1 ${mm(place.calibre_error_mm ?? 0)} wide from wall to wall`;
+  const beyond = place.beyond_lps === null ? "" : "; there is an airway beyond it, which a bridge can reach";
+  return `narrowed or filled here over ${mm(place.length_mm ?? 0, 0)}: ${air}${bronchus}${beyond}`;
 }
 
 const ends = (count: number): string => (count === 1 ? "the thinnest branch end" : `the ${count} thinnest branch ends`);

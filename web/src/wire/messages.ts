@@ -1386,11 +1386,15 @@ export interface BranchMeasures {
 export interface Uncertainty {
   readonly lps: readonly [number, number, number];
   readonly branch_id: number | null;
-  readonly kind: "blocked" | "faint" | "fine" | "leak" | "volume";
+  readonly kind: "blocked" | "faint" | "filled" | "fine" | "leak" | "volume";
   readonly width_mm: number;
   readonly confidence: number | null;
   readonly num_ends: number | null;
   readonly voxel_mm: number | null;
+  readonly length_mm: number | null;
+  readonly calibre_mm: number | null;
+  readonly calibre_error_mm: number | null;
+  readonly beyond_lps: readonly [number, number, number] | null;
 }
 
 /** A lobe or a segment of which no bronchus was found. */

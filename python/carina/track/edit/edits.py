@@ -237,7 +237,7 @@ def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tupl
         return ()
     # Where the search would have run into the lung it still would.
     leaks = np.array([one.lps for one in found if one.kind == "leak"]).reshape(-1, 3)
-    return find_uncertain(volume, tree, leaks)
+    return find_uncertain(volume, tree, leaks, [one for one in found if one.kind == "filled"])
 
 
 def named_anew(tree: AirwayTree) -> AirwayTree:

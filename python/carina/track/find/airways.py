@@ -12,6 +12,7 @@ from carina._core import LumenTracker
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import UsageError, check_type
 from carina.track.find.canonical import CanonicalOrder
+from carina.track.find.filled import find_filled
 from carina.track.find.found import Airways
 from carina.track.find.growth import doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
@@ -159,7 +160,8 @@ def _found(
     if noise is not None:
         stage.begin("assessing the branches")
         tree = with_confidence(searched, tree, noise, threads)
-        uncertain = find_uncertain(searched, tree, leaks)
+        filled = find_filled(searched, tree, lumen, noise, stage.cancel)
+        uncertain = find_uncertain(searched, tree, leaks, filled)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
         badges += [] if total is None else [total]
     elif volume.is_hu:

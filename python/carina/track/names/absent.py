@@ -15,7 +15,7 @@ from carina.track.tree.uncertain import Uncertainty
 
 __all__ = ["Absence", "AbsenceKind", "find_absent"]
 
-AbsenceKind = Literal["volume", "blocked", "leak", "unnamed", "fine", "nothing"]
+AbsenceKind = Literal["volume", "blocked", "filled", "leak", "unnamed", "fine", "nothing"]
 
 # What carries a lobe, or segments of one, the nearest first; names of the usual side.
 _LOBE_CARRIERS = {
@@ -49,9 +49,9 @@ class Absence:
     name: str
     """RML, RB4, ..."""
     kind: AbsenceKind
-    """``volume`` (the scan ends before it), ``blocked`` and ``leak`` (the airway that leads there was lost on the way,
-    see :class:`Uncertainty`), ``unnamed`` (it may be among branches without a name), ``fine`` (thinner than the CT
-    shows), ``nothing`` (nothing leaves for it)."""
+    """``volume`` (the scan ends before it), ``blocked``, ``filled`` and ``leak`` (the airway that leads there was lost
+    on the way, see :class:`Uncertainty`), ``unnamed`` (it may be among branches without a name), ``fine`` (thinner than
+    the CT shows), ``nothing`` (nothing leaves for it)."""
     carrier: str
     """The nearest airway found that would lead there."""
     beyond_mm: float | None
@@ -74,6 +74,11 @@ class Absence:
                     f"the lumen ends {self.beyond_mm:.0f} mm beyond the start of {self.carrier}, where it is "
                     f"{self.width_mm:.1f} mm wide: possibly mucus, a collapsed, narrowed or resected airway, or a wall "
                     "that the CT does not show"
+                )
+            case "filled":
+                return (
+                    f"a bronchus beyond the start of {self.carrier} is narrowed or filled: possibly secretions or a "
+                    "mucus plug, a tumour or a collapsed airway"
                 )
             case "leak":
                 return (
@@ -174,7 +179,9 @@ class _Found:
     def __init__(self, tree: AirwayTree, names: Sequence[str | None], uncertain: Sequence[Uncertainty]) -> None:
         self._branches = {branch.id: branch for branch in tree.branches}
         self._names = {branch.id: name for branch, name in zip(tree.branches, names, strict=True)}
-        self._ends = {place.branch_id: place for place in uncertain if place.kind in ("volume", "blocked", "leak")}
+        self._ends = {
+            place.branch_id: place for place in uncertain if place.kind in ("volume", "blocked", "filled", "leak")
+        }
         self._is_fine = any(place.kind == "fine" for place in uncertain)
         # Without the letters of subsegments; LB1+2 of a mirrored chest is RB1+2, a stem by its name.
         self._segments = {name.rstrip(_LETTERS) for name in names if name is not None}
@@ -210,7 +217,7 @@ class _Found:
         lost = [branch.id for branch in beyond if branch.id in self._ends]
         ends = [self._ends[one] for one in lost if self._along_mm(start, one) <= farthest_mm]
         if ends:
-            end = max(ends, key=lambda place: place.width_mm)
+            end = max(ends, key=lambda place: place.calibre_mm or place.width_mm)
             assert end.branch_id is not None
             return Absence(
                 name, _kind(end), carrier, self._along_mm(start, end.branch_id), end.lps, end.width_mm, len(unnamed)
@@ -240,7 +247,7 @@ class _Found:
 
 def _kind(end: Uncertainty) -> AbsenceKind:
     match end.kind:
-        case "volume" | "leak":
+        case "volume" | "filled" | "leak":
             return end.kind
         case _:
             return "blocked"

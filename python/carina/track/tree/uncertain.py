@@ -6,16 +6,17 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.commands.fields import AirwayPlace, Count, Part
+from carina.commands.fields import AirwayPlace, Count, Part, PointLps
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = ["Uncertainty", "UncertaintyKind", "find_uncertain", "with_confidence"]
+__all__ = ["Uncertainty", "UncertaintyKind", "filled_place", "find_uncertain", "with_confidence"]
 
-UncertaintyKind = Literal["blocked", "leak", "volume", "faint", "fine"]
+UncertaintyKind = Literal["blocked", "filled", "leak", "volume", "faint", "fine"]
 Points = NDArray[np.float64]
 
 FAINT = 0.5
@@ -36,6 +37,8 @@ FINE_MM = 2.5
 FINE_VOX = 3.0
 # The ball that the flood closes round a breach.
 NEAR_LEAK_MM = 10.0
+# The lumen's end and the filling that it ends at.
+AT_END_MM = 4.0
 # The last stretch of a branch runs into its blind end: its calibre is read before it.
 BLUNT_MM = 2.0
 CALIBRE_MM = 8.0
@@ -50,17 +53,27 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     """
 
     kind: UncertaintyKind
-    """``blocked`` (the lumen ends though its calibre says that it goes on), ``leak`` (following it would have run out
-    into the lung), ``volume`` (the volume ends there), ``faint`` (the branch may be no airway), ``fine`` (from here on
-    the CT is too coarse; once for the whole tree)."""
+    """``blocked`` (the lumen ends though its calibre says that it goes on), ``filled`` (secretions or something else
+    narrow or fill the lumen, and the bronchus goes on: the place is the middle of that stretch), ``leak`` (following it
+    would have run out into the lung), ``volume`` (the volume ends there), ``faint`` (the branch may be no airway),
+    ``fine`` (from here on the CT is too coarse; once for the whole tree)."""
     width_mm: float
-    """Diameter of the airway where it was last seen; of ``fine`` the median of the ends that are that thin."""
+    """Diameter of the airway where it was last seen; of ``fine`` the median of the ends that are that thin; of
+    ``filled`` that of the circle with the area of the air that is left, 0 where there is none."""
     confidence: Part | None
     """Of the branch, where it is ``faint``."""
     num_ends: Count | None
     """How many ends are that thin, where it is ``fine``."""
     voxel_mm: float | None
     """Mean edge of a voxel, where it is ``fine``."""
+    length_mm: float | None = None
+    """Over how long it is ``filled``."""
+    calibre_mm: float | None = None
+    """From inner wall to inner wall through what fills it, where it is ``filled``; None where it cannot be measured."""
+    calibre_error_mm: float | None = None
+    """Half of the interval that should hold it."""
+    beyond_lps: PointLps | None = None
+    """A place in the air beyond, where it is ``filled`` and no path leads there: what a bridge leads to."""
 
     @property
     def reason(self) -> str:
@@ -78,6 +91,8 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                     f"the lumen ends where it is {self.width_mm:.1f} mm wide: possibly mucus, a collapsed or narrowed "
                     "airway, or a wall that the CT does not show"
                 )
+            case "filled":
+                return _filled_words(self)
             case "faint":
                 return f"its wall is barely visible (confidence {self.confidence:.2f}): it may not be an airway"
             case "fine":
@@ -86,6 +101,47 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                     f"this CT ({self.voxel_mm:.2f} mm voxels) does not reliably show airways narrower than "
                     f"{self.width_mm:.1f} mm, the median width at {ends}: there are smaller airways that are not shown"
                 )
+
+
+def _filled_words(place: Uncertainty) -> str:
+    """narrowed or filled here over 9 mm: ..."""
+    if place.calibre_mm is None:
+        bronchus = "; its calibre from wall to wall cannot be measured here"
+    else:
+        width = f"{place.calibre_mm:.1f} \u00b1 {place.calibre_error_mm or 0.0:.1f} mm"
+        bronchus = f" in a bronchus {width} wide from wall to wall"
+    air = "no air is visible" if place.width_mm == 0.0 else f"the air is {place.width_mm:.1f} mm wide"
+    beyond = "" if place.beyond_lps is None else "; there is an airway beyond it, which a bridge can reach"
+    return (
+        f"narrowed or filled here over {place.length_mm or 0.0:.0f} mm: {air}{bronchus}{beyond}. Possibly secretions "
+        "or a mucus plug; a CT cannot distinguish these from a tumour or a collapsed airway"
+    )
+
+
+def filled_place(
+    at: Points,
+    branch_id: int,
+    *,
+    air_mm: float,
+    length_mm: float,
+    calibre_mm: float | None,
+    calibre_error_mm: float | None,
+    beyond_lps: Points | None,
+) -> Uncertainty:
+    """Where a lumen is narrowed or filled; see the fields of :class:`Uncertainty`."""
+    return Uncertainty(
+        lps=(float(at[0]), float(at[1]), float(at[2])),
+        kind="filled",
+        branch_id=branch_id,
+        width_mm=air_mm,
+        confidence=None,
+        num_ends=None,
+        voxel_mm=None,
+        length_mm=length_mm,
+        calibre_mm=calibre_mm,
+        calibre_error_mm=calibre_error_mm,
+        beyond_lps=None if beyond_lps is None else (float(beyond_lps[0]), float(beyond_lps[1]), float(beyond_lps[2])),
+    )
 
 
 def _uncertain(
@@ -109,13 +165,18 @@ def _uncertain(
     )
 
 
-def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple[Uncertainty, ...]:
+def find_uncertain(
+    volume: Volume, tree: AirwayTree, leaks_lps: Points, filled: Sequence[Uncertainty] = ()
+) -> tuple[Uncertainty, ...]:
     """Say of each end of the tree why it ends there, unless it is as thin as the CT can show.
 
     Parameters
     ----------
     leaks_lps
         (n, 3) LPS mm, where the growth was stopped because it would have run out into the lung.
+    filled
+        Places where something fills or narrows a lumen, found before. Those that the tree still has are told, of the
+        branch that is there now; an end at such a place has that reason.
 
     Returns
     -------
@@ -124,11 +185,12 @@ def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple
     """
     voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
     fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)
-    listed: list[tuple[float, Uncertainty]] = []
+    told = [place for one in filled if (place := _still_filled(tree, one)) is not None]
+    listed: list[tuple[float, Uncertainty]] = [(one.calibre_mm or one.width_mm, one) for one in told]
     ends_mm = []
     for branch in tree.tips():
         calibre_mm = _calibre_mm(branch)
-        if branch.parent is None:
+        if branch.parent is None or any(_ends_at(branch, one) for one in told):
             continue
         kind: UncertaintyKind
         if _leaves_volume(volume, branch, calibre_mm):
@@ -154,6 +216,28 @@ def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple
         at = tree.root.points[0]
         found.append(_uncertain(at, "fine", None, median_mm, num_ends=len(ends_mm), voxel_mm=voxel_mm))
     return tuple(found)
+
+
+def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
+    """The place, of the branch nearest to it; None where its bronchus was cut away, or an edit leads beyond it."""
+    at = np.array(place.lps)
+    branch, index, away_mm = tree.nearest_branch(at)
+    if place.beyond_lps is not None:
+        other, nearest, beyond_mm = tree.nearest_branch(np.array(place.beyond_lps))
+        if beyond_mm <= max(float(other.radius[nearest]), 1.0):
+            # A path leads there now: what is in the way stays told, without a bridge to make.
+            return msgspec.structs.replace(place, branch_id=branch.id, beyond_lps=None)
+    reach_mm = float(branch.radius[index]) + 0.5 * (place.calibre_mm or 0.0)
+    if place.beyond_lps is not None:
+        # The lumen ends where the filling begins.
+        reach_mm += 0.5 * (place.length_mm or 0.0) + AT_END_MM
+    return msgspec.structs.replace(place, branch_id=branch.id) if away_mm <= reach_mm else None
+
+
+def _ends_at(branch: Branch, place: Uncertainty) -> bool:
+    """Whether a branch ends in what fills a place."""
+    off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
+    return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
 
 
 def with_confidence(volume: Volume, tree: AirwayTree, noise: float, threads_lps: Points | None = None) -> AirwayTree:

@@ -1,0 +1,224 @@
+"""Air in the chest that no path reaches: pieces of airway beyond an obstruction, and where each of them ends."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.volume.model import Volume
+
+__all__ = ["Island", "IslandEnd", "find_islands"]
+
+Points = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ROUND_TREE_MM = 30.0
+"""Air farther than this from the box of the tree is no airway of its."""
+LEAST_MM3 = 15.0
+LEAST_VOXELS = 8
+LEAST_LONG_MM = 6.0
+MOST_MM3 = 60_000.0
+"""All airways beyond a main bronchus hold less; a stomach, the air round the patient and large bullae hold more."""
+MOST_ISLANDS = 80
+MOST_ENDS = 12
+DARK_NEIGHBOURS = 3
+"""Of its six neighbours a voxel of air has at least so many that are air: alone it is noise."""
+MOST_DARK = 4_000_000
+"""More dark voxels than this are emphysema, and nothing can be told by darkness."""
+CELL_MM = 2.0
+"""Ways inside an island lead from cell to cell of about this edge."""
+AXIS_MM, ONWARD_MM = 3.0, 9.0
+"""The axis of an end runs between the middles of its first stretch of this length, or of one radius, and of the next:
+long enough to hold both of two branches, whose middle lies on the axis of their trunk."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IslandEnd:
+    """Where an island ends, and how it lies there."""
+
+    axis_lps: Points
+    """(3,) a place on its axis just inside the end."""
+    outward: Points
+    """(3,) unit vector out of the island."""
+    radius_mm: float
+    """As the number of its voxels there has it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Island:
+    """One piece of air."""
+
+    points_lps: Points
+    """(n, 3) centres of its voxels."""
+    ends: tuple[IslandEnd, ...]
+
+
+def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points, darkest: float) -> list[Island]:
+    """Pieces of connected voxels at most as bright as ``darkest`` that do not touch the lumen; the largest first.
+
+    Parameters
+    ----------
+    lumen_zyx
+        (nz, ny, nx) not 0 inside what was found.
+    tree_lps
+        (n, 3) its centrelines: pieces are looked for in their box and 30 mm round it.
+    """
+    low, at = _box(volume, tree_lps)
+    dark = volume.hu_zyx[at] <= darkest
+    lumen = lumen_zyx[at] != 0
+    count = np.zeros(dark.shape, dtype=np.uint8)
+    near = lumen.copy()
+    for axis in range(3):
+        for step in (-1, 1):
+            count += _shifted(dark, axis, step)
+            near |= _shifted(lumen, axis, step)
+    dark &= (count >= DARK_NEIGHBOURS) & ~lumen
+    flat = np.flatnonzero(dark)
+    if not 0 < len(flat) <= MOST_DARK:
+        return []
+    edges = _edges(dark, flat)
+    label = _labels(len(flat), edges)
+    voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
+    sizes = np.bincount(label, minlength=len(flat))
+    touches = np.zeros(len(flat), dtype=bool)
+    touches[label[near.ravel()[flat]]] = True
+    least = max(LEAST_VOXELS, LEAST_MM3 / voxel_mm3)
+    wanted = np.flatnonzero((sizes >= least) & (sizes <= MOST_MM3 / voxel_mm3) & ~touches)
+    wanted = wanted[np.lexsort((wanted, -sizes[wanted]))]
+    members_of, edges_of = _Groups(label), _Groups(label[edges[:, 0]])
+    place = np.zeros(len(flat), dtype=np.int64)
+    found: list[Island] = []
+    for one in wanted:
+        members = members_of[one]
+        k, j, i = np.unravel_index(flat[members], dark.shape)
+        points = volume.to_lps((np.stack([i, j, k], axis=1) + low).astype(np.float64))
+        if float(np.linalg.norm(np.ptp(points, axis=0))) < LEAST_LONG_MM:
+            continue
+        place[members] = np.arange(len(members))
+        found.append(Island(points, _ends(points, place[edges[edges_of[one]]], max(volume.spacing_mm), voxel_mm3)))
+        if len(found) == MOST_ISLANDS:
+            break
+    return found
+
+
+class _Groups:
+    """Places in a list of labels that have the same one."""
+
+    def __init__(self, labels: Ints) -> None:
+        self._order = np.argsort(labels, kind="stable")
+        self._sorted = labels[self._order]
+
+    def __getitem__(self, label: np.int64) -> Ints:
+        first, end = np.searchsorted(self._sorted, [label, label + 1])
+        return self._order[first:end]
+
+
+def _box(volume: Volume, tree_lps: Points) -> tuple[Ints, tuple[slice, slice, slice]]:
+    ijk = volume.to_ijk(tree_lps)
+    reach = ROUND_TREE_MM / np.array(volume.spacing_mm)
+    shape = np.array(volume.shape_zyx[::-1])
+    low = np.clip(np.floor(ijk.min(axis=0) - reach), 0, shape - 1).astype(np.int64)
+    high = np.clip(np.ceil(ijk.max(axis=0) + reach), 0, shape - 1).astype(np.int64)
+    x, y, z = (slice(int(a), int(b) + 1) for a, b in zip(low, high, strict=True))
+    return low, (z, y, x)
+
+
+def _shifted(mask: NDArray[np.bool_], axis: int, step: int) -> NDArray[np.bool_]:
+    """The mask's neighbours along an axis; none beyond its faces."""
+    result = np.zeros_like(mask)
+    to, of = [slice(None)] * 3, [slice(None)] * 3
+    to[axis], of[axis] = (slice(1, None), slice(None, -1)) if step > 0 else (slice(None, -1), slice(1, None))
+    result[tuple(to)] = mask[tuple(of)]
+    return result
+
+
+def _edges(mask: NDArray[np.bool_], flat: Ints) -> Ints:
+    """(m, 2) pairs of places in ``flat`` of voxels that share a face."""
+    place = np.full(mask.size, -1, dtype=np.int32)
+    place[flat] = np.arange(len(flat), dtype=np.int32)
+    pairs = []
+    for axis, stride in enumerate((mask.shape[1] * mask.shape[2], mask.shape[2], 1)):
+        at = flat[np.unravel_index(flat, mask.shape)[axis] < mask.shape[axis] - 1]
+        there = place[at + stride]
+        pairs.append(np.stack([place[at], there], axis=1)[there >= 0])
+    return np.concatenate(pairs).astype(np.int64)
+
+
+def _labels(num: int, edges: Ints) -> Ints:
+    """For each of ``num`` nodes the least one that it is connected with."""
+    label = np.arange(num, dtype=np.int64)
+    while len(edges):
+        a, b = label[edges[:, 0]], label[edges[:, 1]]
+        differ = a != b
+        if not differ.any():
+            break
+        edges, a, b = edges[differ], a[differ], b[differ]
+        np.minimum.at(label, np.maximum(a, b), np.minimum(a, b))
+        while not np.array_equal(shorter := label[label], label):
+            label = shorter
+    return label
+
+
+def _ends(points: Points, edges: Ints, coarsest_mm: float, voxel_mm3: float) -> tuple[IslandEnd, ...]:
+    """Ends of a piece: places far from each other along ways inside it."""
+    edge_mm = max(CELL_MM, coarsest_mm)
+    _, cell = np.unique(np.floor(points / edge_mm).astype(np.int64), axis=0, return_inverse=True)
+    cell = cell.ravel()
+    num = int(cell.max()) + 1
+    counts = np.bincount(cell, minlength=num)
+    middles = np.stack([np.bincount(cell, points[:, a], num) / counts for a in range(3)], axis=1)
+    pairs = cell[edges]
+    pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+    neighbours: list[list[tuple[int, float]]] = [[] for _ in range(num)]
+    for a, b in pairs.tolist():
+        step_mm = float(np.linalg.norm(middles[a] - middles[b]))
+        neighbours[a].append((b, step_mm))
+        neighbours[b].append((a, step_mm))
+    first = int(np.argmax(_ways_mm(neighbours, 0)))
+    chosen = [first]
+    nearest = np.full(num, np.inf)
+    ends: list[IslandEnd] = []
+    for _ in range(MOST_ENDS):
+        away = _ways_mm(neighbours, chosen[-1])
+        end = _end_at(points, away[cell], voxel_mm3)
+        if end is not None:
+            ends.append(end)
+        nearest = np.minimum(nearest, away)
+        farthest = int(np.argmax(nearest))
+        if nearest[farthest] < 2.0 * AXIS_MM:
+            break
+        chosen.append(farthest)
+    return tuple(ends)
+
+
+def _end_at(points: Points, away_mm: Points, voxel_mm3: float) -> IslandEnd | None:
+    """The axis of an end from the middles of the stretches next to it."""
+    first = away_mm <= 2.0 * AXIS_MM
+    radius_mm = float(np.sqrt(first.sum() * voxel_mm3 / (2.0 * AXIS_MM) / np.pi))
+    length_mm = max(AXIS_MM, radius_mm)
+    one, other = away_mm <= length_mm, (away_mm > length_mm) & (away_mm <= length_mm + ONWARD_MM)
+    if not one.any() or not other.any():
+        return None
+    near, far = points[one].mean(axis=0), points[other].mean(axis=0)
+    off = near - far
+    length = float(np.linalg.norm(off))
+    return None if length < 0.5 else IslandEnd(near, off / length, radius_mm)
+
+
+def _ways_mm(neighbours: list[list[tuple[int, float]]], start: int) -> Points:
+    """Length of the way to every cell from one."""
+    length = np.full(len(neighbours), np.inf)
+    length[start] = 0.0
+    waiting = [(0.0, start)]
+    while waiting:
+        here, at = heapq.heappop(waiting)
+        if here > length[at]:
+            continue
+        for to, step_mm in neighbours[at]:
+            if here + step_mm < length[to]:
+                length[to] = here + step_mm
+                heapq.heappush(waiting, (here + step_mm, to))
+    return length

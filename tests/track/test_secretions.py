@@ -1,0 +1,117 @@
+"""A bronchus that fluid or mucus fills is told as such: where, how wide from wall to wall, and what lies beyond."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from plugged_chest import CHEST
+from secretions_chest import with_secretions
+
+import carina
+from carina.track import AirwayTree, Branch, Bridge, find_absent
+from carina.track.tree.uncertain import filled_place, find_uncertain
+from made import made_airways, made_phantom
+from made import patient as the_patient
+
+VOXEL_MM = CHEST["spacing_mm"]
+# A segment of the left lower lobe and the superior segment of the right one: 7 to 12 mm of fluid or mucus.
+SEGMENTS = {"LB10": (5.0, 12.0), "RB6": (4.0, 11.0)}
+LEVELS = (0.4, 0.6, 0.8)
+
+
+@cache
+def wet(name, share):
+    from_mm, length_mm = SEGMENTS.get(name, (4.0, 11.0))
+    made = with_secretions(made_phantom(**CHEST), name, share=share, from_mm=from_mm, length_mm=length_mm)
+    return made, carina.find_airways(made.volume)
+
+
+def filled(airways):
+    return [place for place in airways.uncertain if place.kind == "filled"]
+
+
+@pytest.mark.parametrize("name", SEGMENTS)
+@pytest.mark.parametrize("share", [*LEVELS, 1.0])
+def test_a_bronchus_with_a_level_of_fluid_or_a_plug_is_told_with_its_calibre_from_wall_to_wall(name, share):
+    made, airways = wet(name, share)
+    (place,) = filled(airways)
+    assert np.linalg.norm(np.array(place.lps) - made.middle_lps) < 5.0
+    assert place.calibre_mm == pytest.approx(made.calibre_mm, abs=max(0.15 * made.calibre_mm, VOXEL_MM))
+    assert abs(place.calibre_mm - made.calibre_mm) <= 2.0 * place.calibre_error_mm
+    assert place.width_mm < 0.9 * made.calibre_mm
+    assert "a CT cannot distinguish these from a tumour or a collapsed airway" in place.reason
+    assert f"{place.calibre_mm:.1f} \u00b1 {place.calibre_error_mm:.1f} mm wide from wall to wall" in place.reason
+
+
+@pytest.mark.parametrize("share", [0.8, 1.0])
+@pytest.mark.parametrize("name", [*SEGMENTS, "RML"])
+def test_the_bridge_that_is_offered_brings_back_what_lies_beyond(name, share):
+    made, airways = wet(name, share)
+    (place,) = filled(airways)
+    assert np.linalg.norm(np.array(place.beyond_lps) - made.end_lps) < 6.0
+    assert "there is an airway beyond it" in place.reason
+    whole = made_airways(**CHEST)
+    assert len(airways.tree) <= len(whole.tree) - 6, "nothing was added by itself"
+    bridged = carina.edit_airways(made.volume, airways, Bridge(place.beyond_lps))
+    (bridge,) = [branch for branch in bridged.tree.branches if branch.kind == "bridge"]
+    assert bridge.name == name
+    assert len(bridged.tree) >= len(whole.tree) - 3
+    (told,) = filled(bridged)
+    assert told.beyond_lps is None
+    assert told.lps == place.lps
+
+
+def test_where_the_border_is_not_seen_no_calibre_is_invented():
+    # The middle lobe bronchus lies in the hilum: tissue on all sides of it.
+    _, airways = wet("RML", 1.0)
+    (place,) = filled(airways)
+    assert place.calibre_mm is None
+    assert place.calibre_error_mm is None
+    assert "its calibre from wall to wall cannot be measured here" in place.reason
+
+
+def test_a_lobe_that_is_missing_beyond_it_has_that_reason():
+    trunk = Branch(0, None, (1, 2), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
+    right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
+    left = Branch(2, 0, (), 1, "LMB", "tracked", np.array([[0.0, 0, -90], [40, 0, -110]]), np.full(2, 6.0))
+    place = filled_place(
+        np.array([-33.0, 0.0, -134.0]),
+        1,
+        air_mm=0.0,
+        length_mm=9.0,
+        calibre_mm=None,
+        calibre_error_mm=None,
+        beyond_lps=None,
+    )
+    told = find_absent(AirwayTree((trunk, right, left)), [place])
+    assert {one.name for one in told if one.kind == "filled"} == {"RUL", "RML", "RLL"}
+    assert "a bronchus beyond the start of RMB is narrowed or filled" in told[0].words
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_healthy_airways_have_none(seed):
+    assert filled(made_airways(**{**CHEST, "seed": seed})) == []
+
+
+def test_the_bundled_patient_has_none():
+    assert filled(the_patient()[1]) == []
+
+
+def test_a_stenosis_is_told_as_no_more_than_narrowed():
+    made = made_phantom(**CHEST, stenosis=True)
+    # In the mediastinum its wall has no border to tell a thick one from what lines it.
+    for place in filled(carina.find_airways(made.volume)):
+        assert place.beyond_lps is None
+        assert place.width_mm > 5.0
+        assert place.reason.startswith("narrowed or filled here over")
+
+
+def test_what_fills_a_branch_goes_when_the_branch_is_cut():
+    made, airways = wet("LB10", 0.6)
+    (place,) = filled(airways)
+    cut = carina.edit_airways(made.volume, airways, carina.track.CutBranch(place.branch_id))
+    assert filled(cut) == []
+    again = find_uncertain(made.volume, airways.tree, np.zeros((0, 3)), [place])
+    assert [one for one in again if one.kind == "filled"] == [place]
