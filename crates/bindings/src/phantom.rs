@@ -45,6 +45,10 @@ fn branch<'py>(py: Python<'py>, branch: &Branch) -> PyResult<Bound<'py, PyDict>>
 
 /// Makes a chest; `proceed(fraction)` returns False to stop. See `carina.phantom`.
 #[pyfunction]
+#[allow(
+    clippy::fn_params_excessive_bools,
+    reason = "the options of a chest, each by its name in Python"
+)]
 fn generate_chest<'py>(
     py: Python<'py>,
     seed: u64,
