@@ -26,11 +26,12 @@ class Secretions:
     end_lps: NDArray[np.float64]
     calibre_mm: float
     """Inner wall to inner wall, in the middle of the stretch."""
-    length_mm: float
+    air_mm: float
+    """Of the circle with the area of the air above the fluid there."""
 
 
 def with_secretions(phantom, name: str, *, share: float, from_mm: float, length_mm: float) -> Secretions:
-    """The phantom with fluid in a branch of its truth: the lowest (posterior) ``share`` of the lumen's height."""
+    """The phantom with fluid in a branch of its truth: the lowest (posterior) ``share`` of each section's height."""
     branch = next(one for one in phantom.truth["branches"] if one["name"] == name)
     points, radius = np.array(branch["points"]), np.array(branch["radius"])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -64,10 +65,15 @@ def with_secretions(phantom, name: str, *, share: float, from_mm: float, length_
             off = places - axis[n]
             ahead = off @ tangent[n]
             inside = (np.abs(ahead) < 0.3) & ((off * off).sum(axis=1) <= radii[n] ** 2 + ahead**2)
-            wet |= inside & (off[:, 1] >= radii[n] * (1.0 - 2.0 * share))
+            # A section across an airway that runs backwards is less high than wide along the patient's axes.
+            height = (off[:, 1] - ahead * tangent[n, 1]) / max(np.sqrt(1.0 - tangent[n, 1] ** 2), 1e-3)
+            wet |= inside & (height >= radii[n] * (1.0 - 2.0 * share))
         num_x, num_y = high[0] - low[0] + 1, high[1] - low[1] + 1
         part = wet.reshape(num_x, FINE, num_y, FINE, FINE).mean(axis=(1, 3, 4)).T
         values[k, low[1] : high[1] + 1, low[0] : high[0] + 1] += part * (FLUID_HU - AIR_HU)
     filled = Volume(np.round(np.minimum(values, np.maximum(volume.hu_zyx, 150))).astype(np.int16), volume.lps_from_ijk)
     middle = len(axis) // 2
-    return Secretions(filled, axis[0], axis[middle], axis[-1], 2.0 * float(radii[middle]), length_mm)
+    # The segment of a circle above its chord.
+    angle = 2.0 * np.arccos(1.0 - 2.0 * (1.0 - share))
+    air_mm = 2.0 * float(radii[middle]) * float(np.sqrt((angle - np.sin(angle)) / (2.0 * np.pi)))
+    return Secretions(filled, axis[0], axis[middle], axis[-1], 2.0 * float(radii[middle]), air_mm)

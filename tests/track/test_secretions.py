@@ -40,7 +40,8 @@ def test_a_bronchus_with_a_level_of_fluid_or_a_plug_is_told_with_its_calibre_fro
     assert np.linalg.norm(np.array(place.lps) - made.middle_lps) < 5.0
     assert place.calibre_mm == pytest.approx(made.calibre_mm, abs=max(0.15 * made.calibre_mm, VOXEL_MM))
     assert abs(place.calibre_mm - made.calibre_mm) <= 2.0 * place.calibre_error_mm
-    assert place.width_mm < 0.9 * made.calibre_mm
+    assert place.width_mm == pytest.approx(made.air_mm, abs=VOXEL_MM)
+    assert (place.width_mm == 0.0) == (share == 1.0), "no air is said to be visible only where there is none"
     assert "a CT cannot distinguish these from a tumour or a collapsed airway" in place.reason
     assert f"{place.calibre_mm:.1f} \u00b1 {place.calibre_error_mm:.1f} mm wide from wall to wall" in place.reason
 
@@ -63,13 +64,20 @@ def test_the_bridge_that_is_offered_brings_back_what_lies_beyond(name, share):
     assert told.lps == place.lps
 
 
-def test_where_the_border_is_not_seen_no_calibre_is_invented():
+@pytest.mark.parametrize("share", [0.8, 1.0])
+def test_where_the_border_is_not_seen_no_calibre_is_invented(share):
     # The middle lobe bronchus lies in the hilum: tissue on all sides of it.
-    _, airways = wet("RML", 1.0)
+    _, airways = wet("RML", share)
     (place,) = filled(airways)
     assert place.calibre_mm is None
     assert place.calibre_error_mm is None
     assert "its calibre from wall to wall cannot be measured here" in place.reason
+
+
+def test_a_wide_bronchus_is_told_once_and_its_error_holds_the_truth():
+    made, airways = wet("BI", 0.8)
+    (place,) = filled(airways)
+    assert abs(place.calibre_mm - made.calibre_mm) <= place.calibre_error_mm
 
 
 def test_a_lobe_that_is_missing_beyond_it_has_that_reason():

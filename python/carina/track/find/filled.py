@@ -7,7 +7,7 @@ against the lung, tells its calibre from wall to wall. docs/decisions/0061.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,9 +58,10 @@ USUAL_WALL_MM = 1.2
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
 MOST_OUTER_MM = 9.0
 """The border of a filled bronchus is looked for within this distance of its axis."""
+LEAST_AIR = 0.15
+"""What is less dark may be fat, noise, or blur from outside the wall."""
 LEAST_CROSS = 2
 """Sections across the filling in which the border must be seen."""
-STUMP_MM = 6.0
 ALIKE = 1.4
 """Sections of one lumen differ by less; else they cut its end, or a fork."""
 FINE_MM, FINE_VOX = 2.5, 3.0
@@ -120,7 +121,20 @@ def find_filled(
         if place is not None:
             found.append(place)
     found.sort(key=lambda one: (-(one.calibre_mm or one.width_mm), one.lps))
-    return tuple(found)
+    return _each_once(found)
+
+
+def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
+    """Without the narrower of two places in one bronchus: air that is left in it is traced as a thin airway."""
+    kept: list[Uncertainty] = []
+    for one in found:
+        for other in kept:
+            reach_mm = 0.5 * ((one.length_mm or 0.0) + (other.length_mm or 0.0))
+            if float(np.linalg.norm(np.array(one.lps) - np.array(other.lps))) <= reach_mm:
+                break
+        else:
+            kept.append(one)
+    return tuple(kept)
 
 
 class _Search:
@@ -222,7 +236,7 @@ class _Search:
         branch, _, _ = self._tree.nearest_branch(gap.lumen_lps)
         after = self._calibre_after(gap.end)
         axis, outer = self._followed(gap, after)
-        calibre, error = self._calibre(outer, gap, after)
+        calibre, error = self._calibre(outer, gap.end)
         if (
             calibre if calibre is not None else after if after is not None else 2.0 * gap.end.radius_mm
         ) < self._fine_mm:
@@ -277,26 +291,23 @@ class _Search:
         """Diameter of the circle with the area of the air that is left, from wall to wall."""
         reach = 0.5 * (calibre if calibre is not None else 6.0)
         plane = self._look.plane(centre, direction, reach)
-        air = (plane.values <= self._look.lung) & (np.hypot(*np.moveaxis(plane.off_mm, -1, 0)) <= 0.85 * reach)
-        area = float(air.sum()) * plane.step_mm**2
+        scale = self._look.scale
+        # A crescent thinner than a voxel is nowhere as dark as air, but darkens as much as it holds.
+        share = np.clip((scale.level(0.0) - plane.values) / scale.span(1000.0), 0.0, 1.0)
+        share[np.hypot(*np.moveaxis(plane.off_mm, -1, 0)) > reach] = 0.0
+        share[share < LEAST_AIR] = 0.0
+        area = float(share.sum()) * plane.step_mm**2
         return 2.0 * float(np.sqrt(area / np.pi)) if area >= self.voxel_mm**2 else 0.0
 
-    def _calibre(self, outer: list[float], gap: _Gap, after: float | None) -> tuple[float | None, float | None]:
-        """From wall to wall, and its error: from the outer border, else from the lumen before and beyond."""
-        if len(outer) >= LEAST_CROSS:
-            wall = self._wall_mm(gap.end)
-            value = float(np.median(outer)) - 2.0 * (USUAL_WALL_MM if wall is None else wall)
-            if value > 0.0:
-                spread = 0.5 * float(np.ptp(np.quantile(outer, [0.2, 0.8])))
-                return value, max(spread, 0.5 * self.voxel_mm) + (0.5 if wall is None else 0.0)
-        before = self._calibre_before(gap)
-        if before is None or after is None:
-            return None, None
-        return 0.5 * (before + after), max(0.5 * abs(before - after), self.voxel_mm)
+    def _calibre(self, outer: list[float], end: IslandEnd) -> tuple[float | None, float | None]:
+        """From wall to wall, and its error; None where too little of the outer border is seen.
 
-    def _calibre_before(self, gap: _Gap) -> float | None:
-        """Of the stump that ends at the filling, where there is one."""
-        for branch in self._tree.tips():
-            if float(np.linalg.norm(branch.tip_lps - gap.near_lps)) <= STUMP_MM and len(branch.points) > 2:
-                return 2.0 * float(np.quantile(branch.radius, 0.75))
-        return None
+        The lumen beyond by itself tells too little: what is left of it before its next fork is short.
+        """
+        wall = self._wall_mm(end)
+        if len(outer) < LEAST_CROSS:
+            return None, None
+        value = float(np.median(outer)) - 2.0 * (USUAL_WALL_MM if wall is None else wall)
+        spread = 0.5 * float(np.ptp(np.quantile(outer, [0.2, 0.8])))
+        error = max(spread, 0.5 * self.voxel_mm) + (0.5 if wall is None else 0.0)
+        return (value, error) if value > 0.0 else (None, None)

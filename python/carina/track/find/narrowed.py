@@ -31,6 +31,7 @@ INNER = 0.85
 """Blur and an axis that bends leave so much of the radius that is surely inside the wall."""
 LEAST_FILLED, MOST_LUNG = 0.1, 0.1
 """Of the circle inside the wall."""
+ONE_SIDED = 0.15
 EACH_MM = 1.0
 LEAST_TOLD = 4
 """Sections in which something lies between air and wall."""
@@ -72,7 +73,9 @@ def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float) 
         told = [(mm, middle) for mm in sampled if (middle := _middle(look, branch, at, mm, calibre)) is not None]
         if len(told) < LEAST_TOLD or told[-1][0] - told[0][0] < LEAST_LONG_MM:
             continue
-        error = max(0.5 * abs((before_mm or after_mm) - after_mm), voxel_mm if before_mm is None else 0.5 * voxel_mm)
+        # Beyond by itself it may be measured in the flare of a fork.
+        error = max(voxel_mm, ONE_SIDED * after_mm) if before_mm is None else 0.5 * abs(before_mm - after_mm)
+        error = max(error, 0.5 * voxel_mm)
         found.append(
             filled_place(
                 told[len(told) // 2][1],
