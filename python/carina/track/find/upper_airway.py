@@ -46,9 +46,10 @@ TIGHT_AREA = 0.55
 LEAST_TIGHT_MM = 25.0
 # Sections beside such an opening that reach forward are deeper than the trachea by this factor.
 DEEPER = 1.12
-# Fluid round a tube leaves less than this share of the trachea's area; at least so much of its radius is trachea.
+WHOLE_AGAIN = 1.3
+DENT_MM = 8.0
+# Fluid round a tube leaves less than this share of the trachea's area.
 LITTLE_AREA = 0.8
-CORE = 0.9
 # An opening in the front of the neck: followed forward so far, and up and down so far, in air as dark as this.
 FORWARD_MM = 160.0
 ASIDE_MM = 25.0
@@ -193,8 +194,7 @@ def as_one_trachea(
     """The first ``stop`` sections, each as the trachea's own.
 
     Where an opening leaves the trachea its air reaches forward, and where fluid stands round a tube only the tube's own
-    lumen is left. There the trachea is an ellipse of its usual size whose middle lies on the line between the sections
-    below and above.
+    lumen is left. There the trachea is as in the sections below and above, put where the line between them passes.
 
     Returns
     -------
@@ -202,29 +202,33 @@ def as_one_trachea(
         The sections, and of each that reached forward the air that was cut off.
     """
     heights = _heights(sections)
-    width, depth, area = _typical(sections, heights, tube)
+    _, depth, area = _typical(sections, heights, tube)
     forward = np.array([is_open and (s.leaves_in_front or s.depth_mm > DEEPER * depth) for s in sections[:stop]])
     by_tube = np.arange(stop) <= (-1 if tube is None else tube.last + 3)
     little = np.array([s.area_mm2 < LITTLE_AREA * area for s in sections[:stop]]) & by_tube
     cut: list[tuple[Section, NDArray[np.bool_]]] = []
     own = list(sections[:stop])
     dx, dy, _ = volume.spacing_mm
-    for first, last in _runs(forward | little, heights, gap_mm=4.0):
-        if first == 0:
-            continue
+    for begin, end in _runs(forward | little, heights, gap_mm=4.0):
+        first, last = begin, end
         reaches = any(s.leaves_in_front for s in sections[first : last + 1]) and is_open
+        if reaches:
+            # The tube's wall already dents the front below, and still does above.
+            first = int(np.flatnonzero(heights >= heights[first] - DENT_MM)[0])
+            last = min(int(np.flatnonzero(heights <= heights[last] + DENT_MM)[-1]), stop - 1)
+        first = max(first, 1)
         low = sections[first - 1]
-        high = sections[last + 1] if last + 1 < len(sections) else None
+        # The tree may begin beside the opening: the next section above that is whole again.
+        whole = (s for s in sections[last + 1 :] if not s.leaves_in_front and s.depth_mm <= WHOLE_AGAIN * depth)
+        high = next(whole, None)
         for n in range(first, last + 1):
             section = sections[n]
             share = 0.0 if high is None else (section.k - low.k) / (high.k - low.k)
             middle = low.centre_lps + share * ((high or low).centre_lps - low.centre_lps)
             i, j, _ = volume.to_ijk(middle)
-            nj, ni = section.air.shape
-            jj, ii = np.ogrid[:nj, :ni]
-            y, x = (jj + section.corner[0] - j) * dy, (ii + section.corner[1] - i) * dx
-            off_middle = (x / (0.5 * width)) ** 2 + (y / (0.5 * depth)) ** 2
-            inside, core = off_middle <= 1.0, off_middle <= CORE**2
+            inside = _put(volume, low, (j, i), section)
+            if high is not None:
+                inside |= _put(volume, high, (j, i), section)
             air = section.air & inside if reaches else section.air
             if not air.any():
                 continue
@@ -234,13 +238,24 @@ def as_one_trachea(
             own[n] = dataclasses.replace(
                 section,
                 air=air,
-                whole=inside if reaches else section.whole | core,
+                whole=inside if reaches else section.whole | inside,
                 voxel=(int(nearest[1]), int(nearest[0]), section.k),
                 centre_lps=middle,
             )
             if reaches:
                 cut.append((section, section.air & ~inside))
     return own, cut
+
+
+def _put(volume: Volume, section: Section, middle: tuple[float, float], into: Section) -> NDArray[np.bool_]:
+    """A section's mask with its middle at (j, i), in the window of another."""
+    i, j, _ = volume.to_ijk(section.centre_lps)
+    shift = np.rint(np.subtract(middle, (j, i))).astype(int) + section.corner - into.corner
+    cells = np.argwhere(section.whole) + shift
+    cells = cells[((cells >= 0) & (cells < into.whole.shape)).all(axis=1)]
+    out = np.zeros_like(into.whole)
+    out[cells[:, 0], cells[:, 1]] = True
+    return out
 
 
 def opening_in_front(
