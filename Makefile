@@ -14,7 +14,7 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run setup test test-built test-beside test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
+.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -36,15 +36,7 @@ setup: $(STAMP) ## install dependencies, compile, build the web UI
 run: $(STAMP) ## build what is missing and open the demo (CASE=patient for the real one)
 	.venv/bin/carina demo $(CASE)
 
-# Python's tests wait for servers, browsers and links for a part of their time, and the others run in it. These tell what
-# they did at once, when both have ended. All is built first: no two of them build the same thing.
-test: test-built ## every test that needs no special hardware
-	@$(MAKE) --no-print-directory -j2 test-python test-beside
-
-test-beside:
-	@mkdir -p target
-	@$(MAKE) --no-print-directory test-rust test-web > $(BESIDE) 2>&1; ended=$$?; cat $(BESIDE); exit $$ended
-BESIDE := target/test-beside.log
+test: test-rust test-web test-python ## every test that needs no special hardware
 
 # The same random cases every time, as in Python (tests/conftest.py): a test that turns red tells of the change at hand.
 # `make soak` draws new ones.
@@ -68,8 +60,6 @@ $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
 # A worker is a process with servers and a browser of its own, and often waits for them: one more than there are cores.
 # Beyond four they wait for memory.
 WORKERS ?= $(shell $(PY) -c 'import os; print(min((os.cpu_count() or 1) + 1, 4))' 2>/dev/null || echo 3)
-
-test-built: $(STAMP) $(CLUSTER_STAMP) web/node_modules/.package-lock.json
 
 test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
