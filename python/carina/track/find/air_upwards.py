@@ -32,6 +32,7 @@ ROUND_MM = 2.5
 # Plastic and its line for X-rays, between air on both sides: at least this much of it, with at least this peak.
 SEPTUM_MM2 = 12.0
 SEPTUM_HU = 150.0
+IN_A_TUBE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +163,7 @@ def follow_up(
             last = _moved(below, moved[0] - corner[0], moved[1] - corner[1], values.shape)
             allowed = spread(last, limit)
             seeds = last & is_air
-            if tubes >= 3:
+            if tubes >= IN_A_TUBE:
                 seeds |= spread(last, beside) & (values < strict)
                 allowed = allowed | spread(last, beside)
         region = grown(seeds & allowed, is_air & allowed)
@@ -187,9 +188,9 @@ def follow_up(
         near = spread(whole, close_by) & ~region
         septum_mm2 = float(septum.sum() * dx * dy)
         peak = (float(values[near].max()) - zero) * to_hu if near.any() else -1000.0
-        tubes = (
-            tubes + 1 if septum_mm2 >= SEPTUM_MM2 and peak >= SEPTUM_HU else max(tubes - 1, 0) if tubes < 3 else tubes
-        )
+        # Some slices with a wall between air and air make a tube; what stands on its cuff does not end it.
+        if tubes < IN_A_TUBE:
+            tubes = tubes + 1 if septum_mm2 >= SEPTUM_MM2 else 0
         found.append(
             Section(
                 k=k,

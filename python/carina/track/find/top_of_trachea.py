@@ -12,6 +12,7 @@ from carina.track.find.air_upwards import SEPTUM_MM2, Section, follow_up
 from carina.track.find.softened import Softened
 from carina.track.find.upper_airway import (
     BELOW_THE_CORDS_MM,
+    USUAL_TRACHEA_MM,
     Cords,
     Tube,
     as_one_trachea,
@@ -128,7 +129,10 @@ def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
     """A tube that ends below the top of the trachea, where air goes on in front of it."""
     if tube is None or tube.last + 3 >= len(trachea):
         return False
-    return any(section.leaves_in_front for section in trachea[max(tube.last - 3, 0) : tube.last + 4])
+    beside = trachea[max(tube.last - 3, 0) : tube.last + 4]
+    # Not where fluid stands round it.
+    usual = float(np.median([section.area_mm2 for section in trachea]))
+    return beside[-1].area_mm2 >= 0.6 * usual and any(section.leaves_in_front for section in beside)
 
 
 def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: int) -> NDArray[np.uint8]:
@@ -158,7 +162,13 @@ def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: 
 def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
     """What a person should know about it, in words."""
     notes: list[Note] = []
-    if top.cords is not None:
+    if top.cords is not None and not top.cords.are_seen:
+        words = (
+            "the scan continues above the trachea, but the vocal cords were not identified: the tree begins "
+            f"{USUAL_TRACHEA_MM:.0f} mm above the carina, where most tracheas begin; check its start in the slices"
+        )
+        notes.append(Note(LARYNX, words, badge=True))
+    elif top.cords is not None:
         scale = top.cords.above_root_mm / BELOW_THE_CORDS_MM
         words = (
             f"the scan includes the larynx: the tree begins about {ROOT_BELOW_CRICOID_MM * scale:.0f} mm below the "

@@ -38,6 +38,9 @@ ADULT_DIAMETER_MM = 15.0
 LEAST_SIZE = 0.4
 # The cone under the cords begins to narrow so far below them, at most.
 CONE_MM = 9.0
+# A trachea is 100 to 140 mm long; what is followed farther is more than that, whether cords are seen or not.
+LONGEST_TRACHEA_MM = 150.0
+USUAL_TRACHEA_MM = 110.0
 # A tube lies in the trachea for at least this.
 LEAST_TUBE_MM = 12.0
 # A tube whose wall lies on the trachea's all round: so bright all along, so narrow, for so long.
@@ -66,6 +69,8 @@ class Cords:
     begins_at: int
     """Of the first section below the cricoid: where the tree begins."""
     above_root_mm: float
+    are_seen: bool = True
+    """False where only the length tells that what was followed is no trachea any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +105,21 @@ def tube_in(sections: list[Section]) -> Tube | None:
     shows = np.array([s.septum_mm2 >= SEPTUM_MM2 for s in sections])
     tight = np.array([s.area_mm2 <= TIGHT_AREA * open_all and s.peak >= LINE_HU for s in sections])
     for signs, least_mm in ((shows, LEAST_TUBE_MM), (shows | tight, LEAST_TIGHT_MM)):
-        # The line, or the metal, shows in most slices, whatever the voxels make of it in one.
         runs = [
             (first, last)
             for first, last in _runs(signs, heights, gap_mm=4.0)
-            if heights[last] - heights[first] >= least_mm and np.quantile(peaks[first : last + 1], 0.6) >= SEPTUM_HU
+            if heights[last] - heights[first] >= least_mm
+            and _is_bright(peaks[first : last + 1], heights[last] - heights[first])
         ]
         if runs:
             return Tube(runs[0][0], runs[-1][1])
     return None
+
+
+def _is_bright(peaks: NDArray[np.float64], length_mm: float) -> bool:
+    """Whether plastic or metal shows: in many slices, or in some of a long way, where blur hides its line."""
+    share = 0.9 if length_mm >= LEAST_TIGHT_MM else 0.6
+    return bool(np.quantile(peaks, share) >= SEPTUM_HU)
 
 
 def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: float) -> list[tuple[int, int]]:
@@ -127,7 +138,8 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
 
     Going up, the trachea narrows from side to side to a slit, or to nothing where the cords are shut, and what follows
     is no trachea again. A stenosis is followed by trachea; where the scan ends just above a narrow place, only a slit
-    is the cords.
+    is the cords. Where no cords are seen on a way that is longer than any trachea, the tree begins at a trachea's usual
+    length.
     """
     heights = _heights(sections)
     width, depth, area = _typical(sections, heights, tube)
@@ -169,6 +181,9 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
         if len(begins):
             root = int(begins[-1])
             return Cords(at, root, float(heights[at] - heights[root]))
+    if up[-1] > LONGEST_TRACHEA_MM:
+        root = int(np.flatnonzero(up <= USUAL_TRACHEA_MM)[-1])
+        return Cords(len(sections) - 1, root, float(up[-1] - up[root]), are_seen=False)
     return None
 
 
