@@ -12,8 +12,9 @@ from make_pictures import COMMAND, ROOT, SHOTS, at_rest, changes, stamp_in, stam
 
 EMBEDDED = re.compile(r"!\[[^\]]*\]\((?!https?:)([^)]+)\)")
 PATIENT_DOI = "10.7937/K9/TCIA.2015.NPGZYZBZ"
-# A golden test renders the first again (tests/examples), `carina bench cluster` draws the second.
-MADE_ELSEWHERE = ("docs/pictures/gallery/", "docs/pictures/cluster/")
+# A golden test renders the first again (tests/examples), `carina bench cluster` draws the second, and
+# `python -m carina_bench.track_confidence` the third.
+MADE_ELSEWHERE = ("docs/pictures/gallery/", "docs/pictures/cluster/", "docs/confidence.svg")
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ __all__ = ["MISFIT", "POOR_FIT", "calibrated", "fit_of", "misfit_note"]
 Frame = NDArray[np.float64]
 
 MISFIT = "track.tree-unlike-human"
-POOR_FIT = 2.5
+POOR_FIT = 1.5
 """A tree that fits less well is no human bronchial tree, or not in the orientation of its file: docs/decisions/0063."""
 AGAINST = 1.5
 """What an advantage over the other orientations counts, beside the evidence itself."""
@@ -47,7 +47,7 @@ def calibrated(reading: float, fit: float | None) -> float:
     Examples
     --------
     >>> round(calibrated(0.9, 4.5), 2), round(calibrated(0.9, 3.0), 2)
-    (0.93, 0.87)
+    (0.93, 0.88)
     """
     if reading <= 0.0:
         return 0.0
