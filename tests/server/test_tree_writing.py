@@ -67,6 +67,26 @@ def test_a_tree_that_comes_as_the_writing_ends_is_written_before_its_route_goes(
     assert writing.written == ["first", "second"]
 
 
+def test_a_route_that_is_asked_for_before_its_tree_is_written_is_held_back_and_goes_with_it(monkeypatch):
+    """A mark of the old tree finds the new document: its route would be news once, and never again."""
+    writing = Writing(monkeypatch)
+    outbox = Outbox()
+
+    async def run() -> None:
+        writing.texts.mark(outbox, *TREE_AND_ROUTE)
+        await writing.end()
+        assert outbox.take()[0] == [*TREE_AND_ROUTE]
+        writing.newest = "second"
+        writing.texts.mark(outbox, "route")
+        assert (outbox.take()[0], writing.texts.tree(), writing.texts.route()) == (["route"], None, None)
+        writing.texts.mark(outbox, "tree")
+        await writing.end()
+        assert outbox.take()[0] == [*TREE_AND_ROUTE]
+        assert writing.texts.tree() is not None
+
+    asyncio.run(run())
+
+
 def test_a_tree_is_written_once_for_all_windows_and_each_waits_for_what_it_asked(monkeypatch):
     writing = Writing(monkeypatch)
     first, second, later = Outbox(), Outbox(), Outbox()

@@ -48,8 +48,11 @@ class SharedTexts:
         poses and pictures go on.
         """
         waits: set[str] = set()
-        if self._writing is not None or ("tree" in topics and not self._is_known("tree", *self._newest_tree())):
-            waits = {"tree", "route"} & set(topics)
+        if "tree" in topics and (self._writing is not None or not self._is_known("tree", *self._newest_tree())):
+            # The route, too, where it was not marked: one that was asked for too early was held back.
+            waits = {"tree", "route"}
+        elif self._writing is not None:
+            waits = {"route"} & set(topics)
         outbox.mark(*(t for t in topics if t not in waits))
         if waits:
             self._waiting.setdefault(outbox, set()).update(waits)
@@ -78,8 +81,13 @@ class SharedTexts:
         """None where the newest is still to be written: it is marked then."""
         return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None
 
-    def route(self) -> str:
-        """The present route."""
+    def route(self) -> str | None:
+        """The present route; None where it leads through a tree that is still to be written: both are marked then.
+
+        A mark that is older than the tree asks for it, too, and finds the route through the new one.
+        """
+        if not self._is_known("tree", *self._newest_tree()):
+            return None
         document = self._session.snapshot().document
         route = None if document is None else document.route
         return self._cached("route", lambda: route_message(route), route)
