@@ -228,6 +228,7 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
         page.wait_for_function("() => window.__carina.state.devices?.sources[0]?.state === 'live'")
         page.wait_for_selector("[data-testid=device][data-holds]")
         page.get_by_text("Calibrate", exact=True).click()
+        expect(page.locator("details.calibration")).to_have_attribute("open", "")
         corners = [(0.0, 0.0, 0.0), (40.0, 0.0, 0.0), (0.0, 40.0, 0.0)]
         for n, corner in enumerate(corners):
             place[:3, 3] = corner

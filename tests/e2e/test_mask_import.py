@@ -29,6 +29,8 @@ def masks(tmp_path_factory):
         return folder / name
 
     labels = (made.lumen_zyx != 0) * 2
+    # As of who drew no more than the upper airways: the search finds all branches.
+    labels[: len(labels) // 4] = 0
     labels[:3, :3, :3] = 1
     coarse = made.lumen_zyx[::2, ::2, ::2] != 0
     return {
@@ -81,8 +83,7 @@ def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(r
     ready.wait_for("window.__carina.state.airways_from === 'mask'")
     assert ready.state("can_undo") == "use the segmentation for the airways"
     expect(page.locator("[data-testid=mask-question]")).to_have_count(0)
-    # The phantom's true lumen: more of its smallest branches than were found.
-    ready.wait_for(f"window.__carina.state.tree.byId.size > {branches}")
+    ready.wait_for(f"window.__carina.state.tree.byId.size < {branches}")
     page.get_by_role("button", name="Airways", exact=True).click()
     page.locator("details.part > summary").first.click()
     expect(page.get_by_text("Imported segmentation: compare it")).to_be_visible()

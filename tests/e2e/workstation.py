@@ -350,21 +350,27 @@ class Workstation:
         )
 
     def choose_branch(self, branch_id: int) -> None:
-        """Make a branch the route, through the list as a person does: open what is closed, then click."""
-        self.page.evaluate(
+        """Make a branch the route, through the list as a person does: open what is closed, then click.
+
+        A bronchus in several pieces is one row, and its click leads to the end of the last one: so must the branch.
+        """
+        rows = self.page.evaluate(
             """(id) => {
                 const byId = window.__carina.state.tree.byId;
-                window.__lineage = [];
-                for (let b = byId.get(id).branch; b.parent !== null; b = byId.get(b.parent).branch)
-                    window.__lineage.unshift(b.parent);
+                const rows = [];
+                for (let at = byId.get(id); at !== undefined; at = byId.get(at.branch.parent)) {
+                    const row = at.row[0].branch.id;
+                    if (rows[0] !== row) rows.unshift(row);
+                }
+                return rows;
             }""",
             branch_id,
         )
-        for ancestor in self.page.evaluate("() => window.__lineage"):
+        for ancestor in rows[:-1]:
             row = self.page.get_by_role("row").filter(has=self.page.locator(f"[data-branch='{ancestor}']"))
             if row.get_attribute("aria-expanded") == "false":
                 row.locator("button.chevron").click()
-        self.page.locator(f"[data-branch='{branch_id}']").click()
+        self.page.locator(f"[data-branch='{rows[-1]}']").click()
         self.page.wait_for_function(
             "(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", arg=branch_id, timeout=PICTURE_MS
         )

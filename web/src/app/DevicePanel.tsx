@@ -185,14 +185,13 @@ function HeadsetGroup() {
 
 function Device({ device }: { device: DeviceInfo }) {
   const station = useStation();
+  // A tracker that loses its pen for a moment keeps the pairs that were taken, and the part that is open.
+  const [hasPlace, setHasPlace] = useState(false);
+  if (device.position_mm !== null && !hasPlace) setHasPlace(true);
   return (
     <article className="group device" data-testid="device" data-holds={device.holds || undefined}>
       <h3>{device.device}</h3>
       <p className="numbers">{valueWords(device)}</p>
-      <p className="quiet numbers">
-        filter delay {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
-        {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
-      </p>
       {device.holds ? (
         <p>This device moves the tip.</p>
       ) : (
@@ -202,7 +201,12 @@ function Device({ device }: { device: DeviceInfo }) {
           onPress={() => station.send({ type: "take_device", device: device.device })}
         />
       )}
-      {device.position_mm === null ? null : <Calibration device={device} />}
+      {hasPlace ? <Calibration device={device} /> : null}
+      {/* Last: its lines grow while samples come, and nothing below the cursor may move. */}
+      <p className="quiet numbers">
+        filter delay {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
+        {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
+      </p>
     </article>
   );
 }
@@ -253,7 +257,13 @@ function Calibration({ device }: { device: DeviceInfo }) {
         </p>
       ))}
       <div className="row">
-        <Act label="Add pair" words="Pair the pen's position with the crosshair" testId="take-pair" onPress={take} />
+        <Act
+          label="Add pair"
+          words="Pair the pen's position with the crosshair"
+          disabled={device.position_mm === null}
+          testId="take-pair"
+          onPress={take}
+        />
         <Act
           label="Register"
           words="Register the tracker to the patient"
