@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from websockets.sync.client import connect
@@ -109,9 +110,17 @@ class Window:
                 self.told.append(message["message"])
         return True
 
+    def hear_all(self) -> None:
+        """What has come by now, and no longer than half a second: on a busy machine the next may always be there."""
+        end_s = time.monotonic() + 0.5
+        while time.monotonic() < end_s and self.hear(0.01):
+            pass
+
     def until(self, condition) -> None:
+        # Bounded in all: where something goes on by itself, messages come for ever.
+        end_s = time.monotonic() + WAIT_S
         while not condition():
-            assert self.hear(WAIT_S)
+            assert self.hear(WAIT_S) and time.monotonic() < end_s, (self.state, self.history, self.told)
 
     def wait_open(self) -> None:
         """The case is shown with all that was kept."""

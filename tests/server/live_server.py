@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from dataclasses import dataclass
 
 import httpx
@@ -82,8 +83,10 @@ class Window:
 
     def until(self, wanted, *, acknowledge=True):
         """The first message that is wanted; pictures are acknowledged on the way."""
+        end_s = time.monotonic() + WAIT_S
         while True:
             message = self.next()
+            assert time.monotonic() < end_s, "other messages come, and this one does not"
             if acknowledge and isinstance(message, wire.PictureHeader):
                 self.send(wire.Ack(message.frame_id))
             if wanted(message):

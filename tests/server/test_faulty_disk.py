@@ -65,8 +65,7 @@ class Faults:
         while not has_ended():
             assert time.monotonic() < end_s, "the disk is not used"
             window.send(rng.choice(ACTS)(rng))
-            while window.hear(0.01):
-                pass
+            window.hear_all()
 
     def end(self) -> None:
         self.disk.heal()
@@ -156,8 +155,7 @@ def loses_power(faults: Faults, rng: random.Random, *, any_part: bool) -> float:
     while not disk.is_stalled:
         assert time.monotonic() < end_s, "the disk is not used"
         window.send(rng.choice(ACTS)(rng))
-        while window.hear(0.01):
-            pass
+        window.hear_all()
         if not disk.is_stalled:
             saved_s = window.state["saving"]["saved_s"] or saved_s
     before, cut_s = steps_of(window) if window.history["steps"] else [], time.time()
