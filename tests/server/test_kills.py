@@ -32,8 +32,7 @@ def work_until(window: Window, end_s: float, rng: random.Random) -> float:
                 ]
             )
         )
-        while window.hear(0.02):
-            pass
+        window.hear_all()
         if window.state:
             saved_s = window.state["saving"]["saved_s"] or saved_s
     return saved_s
