@@ -546,6 +546,18 @@ def extend_thin_lumen(
 ) -> dict[str, Any]:
     """Adds 2 to a lumen of 1 in place; num_reached, ran_out, followed [points_lps, length_mm, contrast]."""
 
+def find_pieces_of_air(
+    values_zyx: NDArray[np.int16],
+    lumen_zyx: NDArray[np.uint8],
+    *,
+    darkest: int,
+    box_ijk: tuple[tuple[int, int, int], tuple[int, int, int]],
+    least_neighbours: int,
+    voxels: tuple[int, int],
+    most_air: int,
+) -> list[NDArray[np.int64]]:
+    """Places in the flat volume of the pieces of air that share no face with the lumen, the largest piece first."""
+
 def mix_with_blurs(
     values_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],

@@ -5,11 +5,12 @@
 )]
 
 use carina_airpath::find::extension::{ExtensionLimits, Followed, extend};
+use carina_airpath::find::pieces::{PieceLimits, pieces_of_air};
 use carina_airpath::find::soft::{Blur, CutOff, keep_cut_off_air, mixed};
 use carina_airpath::find::thin::{ThinLimits, extend_thin};
 use carina_grid::{Grid, Ijk, VolumeView};
 use carina_leastcost::TrackError;
-use numpy::ndarray::{Array2, Array3};
+use numpy::ndarray::{Array1, Array2, Array3};
 use numpy::{
     IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
     PyUntypedArrayMethods,
@@ -233,9 +234,57 @@ fn keep_cut_off_air_of<'py>(
     Ok(py.detach(|| keep_cut_off_air(view, soft, &cut)))
 }
 
+/// Pieces of air that do not touch the lumen: for each the places of its voxels in the flat volume, in order.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lumen_zyx, *, darkest, box_ijk, least_neighbours, voxels, most_air))]
+fn find_pieces_of_air<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lumen_zyx: PyReadonlyArray3<'py, u8>,
+    darkest: i16,
+    box_ijk: ([usize; 3], [usize; 3]),
+    least_neighbours: usize,
+    voxels: (usize, usize),
+    most_air: usize,
+) -> PyResult<Bound<'py, PyList>> {
+    let values = arrays::values("values_zyx", &values_zyx)?;
+    let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
+    let shape_ijk: [usize; 3] = std::array::from_fn(|a| values_zyx.shape()[2 - a]);
+    let error = |what, expected, found| {
+        Err(TrackError::Argument {
+            what,
+            expected,
+            found,
+        }
+        .into_py())
+    };
+    if lumen_zyx.shape() != values_zyx.shape() {
+        let expected = format!("the volume's shape {:?}", values_zyx.shape());
+        return error("lumen_zyx", expected, format!("{:?}", lumen_zyx.shape()));
+    }
+    if (0..3).any(|a| box_ijk.1[a] > shape_ijk[a]) {
+        let expected = format!("a box in the volume {shape_ijk:?}");
+        return error("box_ijk", expected, format!("{box_ijk:?}"));
+    }
+    let limits = PieceLimits {
+        darkest,
+        box_ijk,
+        least_neighbours,
+        voxels,
+        most_air,
+    };
+    let pieces = py.detach(|| pieces_of_air(values, lumen, shape_ijk, &limits));
+    let list = PyList::empty(py);
+    for piece in pieces {
+        list.append(Array1::from_iter(piece.into_iter().map(i64::from)).into_pyarray(py))?;
+    }
+    Ok(list)
+}
+
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(extend_lumen, module)?)?;
     module.add_function(wrap_pyfunction!(extend_thin_lumen, module)?)?;
+    module.add_function(wrap_pyfunction!(find_pieces_of_air, module)?)?;
     module.add_function(wrap_pyfunction!(mix_with_blurs, module)?)?;
     module.add_function(wrap_pyfunction!(keep_cut_off_air_of, module)?)
 }

@@ -8,6 +8,7 @@ mod extension_verdict;
 mod extension_ways;
 pub mod flood;
 mod lungs;
+pub mod pieces;
 pub mod soft;
 mod spots;
 pub mod thin;

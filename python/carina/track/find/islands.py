@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina._core import find_pieces_of_air
 from carina.volume.model import Volume
 
 __all__ = ["Island", "IslandEnd", "find_islands"]
@@ -66,100 +68,49 @@ def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points,
     tree_lps
         (n, 3) its centrelines: pieces are looked for in their box and 30 mm round it.
     """
-    low, at = _box(volume, tree_lps)
-    dark = volume.hu_zyx[at] <= darkest
-    lumen = lumen_zyx[at] != 0
-    count = np.zeros(dark.shape, dtype=np.uint8)
-    near = lumen.copy()
-    for axis in range(3):
-        for step in (-1, 1):
-            count += _shifted(dark, axis, step)
-            near |= _shifted(lumen, axis, step)
-    dark &= (count >= DARK_NEIGHBOURS) & ~lumen
-    flat = np.flatnonzero(dark)
-    if not 0 < len(flat) <= MOST_DARK:
-        return []
-    edges = _edges(dark, flat)
-    label = _labels(len(flat), edges)
     voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
-    sizes = np.bincount(label, minlength=len(flat))
-    touches = np.zeros(len(flat), dtype=bool)
-    touches[label[near.ravel()[flat]]] = True
-    least = max(LEAST_VOXELS, LEAST_MM3 / voxel_mm3)
-    wanted = np.flatnonzero((sizes >= least) & (sizes <= MOST_MM3 / voxel_mm3) & ~touches)
-    wanted = wanted[np.lexsort((wanted, -sizes[wanted]))]
-    members_of, edges_of = _Groups(label), _Groups(label[edges[:, 0]])
-    place = np.zeros(len(flat), dtype=np.int64)
+    pieces = find_pieces_of_air(
+        volume.hu_zyx,
+        lumen_zyx,
+        darkest=math.floor(darkest),
+        box_ijk=_box(volume, tree_lps),
+        least_neighbours=DARK_NEIGHBOURS,
+        voxels=(math.ceil(max(LEAST_VOXELS, LEAST_MM3 / voxel_mm3)), math.floor(MOST_MM3 / voxel_mm3)),
+        most_air=MOST_DARK,
+    )
     found: list[Island] = []
-    for one in wanted:
-        members = members_of[one]
-        k, j, i = np.unravel_index(flat[members], dark.shape)
-        points = volume.to_lps((np.stack([i, j, k], axis=1) + low).astype(np.float64))
+    for flat in pieces:
+        k, j, i = np.unravel_index(flat, volume.shape_zyx)
+        ijk = np.stack([i, j, k], axis=1)
+        points = volume.to_lps(ijk.astype(np.float64))
         if float(np.linalg.norm(np.ptp(points, axis=0))) < LEAST_LONG_MM:
             continue
-        place[members] = np.arange(len(members))
-        found.append(Island(points, _ends(points, place[edges[edges_of[one]]], max(volume.spacing_mm), voxel_mm3)))
+        found.append(Island(points, _ends(points, _edges(flat, ijk, volume), max(volume.spacing_mm), voxel_mm3)))
         if len(found) == MOST_ISLANDS:
             break
     return found
 
 
-class _Groups:
-    """Places in a list of labels that have the same one."""
-
-    def __init__(self, labels: Ints) -> None:
-        self._order = np.argsort(labels, kind="stable")
-        self._sorted = labels[self._order]
-
-    def __getitem__(self, label: np.int64) -> Ints:
-        first, end = np.searchsorted(self._sorted, [label, label + 1])
-        return self._order[first:end]
-
-
-def _box(volume: Volume, tree_lps: Points) -> tuple[Ints, tuple[slice, slice, slice]]:
+def _box(volume: Volume, tree_lps: Points) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    """Its first voxel, and the first beyond it."""
     ijk = volume.to_ijk(tree_lps)
     reach = ROUND_TREE_MM / np.array(volume.spacing_mm)
-    shape = np.array(volume.shape_zyx[::-1])
-    low = np.clip(np.floor(ijk.min(axis=0) - reach), 0, shape - 1).astype(np.int64)
-    high = np.clip(np.ceil(ijk.max(axis=0) + reach), 0, shape - 1).astype(np.int64)
-    x, y, z = (slice(int(a), int(b) + 1) for a, b in zip(low, high, strict=True))
-    return low, (z, y, x)
+    last = np.array(volume.shape_zyx[::-1]) - 1
+    low = np.clip(np.floor(ijk.min(axis=0) - reach), 0, last).astype(np.int64)
+    high = np.clip(np.ceil(ijk.max(axis=0) + reach), 0, last).astype(np.int64) + 1
+    return (int(low[0]), int(low[1]), int(low[2])), (int(high[0]), int(high[1]), int(high[2]))
 
 
-def _shifted(mask: NDArray[np.bool_], axis: int, step: int) -> NDArray[np.bool_]:
-    """The mask's neighbours along an axis; none beyond its faces."""
-    result = np.zeros_like(mask)
-    to, of = [slice(None)] * 3, [slice(None)] * 3
-    to[axis], of[axis] = (slice(1, None), slice(None, -1)) if step > 0 else (slice(None, -1), slice(1, None))
-    result[tuple(to)] = mask[tuple(of)]
-    return result
-
-
-def _edges(mask: NDArray[np.bool_], flat: Ints) -> Ints:
-    """(m, 2) pairs of places in ``flat`` of voxels that share a face."""
-    place = np.full(mask.size, -1, dtype=np.int32)
-    place[flat] = np.arange(len(flat), dtype=np.int32)
+def _edges(flat: Ints, ijk: Ints, volume: Volume) -> Ints:
+    """(m, 2) pairs of places in ``flat``, which is sorted, of voxels that share a face."""
+    nz, ny, nx = volume.shape_zyx
     pairs = []
-    for axis, stride in enumerate((mask.shape[1] * mask.shape[2], mask.shape[2], 1)):
-        at = flat[np.unravel_index(flat, mask.shape)[axis] < mask.shape[axis] - 1]
-        there = place[at + stride]
-        pairs.append(np.stack([place[at], there], axis=1)[there >= 0])
-    return np.concatenate(pairs).astype(np.int64)
-
-
-def _labels(num: int, edges: Ints) -> Ints:
-    """For each of ``num`` nodes the least one that it is connected with."""
-    label = np.arange(num, dtype=np.int64)
-    while len(edges):
-        a, b = label[edges[:, 0]], label[edges[:, 1]]
-        differ = a != b
-        if not differ.any():
-            break
-        edges, a, b = edges[differ], a[differ], b[differ]
-        np.minimum.at(label, np.maximum(a, b), np.minimum(a, b))
-        while not np.array_equal(shorter := label[label], label):
-            label = shorter
-    return label
+    for axis, (stride, size) in enumerate(((1, nx), (nx, ny), (nx * ny, nz))):
+        there = np.searchsorted(flat, flat + stride)
+        there[there == len(flat)] = 0
+        beside = (flat[there] == flat + stride) & (ijk[:, axis] < size - 1)
+        pairs.append(np.stack([np.flatnonzero(beside), there[beside]], axis=1))
+    return np.concatenate(pairs)
 
 
 def _ends(points: Points, edges: Ints, coarsest_mm: float, voxel_mm3: float) -> tuple[IslandEnd, ...]:
