@@ -33,7 +33,7 @@ const STEADY_MM: f64 = 0.06;
 
 /// In its first places a way may be brighter than it is by so much of the wall's rise.
 const NUM_FIRST: usize = 4;
-const OPENNESS: f64 = 0.5;
+const OPENNESS: f64 = 0.65;
 
 /// Of a whole way the second darkest side rises at least this share of the median side.
 const ROUND_WAY: f64 = 0.4;

@@ -58,7 +58,7 @@ THIN_BLUR_MM = 0.85
 # An airway leads at least so far, in mm, in slices and in voxels: noise of one shows in its neighbours too. Where it
 # leaves from the side of another it leads farther: vessels and walls close off shorter strands of lung.
 THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
-THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 4.5, 4.0, 6.0
+THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 5.0, 3.3, 6.0
 MOST_REACHED_THIN = 0.1
 
 SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
