@@ -17,7 +17,7 @@ pub(crate) const NUM_SIDES: usize = 8;
 const NUM_ALONG: usize = 7;
 const STEP_MM: f64 = 0.75;
 /// The crest of the wall is looked for at these distances, mm: thin lumens, blurred. A wall farther out is not that thin.
-const CRESTS_MM: [f64; 3] = [0.65, 0.8, 1.1];
+const CRESTS_MM: [f64; 3] = [0.65, 0.75, 1.1];
 /// A wall that thin has lung behind it, at this distance, on so many sides; an artery lies along the others.
 const BEYOND_MM: f64 = 2.4;
 const LEAST_BEYOND: usize = 4;
