@@ -22,7 +22,9 @@ class Writing:
         self.told: list[object] = []
         self.meanwhile = lambda: None
         self.texts = SharedTexts(
-            SimpleNamespace(snapshot=lambda: SimpleNamespace(document=SimpleNamespace(airways=self.newest))),
+            SimpleNamespace(
+                snapshot=lambda: SimpleNamespace(document=SimpleNamespace(airways=self.newest, route=None))
+            ),
             None,
             self.told.append,
         )
@@ -118,6 +120,7 @@ def test_a_tree_that_cannot_be_written_is_said_and_holds_nothing_else_back(monke
         await writing.end()
         assert outbox.take()[0] == [*TREE_AND_ROUTE]
         assert writing.texts.tree() is None
+        assert writing.texts.route() is not None, "it says where the pose is on the path, with a tree or without"
 
     asyncio.run(run())
     (error,) = writing.told

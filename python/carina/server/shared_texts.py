@@ -40,6 +40,8 @@ class SharedTexts:
         self._writing: asyncio.Task[None] | None = None
         self._waiting: dict[Outbox, set[str]] = {}
         """What each window is to be sent once the tree has been written."""
+        self._unwritable: tuple[Any, Any] | None = None
+        """The tree that could not be written: nothing waits for it."""
 
     def mark(self, outbox: Outbox, *topics: str) -> None:
         """Send a window these topics anew.
@@ -86,9 +88,11 @@ class SharedTexts:
 
         A mark that is older than the tree asks for it, too, and finds the route through the new one.
         """
-        if not self._is_known("tree", *self._newest_tree()):
+        # One look for both: a document that comes between two has a route through another tree.
+        snapshot = self._session.snapshot()
+        newest, document = _tree_of(snapshot), snapshot.document
+        if not self._is_known("tree", *newest) and not _are_same(newest, self._unwritable):
             return None
-        document = self._session.snapshot().document
         route = None if document is None else document.route
         return self._cached("route", lambda: route_message(route), route)
 
@@ -106,9 +110,7 @@ class SharedTexts:
         return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
 
     def _newest_tree(self) -> tuple[Any, Any]:
-        snapshot = self._session.snapshot()
-        airways = None if snapshot.document is None else snapshot.document.airways
-        return airways, getattr(snapshot, "measures", None)
+        return _tree_of(self._session.snapshot())
 
     async def _write_tree(self) -> None:
         is_written = False
@@ -119,6 +121,7 @@ class SharedTexts:
                 pass
             is_written = True
         except Exception as trouble:
+            self._unwritable = self._newest_tree()
             log_fault(logger, "the airway tree could not be prepared for the window", trouble)
             words = f"the airway tree cannot be shown: internal error in Carina ({type(trouble).__name__})"
             self._tell(wire.Error("carina.fault", words, None))
@@ -140,4 +143,15 @@ class SharedTexts:
 
     def _is_known(self, topic: str, *values: object) -> bool:
         known = self._known.get(topic)
-        return known is not None and all(a is b for a, b in zip(known[0], values, strict=True))
+        return known is not None and _are_same(values, known[0])
+
+
+def _tree_of(snapshot: Any) -> tuple[Any, Any]:
+    """The airways that are shown, and their measures."""
+    airways = None if snapshot.document is None else snapshot.document.airways
+    return airways, getattr(snapshot, "measures", None)
+
+
+def _are_same(values: tuple[object, ...], others: tuple[object, ...] | None) -> bool:
+    """One by one the same objects, not equal ones."""
+    return others is not None and all(a is b for a, b in zip(values, others, strict=True))
