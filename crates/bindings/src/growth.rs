@@ -276,7 +276,7 @@ fn find_pieces_of_air<'py>(
     let pieces = py.detach(|| pieces_of_air(values, lumen, shape_ijk, &limits));
     let list = PyList::empty(py);
     for piece in pieces {
-        list.append(Array1::from_iter(piece.into_iter().map(i64::from)).into_pyarray(py))?;
+        list.append(Array1::from_iter(piece.into_iter().map(|at| at as i64)).into_pyarray(py))?;
     }
     Ok(list)
 }

@@ -9,7 +9,7 @@ pub struct PieceLimits {
     pub darkest: i16,
     /// First voxel (i, j, k) of the box that is looked at, and the first beyond it. What lies outside is no air.
     pub box_ijk: ([usize; 3], [usize; 3]),
-    /// A voxel of air has at least so many neighbours by faces that are air or lumen: alone it is noise.
+    /// A voxel of air has at least so many neighbours by faces that are as dark, lumen or not: alone it is noise.
     pub least_neighbours: usize,
     /// Pieces have from so many to so many voxels.
     pub voxels: (usize, usize),
@@ -27,7 +27,7 @@ pub fn pieces_of_air(
     lumen: &[u8],
     shape_ijk: [usize; 3],
     limits: &PieceLimits,
-) -> Vec<Vec<u32>> {
+) -> Vec<Vec<usize>> {
     let (low, high) = limits.box_ijk;
     let strides = [1, shape_ijk[0], shape_ijk[0] * shape_ijk[1]];
     let size: [usize; 3] = std::array::from_fn(|a| high[a].saturating_sub(low[a]));
@@ -75,7 +75,7 @@ pub fn pieces_of_air(
     if num_air > limits.most_air {
         return Vec::new();
     }
-    let mut pieces: Vec<Vec<u32>> = Vec::new();
+    let mut pieces: Vec<Vec<usize>> = Vec::new();
     let mut open = Vec::new();
     for start in 0..marks.len() {
         if marks[start] == 0 {
@@ -89,7 +89,7 @@ pub fn pieces_of_air(
             touches |= mark & TOUCHES != 0;
             let place: [usize; 3] = std::array::from_fn(|a| at / steps[a] % size[a]);
             if num <= limits.voxels.1 && !touches {
-                piece.push(index(place) as u32);
+                piece.push(index(place));
             }
             let mut take = |next: usize| {
                 if marks[next] != 0 {
