@@ -247,6 +247,7 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
     finally:
         tracker.stop()
     page.wait_for_function("() => window.__carina.state.devices.sources[0].state !== 'live'")
+    expect(page.locator("details.calibration")).to_have_count(0)
     workstation.wait_still()
     stopped = workstation.state("pose.pose_id")
     workstation.let_pass(300)
@@ -256,6 +257,9 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
     try:
         page.wait_for_function("() => window.__carina.state.devices.sources[0].state === 'live'")
         page.wait_for_function(f"() => window.__carina.state.pose.pose_id > {stopped}")
+        # The calibration goes on where it was.
+        expect(page.locator("details.calibration")).to_have_attribute("open", "")
+        expect(page.locator(".calibration p.numbers")).to_have_count(len(corners))
     finally:
         tracker.stop()
     page.get_by_text("Disconnect").click()

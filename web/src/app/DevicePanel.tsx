@@ -25,6 +25,8 @@ const MIN_PAIRS = 3;
 export function DevicePanel() {
   const station = useStation();
   const told = useApp((state) => state.devices);
+  // What was paired with a place in one case says nothing about another.
+  const caseNumber = useApp((state) => state.session?.case?.number);
   const missing = station.devices.missing();
   return (
     <section className="step-panel device-panel" aria-label="Devices" data-testid="device-panel">
@@ -46,9 +48,8 @@ export function DevicePanel() {
             <Movement told={told} />
             {told.devices.length === 0 ? (
               <p className="quiet">No input yet. Move a stick on the gamepad, or connect a device below.</p>
-            ) : (
-              told.devices.map((device) => <Device key={device.device} device={device} />)
-            )}
+            ) : null}
+            <Devices key={caseNumber} devices={told.devices} />
             <Connections told={told} />
             <PhoneGroup told={told} />
             <WatchGroup />
@@ -183,11 +184,37 @@ function HeadsetGroup() {
   );
 }
 
-function Device({ device }: { device: DeviceInfo }) {
+/** A calibration that is being made. */
+interface Begun {
+  readonly isOpen: boolean;
+  readonly pairs: readonly CalibrationPair[];
+}
+
+const NOT_BEGUN: Begun = { isOpen: false, pairs: [] };
+
+/** The devices, and the calibrations that were begun: a tracker that falls silent leaves the list, and may come back. */
+function Devices({ devices }: { devices: readonly DeviceInfo[] }) {
+  const [begun, setBegun] = useState<ReadonlyMap<string, Begun>>(new Map());
+  return devices.map((each) => (
+    <Device
+      key={each.device}
+      device={each}
+      begun={begun.get(each.device) ?? NOT_BEGUN}
+      onCalibrate={(part) =>
+        setBegun((old) => new Map(old).set(each.device, { ...(old.get(each.device) ?? NOT_BEGUN), ...part }))
+      }
+    />
+  ));
+}
+
+interface DeviceProps {
+  device: DeviceInfo;
+  begun: Begun;
+  onCalibrate: (part: Partial<Begun>) => void;
+}
+
+function Device({ device, begun, onCalibrate }: DeviceProps) {
   const station = useStation();
-  // A tracker that loses its pen for a moment keeps the pairs that were taken, and the part that is open.
-  const [hasPlace, setHasPlace] = useState(false);
-  if (device.position_mm !== null && !hasPlace) setHasPlace(true);
   return (
     <article className="group device" data-testid="device" data-holds={device.holds || undefined}>
       <h3>{device.device}</h3>
@@ -201,7 +228,7 @@ function Device({ device }: { device: DeviceInfo }) {
           onPress={() => station.send({ type: "take_device", device: device.device })}
         />
       )}
-      {hasPlace ? <Calibration device={device} /> : null}
+      {device.position_mm === null ? null : <Calibration device={device} begun={begun} onCalibrate={onCalibrate} />}
       {/* Last: its lines grow while samples come, and nothing below the cursor may move. */}
       <p className="quiet numbers">
         filter delay {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
@@ -222,9 +249,10 @@ function valueWords(device: DeviceInfo): string {
 }
 
 /** Pairs of points: hold the pen at a place, put the crosshair there, take the pair. */
-function Calibration({ device }: { device: DeviceInfo }) {
+function Calibration({ device, begun, onCalibrate }: DeviceProps) {
   const station = useStation();
-  const [pairs, setPairs] = useState<readonly CalibrationPair[]>([]);
+  const { isOpen, pairs } = begun;
+  const setPairs = (pairs: readonly CalibrationPair[]) => onCalibrate({ pairs });
   const take = () => {
     const place = station.centre();
     if (device.position_mm === null || place === null) return;
@@ -240,7 +268,13 @@ function Calibration({ device }: { device: DeviceInfo }) {
     setPairs([]);
   };
   return (
-    <details className="calibration">
+    <details
+      className="calibration"
+      open={isOpen}
+      onToggle={({ currentTarget }) => {
+        if (currentTarget.open !== isOpen) onCalibrate({ isOpen: currentTarget.open });
+      }}
+    >
       <summary>
         {device.registered
           ? `Calibrated${device.residual_mm === null ? "" : `, error ${fixed(device.residual_mm, 1)} mm`}`
@@ -257,13 +291,7 @@ function Calibration({ device }: { device: DeviceInfo }) {
         </p>
       ))}
       <div className="row">
-        <Act
-          label="Add pair"
-          words="Pair the pen's position with the crosshair"
-          disabled={device.position_mm === null}
-          testId="take-pair"
-          onPress={take}
-        />
+        <Act label="Add pair" words="Pair the pen's position with the crosshair" testId="take-pair" onPress={take} />
         <Act
           label="Register"
           words="Register the tracker to the patient"
