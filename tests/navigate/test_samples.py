@@ -138,7 +138,7 @@ def test_a_device_too_many_waits_until_another_is_silent():
     for n in range(64):
         assert gate.admit(f"stick {n}", AxesSample(1.0, REST), 1.0 + 0.001 * n) is not None
     assert gate.admit("pen", pen(1.0), 1.1) is None
-    assert gate.take_message(1.1) == "1 samples from other devices were ignored: too many devices (1)"
+    assert gate.take_message(1.1) == "1 sample from other devices was ignored: too many devices (1)"
     assert gate.admit("pen", pen(2.0), 2.0) is not None
     assert not gate.knows("stick 0")
     assert gate.knows("stick 1")

@@ -288,7 +288,8 @@ class SampleGate:
         devices = ", ".join(names[:MAX_NAMED]) + (f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else "")
         total = self._unsaid.total()
         self._unsaid.clear()
-        return f"{total} samples from {devices} were ignored: {', '.join(words)}"
+        samples, were = ("sample", "was") if total == 1 else ("samples", "were")
+        return f"{total} {samples} from {devices} {were} ignored: {', '.join(words)}"
 
     def _note(self, device: str, why: Refusal) -> None:
         # Devices may come and go many times between two messages.
