@@ -135,6 +135,7 @@ def generate_chest(
     noise_hu: float,
     neck: bool,
     tube: str | None,
+    resected: str | None,
     box_lps: list[list[float]] | None,
     with_distance: bool,
     proceed: Callable[[float], bool],

@@ -69,6 +69,7 @@ def generate_phantom(
     noise_hu: float = 20.0,
     neck: bool = False,
     tube: str | None = None,
+    resected: str | None = None,
     box_lps: Sequence[Sequence[float]] | None = None,
     with_distance: bool = False,
     progress: Progress | None = None,
@@ -101,6 +102,9 @@ def generate_phantom(
         Put a tube into the trachea: "endotracheal" (through the larynx where there is a neck, with its cuff and fluid
         on it) or "tracheostomy" (through the front of the neck, open to the air outside; it needs the neck). Its tip is
         in ``truth["tube"]``; the lumen's truth is the trachea's, tube and all.
+    resected
+        Take a lobe away, as after a lobectomy: RUL, RML, RLL, LUL or LLL. A stump of its bronchus is left, a branch
+        without a name; neighbouring airways have moved a little into the room.
     box_lps
         ``((x, y, z), (x, y, z))`` lower and upper corner of the part to make, in mm; the whole chest unless told. The
         truth is always the whole tree.
@@ -154,7 +158,18 @@ def generate_phantom(
         return True
 
     made = _core.generate_chest(
-        seed, spacing, int(generations), stenosis, nodule, float(noise_hu), neck, tube, box, with_distance, proceed
+        seed,
+        spacing,
+        int(generations),
+        stenosis,
+        nodule,
+        float(noise_hu),
+        neck,
+        tube,
+        resected,
+        box,
+        with_distance,
+        proceed,
     )
     branches = [
         {

@@ -1,6 +1,6 @@
 //! Bindings of `carina-phantom`.
 
-use carina_phantom::{Branch, Chest, ChestOptions, PhantomError, TubeKind};
+use carina_phantom::{Branch, Chest, ChestOptions, Lobe, PhantomError, TubeKind};
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -59,6 +59,7 @@ fn generate_chest<'py>(
     noise_hu: f64,
     neck: bool,
     tube: Option<&str>,
+    resected: Option<&str>,
     box_lps: Option<[[f64; 3]; 2]>,
     with_distance: bool,
     proceed: &Bound<'py, PyAny>,
@@ -76,6 +77,22 @@ fn generate_chest<'py>(
             .into_py());
         }
     };
+    let resected = match resected {
+        None => None,
+        Some(name) => Some(
+            Lobe::ALL
+                .into_iter()
+                .find(|lobe| lobe.name() == name)
+                .ok_or_else(|| {
+                    PhantomError::Option {
+                        what: "resected lobe",
+                        expected: "RUL, RML, RLL, LUL or LLL",
+                        found: name.to_owned(),
+                    }
+                    .into_py()
+                })?,
+        ),
+    };
     let options = ChestOptions {
         seed,
         spacing_mm,
@@ -85,6 +102,7 @@ fn generate_chest<'py>(
         noise_hu,
         neck,
         tube,
+        resected,
         box_lps,
         with_distance,
     };

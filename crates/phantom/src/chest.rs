@@ -4,6 +4,7 @@ use crate::PhantomError;
 use crate::airway_tube::{AirwayTube, TubeKind, TubeTruth};
 use crate::airways::AirwayTree;
 use crate::body::{Body, chest_skin, lung_distance};
+use crate::lobectomy::Lobe;
 use crate::neck::{NECK_TOP_Z, Neck};
 use crate::nodule::Nodule;
 use crate::random::Random;
@@ -39,6 +40,8 @@ pub struct ChestOptions {
     pub neck: bool,
     /// Put a tube into the trachea; a tracheostomy needs the neck.
     pub tube: Option<TubeKind>,
+    /// Take a lobe away: its bronchus ends in a stump.
+    pub resected: Option<Lobe>,
     /// Part of the chest to voxelize, `[lo, hi]` in LPS mm; the truth is always whole.
     pub box_lps: Option<[[f64; 3]; 2]>,
     /// Also hand over the signed distance to the lumen.
@@ -56,6 +59,7 @@ impl Default for ChestOptions {
             noise_hu: 20.0,
             neck: false,
             tube: None,
+            resected: None,
             box_lps: None,
             with_distance: false,
         }
@@ -149,12 +153,18 @@ impl ChestOptions {
 
     fn body_and_tree(&self) -> (Body, AirwayTree) {
         let body = Body::new(self.seed);
+        let top_z = if self.neck {
+            Neck::trachea_top_z(self.seed)
+        } else {
+            TOP_Z
+        };
+        let mut tree = AirwayTree::grow(self.seed, self.generations, top_z);
+        if let Some(lobe) = self.resected {
+            tree.resect(lobe);
+        }
         if !self.neck {
-            let tree = AirwayTree::grow(self.seed, self.generations, TOP_Z);
             return (body, tree);
         }
-        let top_z = Neck::trachea_top_z(self.seed);
-        let tree = AirwayTree::grow(self.seed, self.generations, top_z);
         let trachea = &tree.branches[0];
         let neck = Neck::new(self.seed, trachea.points[0], trachea.radius_mm[0]);
         (body.with_neck(neck), tree)

@@ -454,6 +454,9 @@ def phantom(
     tube: Annotated[
         str | None, typer.Option(help="Add a tube in the trachea: endotracheal, or tracheostomy (needs --neck).")
     ] = None,
+    resected: Annotated[
+        str | None, typer.Option(help="Remove a lobe, as after a lobectomy: RUL, RML, RLL, LUL or LLL.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Generate a synthetic chest CT with exact ground truth: ct.nii.gz, lumen.nii.gz, truth.json.
@@ -472,6 +475,7 @@ def phantom(
             nodule=nodule,
             neck=neck,
             tube=tube,
+            resected=resected,
             progress=progress_printer(),
         )
         written = write_phantom(made, output)
