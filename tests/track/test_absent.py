@@ -100,6 +100,22 @@ def test_a_lobe_that_was_resected_is_told_once_with_resection_among_the_reasons(
     assert sum(b.name == true[b.id] for b in left) >= 0.8 * len(left)
 
 
+@pytest.mark.parametrize("lobe", ["RUL", "RML", "LUL", "LLL"])
+def test_after_a_lobectomy_the_lobe_is_told_once_and_the_others_keep_their_names(lobe):
+    made = carina.generate_phantom(seed=2, spacing_mm=1.0, noise_hu=25.0, resected=lobe)
+    airways = carina.find_airways(made.volume)
+    (absence,) = airways.absent
+    assert absence.name == lobe
+    assert "resected" in absence.reason
+    true = [branch for branch in made.truth["branches"] if (branch["name"] or "")[1:2] == "B"]
+    places = np.concatenate([branch["points"] for branch in true])
+    names = [branch["name"] for branch in true for _ in branch["points"]]
+    for branch in airways.tree.branches:
+        if branch.name in names:
+            middle = branch.points[len(branch.points) // 2]
+            assert names[int(np.argmin(np.linalg.norm(places - middle, axis=1)))] == branch.name
+
+
 @pytest.mark.parametrize(("name", "lacking", "carrier"), [("RML", {"RML", "RLL"}, "BI"), ("LB6", {"LB6"}, "LLL")])
 def test_mucus_in_a_bronchus_is_said_with_its_place(chest, name, lacking, carrier):
     made, whole = chest

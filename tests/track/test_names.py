@@ -461,7 +461,7 @@ def test_the_sums_over_readings_equal_plain_recursion():
         if rules.terminal[state]:
             own = local
         elif not bronchi[number].children:
-            own = local * math.exp(solver.model.truncated[state])
+            own = local * math.exp(solver.ending(number)[state])
         else:
             one, two = bronchi[number].children
             apart = solver.model.apart(parts[one], parts[two])

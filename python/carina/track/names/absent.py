@@ -36,7 +36,7 @@ _TRUNKS = {
 _LETTERS = "abcdeiv"
 # An airway that ends this far beyond its carrier's end is an ordinary tip, not what is missing.
 FARTHEST_MM = 25.0
-# A tip without a name that is no longer than this may be the stump of a lobe's bronchus.
+# A tip that is no longer than this may be the stump of a lobe's bronchus.
 STUMP_MM = 10.0
 _SWAP = {ord("R"): "L", ord("L"): "R"}
 
@@ -146,7 +146,7 @@ def find_absent(tree: AirwayTree, uncertain: Sequence[Uncertainty] = ()) -> tupl
         there = _on_side(lobe, is_mirrored)
         if there not in found.lobes:
             carriers = [_on_side(name, is_mirrored) for name in _LOBE_CARRIERS[lobe]]
-            absent.append(found.absence(there, carriers))
+            absent.append(found.absence(there, [there, *carriers]))
             continue
         for key in _segments(keys):
             segment = _on_side(key, is_mirrored)
@@ -186,7 +186,25 @@ class _Found:
         # Without the letters of subsegments; LB1+2 of a mirrored chest is RB1+2, a stem by its name.
         self._segments = {name.rstrip(_LETTERS) for name in names if name is not None}
         known = [name_words(name) for name in names if name is not None]
-        self.lobes = {one.lobe for one in known if one is not None and one.lobe is not None}
+        self.lobes = {one.lobe for one in known if one is not None and one.lobe is not None} - self._stumps()
+
+    def _stumps(self) -> set[str]:
+        """Lobes of which the short blind beginning of their bronchus is all that is there."""
+        by_lobe: dict[str, list[Branch]] = {}
+        for branch in self._branches.values():
+            known = name_words(self._names[branch.id] or "")
+            if known is not None and known.lobe is not None:
+                by_lobe.setdefault(known.lobe, []).append(branch)
+        return {
+            lobe
+            for lobe, branches in by_lobe.items()
+            if all(self._names[branch.id] == lobe and self._is_stump(branch) for branch in branches)
+        }
+
+    def _is_stump(self, branch: Branch) -> bool:
+        # Its first millimetres lie in the lumen of the airway that it leaves.
+        inside_mm = 0.0 if branch.parent is None else float(self._branches[branch.parent].radius[-1])
+        return not branch.children and branch.length_mm - inside_mm <= STUMP_MM
 
     def has(self, segment: str) -> bool:
         """LB1+2 is there where its two halves are."""

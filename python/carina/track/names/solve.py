@@ -50,6 +50,14 @@ def _log_peak(kappa: Array | float) -> Array:
     return result
 
 
+STUMP_MM = 2.5
+STUMP_SHARE = 0.55
+"""A short blind bronchus this wide (radius; and beside its parent's) is no twig, but the rest of one that was lost."""
+STUMP_SPUR = 6.0
+LOST_LOBE = math.log(0.05)
+"""That of a lobe with such a stump nothing is left: resected, or plugged at its origin."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
     """One or several bronchi that leave a fork, seen as one."""
@@ -182,7 +190,9 @@ class _Model:
         self.turn = turn
         sizes = [len(keys) if kind == "set" else 2 for keys, kind in zip(grammar.segments, grammar.kind, strict=True)]
         more = np.maximum(np.array(sizes) - 2, 0)
-        self.truncated = np.where([kind == "lobe" for kind in grammar.kind], -np.inf, TRUNCATED + TRUNCATED_MORE * more)
+        is_lobe = np.array([kind == "lobe" for kind in grammar.kind])
+        self.truncated = np.where(is_lobe, -np.inf, TRUNCATED + TRUNCATED_MORE * more)
+        self.stump = np.where(is_lobe, LOST_LOBE, self.truncated)
         division = grammar.division
         bounds = np.flatnonzero(np.diff(division.state, prepend=-1))
         self._bounds, self._states = bounds, division.state[bounds]
@@ -263,8 +273,29 @@ def _spur(bronchi: list[Bronchus], number: int) -> float:
     assert bronchus.parent is not None
     parent = bronchi[bronchus.parent]
     share = bronchus.bulk_mm / max(sum(bronchi[c].bulk_mm for c in parent.children), 1e-9)
-    twig = not bronchus.children and bronchus.length_mm < 2.5 * parent.radius_mm
-    return -(1.0 if twig else 3.5 if bronchus.children else 2.2) - 8.0 * share
+    if _is_stump(bronchi, number):
+        return -STUMP_SPUR
+    return -(1.0 if _is_short_tip(bronchi, number) else 3.5 if bronchus.children else 2.2) - 8.0 * share
+
+
+def _is_short_tip(bronchi: list[Bronchus], number: int) -> bool:
+    bronchus = bronchi[number]
+    return (
+        bronchus.parent is not None
+        and not bronchus.children
+        and bronchus.length_mm < 2.5 * bronchi[bronchus.parent].radius_mm
+    )
+
+
+def _is_stump(bronchi: list[Bronchus], number: int) -> bool:
+    """Short, blind and wide: what a resection or a plug leaves of a bronchus that carried much, and no twig."""
+    bronchus = bronchi[number]
+    return (
+        _is_short_tip(bronchi, number)
+        and bronchus.parent is not None
+        and bronchus.radius_mm >= STUMP_MM
+        and bronchus.radius_mm >= STUMP_SHARE * bronchi[bronchus.parent].radius_mm
+    )
 
 
 class Solver:
@@ -330,7 +361,7 @@ class Solver:
                 structure = table.sums[table.full].copy()
                 self.tables[number] = table
             else:
-                structure = model.truncated.copy()
+                structure = self.ending(number).copy()
             structure[terminal] = interior[terminal]
             self.own[number] = structure + local
             self.sums[number] = model.shrunk(self.own[number])
@@ -344,6 +375,10 @@ class Solver:
             self._outward(number)
         self._read(0, int(np.argmax(self.posts[0])))
         return Solution(self.readings)
+
+    def ending(self, number: int) -> Array:
+        """Log odds per state that a bronchus ends before it divides."""
+        return self.model.stump if _is_stump(self.bronchi, number) else self.model.truncated
 
     def part_of(self, number: int) -> _Part:
         """A bronchus as one side of a fork."""
