@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from carina.export import export_airways, read_tree, write_film, write_tree
     from carina.navigate import FlightPath, Navigator
     from carina.phantom import generate_phantom, write_phantom
+    from carina.plan import Nodule, grow_nodule
     from carina.render import (
         Renderer,
         TransferFunction,
@@ -44,6 +45,7 @@ _HOME = {
     "FlightPath": "navigate",
     "Navigator": "navigate",
     "NoResultError": "errors",
+    "Nodule": "plan",
     "Pose": "scopes",
     "Renderer": "render",
     "ScopeDrive": "scopes",
@@ -57,6 +59,7 @@ _HOME = {
     "export_airways": "export",
     "find_airways": "track",
     "generate_phantom": "phantom",
+    "grow_nodule": "plan",
     "inspect_path": "volume",
     "isoregion_map": "render",
     "open_mask": "volume",
@@ -80,6 +83,7 @@ __all__ = [
     "FlightPath",
     "Navigator",
     "NoResultError",
+    "Nodule",
     "Pose",
     "Renderer",
     "ScopeDrive",
@@ -94,6 +98,7 @@ __all__ = [
     "export_airways",
     "find_airways",
     "generate_phantom",
+    "grow_nodule",
     "inspect_path",
     "isoregion_map",
     "open_mask",

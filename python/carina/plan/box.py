@@ -1,0 +1,120 @@
+"""A cubic box cut out of a CT, with cubic voxels along LPS, and what is done in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.volume import Volume
+
+__all__ = ["Box", "ball_distance", "component_at", "smoothed"]
+
+Mask = NDArray[np.bool_]
+Values = NDArray[np.float32]
+
+LEAST_STEP_MM, MOST_STEP_MM = 0.5, 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """Interpolated values round a place."""
+
+    hu_zyx: Values
+    known: Mask
+    """Inside the CT."""
+    step_mm: float
+    lps_from_ijk: NDArray[np.float64]
+
+    @classmethod
+    def around(cls, volume: Volume, centre_lps: NDArray[np.float64], half_mm: float) -> Box:
+        """Trilinear, the CT's edge repeated outside of it.
+
+        Its voxels are as fine as the CT's finest spacing, 0.5 to 1 mm: where slices are thicker nothing is gained by
+        finer ones, and nothing lost by coarser ones.
+        """
+        step = float(np.clip(min(volume.spacing_mm), LEAST_STEP_MM, MOST_STEP_MM))
+        half = int(np.ceil(half_mm / step))
+        num = 2 * half + 1
+        matrix = np.diag([step, step, step, 1.0])
+        matrix[:3, 3] = centre_lps - half * step
+        to_ijk = volume.ijk_from_lps @ matrix
+        values = np.empty((num, num, num), dtype=np.float32)
+        known = np.empty(values.shape, dtype=bool)
+        y, x = np.mgrid[0:num, 0:num].reshape(2, -1)
+        top = np.array(volume.shape_zyx[::-1]) - 1
+        for z in range(num):
+            ijk = to_ijk[:3, 0, None] * x + to_ijk[:3, 1, None] * y + (to_ijk[:3, 2] * z + to_ijk[:3, 3])[:, None]
+            known[z] = ((ijk >= -0.5) & (ijk <= (top + 0.5)[:, None])).all(axis=0).reshape(num, num)
+            values[z] = _trilinear(volume.hu_zyx, np.clip(ijk, 0.0, top[:, None])).reshape(num, num)
+        return cls(values, known, step, matrix)
+
+    def steps_from(self, at: tuple[int, ...]) -> NDArray[np.float64]:
+        """Distances of all voxels from one, in voxels."""
+        z, y, x = (np.arange(n, dtype=np.float64) - k for n, k in zip(self.hu_zyx.shape, at, strict=True))
+        off: NDArray[np.float64] = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
+        return off
+
+    def offsets_mm(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distances of all voxels from a point, mm."""
+        i, j, k = (point_lps - self.lps_from_ijk[:3, 3]) / self.step_mm
+        z, y, x = (np.arange(n) - at for n, at in zip(self.hu_zyx.shape, (k, j, i), strict=True))
+        off: NDArray[np.float64] = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
+        return self.step_mm * off
+
+
+def _trilinear(hu_zyx: NDArray[np.int16], ijk: NDArray[np.float64]) -> NDArray[np.float64]:
+    low = np.minimum(ijk.astype(np.intp), (np.array(hu_zyx.shape[::-1]) - 2).clip(0)[:, None])
+    part = ijk - low
+    high = np.minimum(low + 1, (np.array(hu_zyx.shape[::-1]) - 1)[:, None])
+    total = np.zeros(ijk.shape[1])
+    for corner in range(8):
+        ends = [(high if corner >> a & 1 else low)[a] for a in range(3)]
+        weight = np.prod([part[a] if corner >> a & 1 else 1.0 - part[a] for a in range(3)], axis=0)
+        total += weight * hu_zyx[ends[2], ends[1], ends[0]]
+    return total
+
+
+def smoothed(values: Values, sigma_vox: float) -> Values:
+    """A Gaussian of ``sigma_vox`` voxels, the edge repeated."""
+    reach = max(int(np.ceil(3.0 * sigma_vox)), 1)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_vox) ** 2)
+    kernel /= kernel.sum()
+    out = values
+    for axis in range(3):
+        pad = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
+        wide = np.pad(out, pad, mode="edge")
+        num = out.shape[axis]
+        total = np.zeros_like(out)
+        for n, weight in enumerate(kernel):
+            total += np.float32(weight) * wide.take(range(n, n + num), axis=axis)
+        out = total
+    return out
+
+
+def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
+    """What is connected to a voxel of the mask by faces; nothing where it is no voxel of it."""
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
+    seed = tuple(int(k) for k in reversed(at))
+    found: Mask = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [seed], 1, 1)) != 0
+    return found
+
+
+def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
+    """For each voxel of the mask the distance from its centre to the nearest one outside, less half a voxel; else 0.
+
+    The box's own faces are no outside.
+    """
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    if mask.all():
+        return np.full(mask.shape, np.inf, dtype=np.float32)
+    image: Any = sitk.GetImageFromArray((~mask).astype(np.uint8))
+    image.SetSpacing([step_mm] * 3)
+    far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=False, squaredDistance=False, useImageSpacing=True)
+    away: NDArray[np.float32] = sitk.GetArrayFromImage(far)
+    return np.where(mask, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm), 0.0).astype(np.float32)

@@ -1,0 +1,137 @@
+"""The surface of the lung beside a nodule: where chest wall, mediastinum or diaphragm would begin without it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.box import Box, ball_distance, component_at
+
+__all__ = ["cut_at_wall"]
+
+Mask = NDArray[np.bool_]
+
+WALL_HU = -400.0
+VESSEL_MM = 3.5
+"""What an opening by this radius takes away is vessel; what it leaves and reaches the box's faces is wall."""
+CLOSING_MM = 14.0
+"""Hollows of the lung's surface narrower than twice this are filled: nodules and hila."""
+RING_MM = 16.0
+LEAST_POINTS = 60
+ROUNDS = 4
+
+
+def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[int, ...]) -> tuple[Mask, Mask | None]:
+    """What of ``whole`` lies on the lung's side of the wall, and the wall; ``None`` where no wall is near.
+
+    The surface is a paraboloid through the lung's boundary round the nodule, which the nodule itself is left out of.
+    """
+    step = box.step_mm
+    dense = smooth > WALL_HU
+    deep = ball_distance(dense, step) > VESSEL_MM
+    wall_core = _from_faces(deep)
+    if not wall_core.any():
+        return whole, None
+    # The lung with all that is thin or narrow in it.
+    lung = ~dense
+    filled = ball_distance(~lung, step) <= CLOSING_MM
+    closed = ball_distance(filled, step) > CLOSING_MM - 0.5 * step
+    closed |= lung
+    wall = ~closed
+    wall = _from_faces(wall)
+    if not wall.any():
+        return whole, None
+    if wall[seed]:
+        return whole & ~wall, wall
+    middle = _middle(whole & ~wall, seed, step)
+    nearest = ball_distance(~wall, step)[middle]
+    if nearest > 2.0 * RING_MM:
+        return whole & ~wall, wall
+    # The lung's own surface, where the closing changes nothing.
+    near_wall = ball_distance(~wall, step) <= 1.5 * step
+    edge = np.argwhere(dense & near_wall & _beside(lung)).astype(float)
+    if len(edge) < LEAST_POINTS:
+        return whole & ~wall, wall
+    here = np.array(middle, dtype=float)
+    off = np.linalg.norm(edge - here, axis=1) * step
+    ring = edge[off <= nearest + RING_MM]
+    if len(ring) < LEAST_POINTS:
+        return whole & ~wall, wall
+    side = _surface_side(ring, here, box.hu_zyx.shape)
+    if side is None:
+        return whole & ~wall, wall
+    fitted = side > 0.0
+    # Beyond the ring the paraboloid knows nothing.
+    local = box.steps_from(middle) * step <= nearest + RING_MM
+    wall = np.where(local, fitted, wall)
+    return whole & ~wall, wall
+
+
+def _surface_side(
+    ring: NDArray[np.float64], here: NDArray[np.float64], shape: tuple[int, ...]
+) -> NDArray[np.float64] | None:
+    """Above 0 beyond the paraboloid through the ring, seen from ``here``; voxels."""
+    centre = ring.mean(axis=0)
+    _, _, axes = np.linalg.svd(ring - centre, full_matrices=False)
+    normal = axes[2] if (centre - here) @ axes[2] >= 0.0 else -axes[2]
+    u, v = axes[0], axes[1]
+    rel = ring - centre
+    a, b, w = rel @ u, rel @ v, rel @ normal
+    # A wall's voxels lie half a voxel beyond its surface.
+    w = w - 0.5
+    keep = np.ones(len(ring), dtype=bool)
+    fit = np.zeros(6)
+    terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=1)
+    for _ in range(ROUNDS):
+        if keep.sum() < LEAST_POINTS:
+            return None
+        fit, *_ = np.linalg.lstsq(terms[keep], w[keep], rcond=None)
+        miss = w - terms @ fit
+        spread = max(1.4826 * float(np.median(np.abs(miss[keep]))), 0.4)
+        keep = np.abs(miss) <= 2.5 * spread
+    z, y, x = (np.arange(n, dtype=float)[s] - c for n, c, s in zip(shape, centre, _SLOTS, strict=True))
+    au = z * u[0] + y * u[1] + x * u[2]
+    av = z * v[0] + y * v[1] + x * v[2]
+    aw = z * normal[0] + y * normal[1] + x * normal[2]
+    bowl = fit[0] + fit[1] * au + fit[2] * av + fit[3] * au**2 + fit[4] * au * av + fit[5] * av**2
+    side: NDArray[np.float64] = aw - bowl
+    return side
+
+
+_SLOTS = ((slice(None), None, None), (None, slice(None), None), (None, None, slice(None)))
+
+
+def _middle(mask: Mask, seed: tuple[int, ...], step_mm: float) -> tuple[int, ...]:
+    if not mask[seed]:
+        return seed
+    depth = ball_distance(component_at(mask, seed), step_mm)
+    at = seed
+    while True:
+        window = tuple(slice(max(k - 1, 0), k + 2) for k in at)
+        part = depth[window]
+        best = np.unravel_index(int(np.argmax(part)), part.shape)
+        there = tuple(int(w.start + b) for w, b in zip(window, best, strict=True))
+        if depth[there] <= depth[at]:
+            return at
+        at = there
+
+
+def _beside(mask: Mask) -> Mask:
+    """Voxels with a face to the mask."""
+    padded = np.pad(mask, 1)
+    found = np.zeros_like(mask)
+    for axis in range(3):
+        for shift in (-1, 1):
+            found |= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
+    return found
+
+
+def _from_faces(mask: Mask) -> Mask:
+    """What is connected to the box's faces."""
+    import SimpleITK as sitk  # slow to load
+
+    padded = np.pad(mask, 1, constant_values=True)
+    image = sitk.GetImageFromArray(padded.astype(np.uint8))
+    found = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [(0, 0, 0)], 1, 1)) != 0
+    inner: Mask = found[1:-1, 1:-1, 1:-1] & mask
+    return inner

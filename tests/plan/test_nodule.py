@@ -1,0 +1,166 @@
+"""A nodule from one click: its volume, its error and its words, against exact shapes (docs/decisions/0064)."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+from painted_nodules import LUNG_HU, Scene, painted
+
+import carina
+from carina.errors import NoResultError, UsageError
+from carina.plan import Nodule, grow_nodule
+from carina.volume import Volume
+
+
+def random_scene(kind: str, rng: np.random.Generator) -> Scene:
+    """A nodule of a kind, scanned somehow."""
+    least_mm = 3.0 if kind == "solid" else 6.0 if kind == "part-solid" else 4.0
+    longest_mm = rng.uniform(least_mm, 10.0)
+    x, y, z = np.maximum(longest_mm * rng.uniform(0.75, 1.0, 3), least_mm)
+    in_plane_mm = rng.uniform(0.55, 0.8)
+    scene = Scene(
+        radii_mm=(x, y, z),
+        level_hu=rng.uniform(-20.0, 60.0),
+        spacing_mm=(in_plane_mm, in_plane_mm, rng.uniform(0.6, 1.0)),
+        sigma_mm=rng.uniform(0.45, 0.8),
+        noise_hu=rng.uniform(10.0, 45.0),
+        seed=int(rng.integers(1_000_000)),
+        shift_mm=tuple(rng.uniform(-0.5, 0.5, 3)),
+    )
+    match kind:
+        case "vessel":
+            vessel = (
+                tuple(rng.uniform(-0.9, 0.9, 3) * x),
+                tuple(rng.normal(size=3)),
+                rng.uniform(0.6, 0.3 * longest_mm),
+            )
+            return dataclasses.replace(scene, vessels=(vessel,))
+        case "pleura":
+            wall_mm = rng.uniform(70.0, 150.0)
+            return dataclasses.replace(scene, pleura_mm=x * rng.uniform(0.0, 0.9), wall_radius_mm=wall_mm)
+        case "ground-glass":
+            return dataclasses.replace(scene, level_hu=rng.uniform(-650.0, -450.0))
+        case "part-solid":
+            core_mm = rng.uniform(0.4, 0.6) * min(x, y, z)
+            return dataclasses.replace(scene, level_hu=rng.uniform(-650.0, -450.0), core_mm=core_mm)
+        case "2 mm" | "3 mm":
+            return dataclasses.replace(scene, spacing_mm=(in_plane_mm, in_plane_mm, float(kind[0])))
+    return scene
+
+
+@functools.cache
+def grown(kind: str, seed: int) -> tuple[Nodule, float]:
+    """What a click some way from the middle gives, and the true volume."""
+    rng = np.random.default_rng([seed, *kind.encode()])
+    scene = random_scene(kind, rng)
+    volume, true_mm3, middle = painted(scene)
+    aside = rng.uniform(-0.3, 0.3, 3) * min(scene.radii_mm)
+    if kind == "pleura":
+        aside = np.array([-0.3 * scene.radii_mm[0], 0.0, 0.0])
+    return grow_nodule(volume, middle + aside), true_mm3
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("kind", "most"),
+    [
+        ("solid", 0.05),
+        ("vessel", 0.15),
+        ("pleura", 0.15),
+        ("ground-glass", 0.15),
+        ("part-solid", 0.15),
+        ("2 mm", 0.15),
+        ("3 mm", 0.15),
+    ],
+)
+def test_the_volume_is_right(kind, most, seed):
+    nodule, true_mm3 = grown(kind, seed)
+    assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=most)
+    assert nodule.kind == (kind if kind in ("part-solid", "ground-glass") else "solid")
+    assert (kind == "pleura") == ("pleura" in nodule.touches)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", ["solid", "vessel", "pleura", "ground-glass", "part-solid", "2 mm", "3 mm"])
+def test_the_error_that_is_told_holds_the_truth_nine_times_of_ten(kind):
+    found = [grown(kind, seed) for seed in range(100, 140)]
+    off = np.array([abs(nodule.volume_mm3 - true) / nodule.volume_error_mm3 for nodule, true in found])
+    assert (off <= 1.0).mean() >= 0.9
+    # And it is not bought with an interval that says nothing.
+    assert np.median([nodule.volume_error_mm3 / true for nodule, true in found]) < 0.25
+
+
+def in_phantom(seed: int) -> tuple[Nodule, float]:
+    tiny = carina.generate_phantom(seed=seed, spacing_mm=5.0, nodule=True, box_lps=((0, 0, 0), (12, 12, 12)))
+    middle, radius_mm = np.array(tiny.truth["nodule"]["center_lps"]), tiny.truth["nodule"]["radius_mm"]
+    box = (tuple(middle - 40.0), tuple(middle + 40.0))
+    made = carina.generate_phantom(seed=seed, spacing_mm=0.8, nodule=True, noise_hu=25.0, box_lps=box)
+    return grow_nodule(made.volume, middle + np.array([0.3, -0.2, 0.0]) * radius_mm), radius_mm
+
+
+# Vessels and airways lie as they do in a lung; the soak takes twenty.
+@pytest.mark.parametrize("seed", [1, 4, 6, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(7, 24))])
+def test_the_nodule_of_a_phantom_has_its_volume_and_diameter(seed):
+    nodule, radius_mm = in_phantom(seed)
+    true_mm3 = 4.0 / 3.0 * np.pi * radius_mm**3
+    assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=0.15 if "vessel" in nodule.touches else 0.05)
+    assert nodule.equivalent_mm == pytest.approx(2.0 * radius_mm, rel=0.05)
+    assert nodule.short_mm == pytest.approx(2.0 * radius_mm, abs=1.0)
+
+
+def test_any_click_in_it_gives_the_same_nodule():
+    volume, _, middle = painted(Scene(radii_mm=(7.0, 5.0, 5.0)))
+    one = grow_nodule(volume, middle)
+    for aside in ((4.0, 0.0, 0.0), (0.0, -3.5, 1.0), (-7.5, 0.0, 0.0)):
+        other = grow_nodule(volume, middle + aside)
+        assert other.volume_mm3 == pytest.approx(one.volume_mm3, rel=0.02)
+        assert other.centre_lps == pytest.approx(one.centre_lps, abs=0.4)
+    assert one.centre_lps == pytest.approx(middle, abs=0.2)
+    assert one.long_mm == pytest.approx(14.0, abs=0.8)
+    assert one.short_mm == pytest.approx(10.0, abs=0.8)
+
+
+def test_the_order_and_the_tilt_of_the_axes_change_nothing():
+    volume, _, middle = painted(Scene())
+    turned = volume.lps_from_ijk.copy()
+    turned[:3, 0] *= -1.0
+    turned[:3, 3] -= turned[:3, 0] * (volume.shape_zyx[2] - 1)
+    mirrored = Volume(np.ascontiguousarray(volume.hu_zyx[:, :, ::-1]), turned)
+    assert grow_nodule(mirrored, middle).volume_mm3 == pytest.approx(grow_nodule(volume, middle).volume_mm3, rel=1e-4)
+    a = np.radians(12.0)
+    tilt = np.array([[np.cos(a), 0, np.sin(a), 0], [0, 1, 0, 0], [-np.sin(a), 0, np.cos(a), 0], [0, 0, 0, 1.0]])
+    tilted = Volume(volume.hu_zyx, tilt @ volume.lps_from_ijk)
+    found = grow_nodule(tilted, tilt[:3, :3] @ middle)
+    assert found.volume_mm3 == pytest.approx(grow_nodule(volume, middle).volume_mm3, rel=0.01)
+
+
+def test_how_far_places_are_from_it():
+    volume, _, middle = painted(Scene())
+    nodule = grow_nodule(volume, middle)
+    off = nodule.distance_mm([middle, middle + np.array([9.0, 0.0, 0.0]), middle + np.array([0.0, 0.0, -12.0])])
+    assert off == pytest.approx([0.0, 4.0, 7.0], abs=0.5)
+
+
+def test_what_is_no_nodule_is_said_in_words():
+    volume, _, middle = painted(Scene(pleura_mm=14.0))
+    with pytest.raises(NoResultError, match=f"no nodule there.* and the lung round it {LUNG_HU / 10:.0f}") as error:
+        grow_nodule(volume, middle + np.array([-14.0, 8.0, 8.0]))
+    assert error.value.code == "plan.no-nodule"
+    with pytest.raises(NoResultError, match="consolidation, the chest wall") as error:
+        grow_nodule(volume, middle + np.array([22.0, 0.0, 0.0]))
+    assert error.value.code == "plan.no-boundary"
+    for wrong in ((1.0, 2.0), "here", (np.nan, 0.0, 0.0), (500.0, 0.0, 0.0)):
+        with pytest.raises(UsageError):
+            grow_nodule(volume, wrong)
+
+
+def test_a_nodule_at_the_end_of_the_scan_says_so():
+    volume, _, middle = painted(Scene())
+    k = int(volume.to_ijk(middle)[2]) - 3
+    place = volume.lps_from_ijk.copy()
+    place[:3, 3] += k * place[:3, 2]
+    cut = Volume(np.ascontiguousarray(volume.hu_zyx[k:]), place)
+    assert "edge of the CT" in grow_nodule(cut, middle).touches
