@@ -55,6 +55,12 @@ def test_a_tracheal_tube_is_named_with_the_height_of_its_tip() -> None:
     names_the_tube(made, found, "a tracheal tube")
 
 
+@pytest.mark.parametrize("seed", [9, 16])
+def test_air_beside_a_tube_is_no_branch_and_the_cords_are_found_from_within_it(seed: int) -> None:
+    """In 9 the tube lies on the trachea's wall; in 16 what is followed begins in it, 57 mm below the cords' cone."""
+    begins_below_the_cricoid(*searched({**WITH_NECK, "seed": seed, "tube": "endotracheal"}))
+
+
 def test_a_tracheostomy_is_named_and_neither_leaks_nor_becomes_a_branch() -> None:
     made, found = searched({**WITH_NECK, "seed": 1, "tube": "tracheostomy"})
     begins_below_the_cricoid(made, found)

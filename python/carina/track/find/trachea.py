@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.find.air_upwards import Section
+from carina.track.find.air_upwards import Section, disc, spread
 from carina.volume.model import Volume
 
 __all__ = ["add_sections", "fill_trachea"]
@@ -14,6 +14,8 @@ __all__ = ["add_sections", "fill_trachea"]
 MAX_TRACHEA_RADIUS_MM = 18.0
 # Voxels.
 BESIDE = 8
+# A notch this wide between a tube and the wall that it lies on, and the rest of the trachea, is part of it.
+NOTCH_MM = 4.5
 
 
 def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int_]) -> None:
@@ -51,18 +53,27 @@ def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int
         part[~outside[1:-1, 1:-1]] = 1
 
 
-def add_sections(lumen: NDArray[np.uint8], sections: list[Section], cut: list[Section]) -> None:
+def add_sections(
+    lumen: NDArray[np.uint8], spacing_mm: tuple[float, float, float], sections: list[Section], cut: list[Section]
+) -> None:
     """Make one lumen of a tube's air, the air round it and the tube between them: one on the wall encloses none.
 
     Parameters
     ----------
     lumen
         (nz, ny, nx) uint8, 1 inside, in canonical order; changed in place.
+    spacing_mm
+        Of its voxels, along x, y and z.
     cut
         Sections beside an opening in the neck: the lumen there ends where they end.
     """
+    notch = disc(NOTCH_MM, (spacing_mm[1], spacing_mm[0]))
     for section in sections:
-        section.window_of(lumen)[section.whole] = 1
+        window = section.window_of(lumen)
+        window[section.whole] = 1
+        # Where a tube lies on the trachea's wall, air runs out into two horns beside it: no airways.
+        beside = spread(section.whole, notch)
+        window[beside & ~spread(~spread((window != 0) & beside, notch), notch)] = 1
     for section in cut:
         window = section.window_of(lumen)
         at = np.argwhere(section.whole)

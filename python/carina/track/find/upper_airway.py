@@ -17,6 +17,8 @@ __all__ = ["Cords", "Tube", "as_one_trachea", "opening_in_front", "the_cords", "
 # The cords are not looked for nearer to the carina than so many diameters of the trachea: an adult's lie 7 of them up,
 # a newborn's 8.
 LEAST_DIAMETERS = 4.0
+# What is followed from a place in a tube begins above its tip, some way above the carina.
+LEAST_DIAMETERS_IN_A_TUBE = 2.0
 # Narrower than this share of the trachea, from side to side or in area: the cone under the cords, or a stenosis.
 NARROW_WIDTH = 0.7
 NARROW_AREA = 0.6
@@ -152,8 +154,9 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
     for n in np.flatnonzero(steps > 2.5 * usual):
         narrow[n] = True
     runs = _runs(narrow, heights, gap_mm=1.5)
+    least = LEAST_DIAMETERS_IN_A_TUBE if tube is not None and tube.first == 0 else LEAST_DIAMETERS
     for number, (first, last) in enumerate(runs):
-        if up[first] < LEAST_DIAMETERS * diameter or first == 0:
+        if up[first] < least * diameter or first == 0:
             continue
         end = float(heights[last])
         above = [s for s, z in zip(sections[last + 1 :], heights[last + 1 :], strict=True) if z - end <= ABOVE_MM]
