@@ -192,7 +192,23 @@ def web(tmp_path):
 
 
 @pytest.fixture
-def phone(web):
+def unhurried(monkeypatch):
+    """Deadlines as long as a test waits: where the machine stands still for ten seconds, nobody is a stranger for it.
+
+    Tests of the deadlines set their own.
+    """
+    for name in (
+        "carina.phone.page.HELLO_WITHIN_S",
+        "carina.server.impatient.FIRST_REQUEST_WITHIN_S",
+        "carina.server.impatient.BODY_WITHIN_S",
+        "carina.server.lan_server.HANDSHAKE_WITHIN_S",
+        "carina.server.lan_server.PING_EVERY_S",
+    ):
+        monkeypatch.setattr(name, WAIT_S)
+
+
+@pytest.fixture
+def phone(web, unhurried):
     """An open page over the small case, as the workstation has it."""
     bench = small_bench()
     bench.session._core.clock = time.monotonic  # the desk's thread keeps the real time
