@@ -149,6 +149,10 @@ def test_what_is_no_nodule_is_said_in_words():
     with pytest.raises(NoResultError, match=f"no nodule there.* and the lung round it {LUNG_HU / 10:.0f}") as error:
         grow_nodule(volume, middle + np.array([-14.0, 8.0, 8.0]))
     assert error.value.code == "plan.no-nodule"
+    air = volume.hu_zyx.copy()
+    air[:20, :20, :20] = -1000
+    with pytest.raises(NoResultError, match="-1000 HU at most"):
+        grow_nodule(Volume(air, volume.lps_from_ijk), volume.to_lps(np.array([8.0, 8.0, 8.0])))
     with pytest.raises(NoResultError, match="consolidation, the chest wall") as error:
         grow_nodule(volume, middle + np.array([22.0, 0.0, 0.0]))
     assert error.value.code == "plan.no-boundary"

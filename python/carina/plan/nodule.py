@@ -40,8 +40,9 @@ HALVES_MM = (22.0, 36.0, 60.0)
 EDGE_MM = 4.0
 MOST_CUT = 0.4
 """What the end of the CT cuts off on more than this share of its surface has no boundary."""
-OPENINGS = (0.4, 0.5, 0.6, 0.7, 0.8)
-"""Radius of the ball that cuts vessels off, as a share of the largest ball in the nodule: the first that suffices."""
+OPENINGS, OPENINGS_AT_WALL = (0.6, 0.7, 0.8), (0.4, 0.5, 0.6, 0.7, 0.8)
+"""Radius of the ball that cuts vessels off, as a share of the largest ball in the nodule: the first that suffices. What
+is flat on one side loses its edges to large ones."""
 TAIL = 2.4
 """A part farther from the nodule's middle than this many of its radii is a vessel."""
 RIM_MM = 1.6
@@ -50,7 +51,7 @@ STUB_MM = 2.0
 """What the opening takes away and reaches no farther than this from the rest is no vessel: the nodule's own shape."""
 FILLET_MM = 3.0
 """What is left nearer to the wall than this, where it was cut off, is neither nodule nor vessel."""
-MOUTH_MM = 2.0
+MOUTH_MM = 2.5
 """How uncertain the place of a cut through a vessel is."""
 CORE_MM = 1.5
 """Deeper than this the edge's blur is not felt."""
@@ -96,8 +97,8 @@ class Nodule:
     density_hu: float
     """Mean of its middle."""
     touches: tuple[str, ...]
-    """"pleura", "vessel": what it was cut from. The pleura is that of wall, mediastinum or diaphragm: the CT shows no
-    difference."""
+    """What it was cut from: "pleura" (of wall, mediastinum or diaphragm: the CT shows no difference), "vessel"; "edge
+    of the CT" where the scan ends in it."""
     inside_zyx: Mask
     """(nz, ny, nx) in a box of its own, true inside."""
     lps_from_ijk: NDArray[np.float64]
@@ -233,15 +234,15 @@ class _Grown:
         near = off <= CLICK_MM
         # The nearest place that is dense: the densest may lie in the chest wall behind it.
         densest = float(very[near].max())
+        if densest < self.lung_hu + LEAST_RISE_HU:
+            raise NoResultError(
+                f"no nodule there: within {CLICK_MM:.0f} mm the CT shows {densest:.0f} HU at most, and the lung round "
+                f"it {self.lung_hu:.0f}. Click into the nodule's middle",
+                code="plan.no-nodule",
+            )
         meant = near & (very >= self.lung_hu + MEANT * (densest - self.lung_hu))
         self.seed = _first(np.where(meant, off, np.inf).argmin(), off.shape)
         level = float(very[meant & (self.box.steps_from(self.seed) * box.step_mm <= LEVEL_MM)].max())
-        if level < self.lung_hu + LEAST_RISE_HU:
-            raise NoResultError(
-                f"no nodule there: within {CLICK_MM:.0f} mm the CT shows {level:.0f} HU at most, and the lung round it "
-                f"{self.lung_hu:.0f}. Click into the nodule's middle",
-                code="plan.no-nodule",
-            )
         self.is_glass = False
         self._grow(level)
         glass = self._glass_hu()
@@ -272,7 +273,7 @@ class _Grown:
         peak = self._peak(depth)
         radius = float(depth[peak])
         whole_mm = np.inf
-        for share in OPENINGS:
+        for share in OPENINGS_AT_WALL if self.wall.any() else OPENINGS:
             core = component_at(depth > share * radius, peak)
             off = self.box.steps_from(peak)[core] * self.box.step_mm
             whole_mm = float(off.max()) + share * radius
