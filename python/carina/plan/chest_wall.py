@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from carina.plan.box import Box, ball_distance, component_at
 
-__all__ = ["cut_at_wall"]
+__all__ = ["SHALLOW_MM", "cut_at_wall"]
 
 Mask = NDArray[np.bool_]
 
@@ -18,6 +18,8 @@ CLOSING_MM = 14.0
 """Hollows of the lung's surface narrower than twice this are filled: nodules and hila."""
 RING_MM = 16.0
 LEAST_POINTS = 60
+SHALLOW_MM = 3.0
+"""A place deeper in the first wall than this is no place in a nodule."""
 ROUNDS = 4
 
 
@@ -41,7 +43,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     wall = _from_faces(wall)
     if not wall.any():
         return whole, None
-    if wall[seed]:
+    if ball_distance(wall, step)[seed] > SHALLOW_MM:
         return whole & ~wall, wall
     middle = _middle(whole & ~wall, seed, step)
     nearest = ball_distance(~wall, step)[middle]
@@ -57,7 +59,8 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     ring = edge[off <= nearest + RING_MM]
     if len(ring) < LEAST_POINTS:
         return whole & ~wall, wall
-    side = _surface_side(ring, here, box.hu_zyx.shape)
+    near_lung = np.argwhere(lung & (box.steps_from(middle) * step <= nearest + RING_MM)).mean(axis=0)
+    side = _surface_side(ring, near_lung, box.hu_zyx.shape)
     if side is None:
         return whole & ~wall, wall
     fitted = side > 0.0
@@ -68,12 +71,12 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
 
 
 def _surface_side(
-    ring: NDArray[np.float64], here: NDArray[np.float64], shape: tuple[int, ...]
+    ring: NDArray[np.float64], lung: NDArray[np.float64], shape: tuple[int, ...]
 ) -> NDArray[np.float64] | None:
-    """Above 0 beyond the paraboloid through the ring, seen from ``here``; voxels."""
+    """Above 0 beyond the paraboloid through the ring, seen from the lung; voxels."""
     centre = ring.mean(axis=0)
     _, _, axes = np.linalg.svd(ring - centre, full_matrices=False)
-    normal = axes[2] if (centre - here) @ axes[2] >= 0.0 else -axes[2]
+    normal = axes[2] if (centre - lung) @ axes[2] >= 0.0 else -axes[2]
     u, v = axes[0], axes[1]
     rel = ring - centre
     a, b, w = rel @ u, rel @ v, rel @ normal

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from carina.display import one_line
 from carina.errors import NoResultError, UsageError, check_type
 from carina.plan.box import Box, ball_distance, component_at, smoothed
-from carina.plan.chest_wall import cut_at_wall
+from carina.plan.chest_wall import SHALLOW_MM, cut_at_wall
 from carina.volume import Volume
 
 __all__ = ["Nodule", "NoduleKind", "grow_nodule"]
@@ -266,7 +266,7 @@ class _Grown:
             cut, wall = cut_at_wall(self.box, self.smooth, whole, self.seed)
             if wall is not None:
                 if wall[self.seed]:
-                    raise _no_boundary()
+                    self._leave_the_wall(cut)
                 self.wall = wall
                 whole = component_at(cut | _only(self.seed, cut.shape), self.seed)
         depth = ball_distance(whole, self.box.step_mm)
@@ -292,6 +292,13 @@ class _Grown:
             self.touches.append("edge of the CT")
         if self.cut.any():
             self.touches.append("vessel")
+
+    def _leave_the_wall(self, cut: Mask) -> None:
+        """The seed of a nodule that lies flat on the wall may fall into its edge."""
+        off = np.where(cut, self.box.steps_from(self.seed) * self.box.step_mm, np.inf)
+        if float(off.min()) > SHALLOW_MM:
+            raise _no_boundary()
+        self.seed = _first(off.argmin(), off.shape)
 
     def _peak(self, depth: NDArray[np.float32]) -> tuple[int, ...]:
         """Uphill from the seed to the middle of the largest ball."""
@@ -459,7 +466,7 @@ class _Grown:
         is_alike: bool,
     ) -> float:
         step = self.box.step_mm
-        edge_mm = (0.7 if not is_alike else 0.05 if kind == "solid" else 0.25) * max(coarsest_mm, 0.8)
+        edge_mm = (0.6 if not is_alike else 0.05 if kind == "solid" else 0.25) * max(coarsest_mm, 0.8)
         free = (1.0 - cut_share) * area_mm2 * edge_mm
         cut = cut_share * area_mm2 * 0.5 * coarsest_mm
         # Noise is alike over some 4 voxels.
