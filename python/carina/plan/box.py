@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carina.volume import Volume
 
-__all__ = ["Box", "ball_distance", "component_at", "smoothed"]
+__all__ = ["Box", "ball_distance", "beside", "component_at", "smoothed", "uphill"]
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -118,3 +118,25 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=False, squaredDistance=False, useImageSpacing=True)
     away: NDArray[np.float32] = sitk.GetArrayFromImage(far)
     return np.where(mask, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm), 0.0).astype(np.float32)
+
+
+def beside(mask: Mask) -> Mask:
+    """Voxels with a face to the mask."""
+    padded = np.pad(mask, 1)
+    found = np.zeros_like(mask)
+    for axis in range(3):
+        for shift in (-1, 1):
+            found |= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
+    return found
+
+
+def uphill(values: Values, at: tuple[int, ...]) -> tuple[int, ...]:
+    """The voxel that is reached from one by going to the greatest of 26 neighbours as long as it is greater."""
+    while True:
+        window = tuple(slice(max(k - 1, 0), k + 2) for k in at)
+        part = values[window]
+        best = np.unravel_index(int(np.argmax(part)), part.shape)
+        there = tuple(int(w.start + b) for w, b in zip(window, best, strict=True))
+        if values[there] <= values[at]:
+            return at
+        at = there

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.box import Box, ball_distance, component_at
+from carina.plan.box import Box, ball_distance, beside, component_at, uphill
 
 __all__ = ["SHALLOW_MM", "cut_at_wall"]
 
@@ -51,7 +51,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
         return whole & ~wall, wall
     # The lung's own surface, where the closing changes nothing.
     near_wall = ball_distance(~wall, step) <= 1.5 * step
-    edge = np.argwhere(dense & near_wall & _beside(lung)).astype(float)
+    edge = np.argwhere(dense & near_wall & beside(lung)).astype(float)
     if len(edge) < LEAST_POINTS:
         return whole & ~wall, wall
     here = np.array(middle, dtype=float)
@@ -107,26 +107,7 @@ _SLOTS = ((slice(None), None, None), (None, slice(None), None), (None, None, sli
 def _middle(mask: Mask, seed: tuple[int, ...], step_mm: float) -> tuple[int, ...]:
     if not mask[seed]:
         return seed
-    depth = ball_distance(component_at(mask, seed), step_mm)
-    at = seed
-    while True:
-        window = tuple(slice(max(k - 1, 0), k + 2) for k in at)
-        part = depth[window]
-        best = np.unravel_index(int(np.argmax(part)), part.shape)
-        there = tuple(int(w.start + b) for w, b in zip(window, best, strict=True))
-        if depth[there] <= depth[at]:
-            return at
-        at = there
-
-
-def _beside(mask: Mask) -> Mask:
-    """Voxels with a face to the mask."""
-    padded = np.pad(mask, 1)
-    found = np.zeros_like(mask)
-    for axis in range(3):
-        for shift in (-1, 1):
-            found |= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
-    return found
+    return uphill(ball_distance(component_at(mask, seed), step_mm), seed)
 
 
 def _from_faces(mask: Mask) -> Mask:

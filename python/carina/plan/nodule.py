@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carina.display import one_line
 from carina.errors import NoResultError, UsageError, check_type
-from carina.plan.box import Box, ball_distance, component_at, smoothed
+from carina.plan.box import Box, ball_distance, beside, component_at, smoothed, uphill
 from carina.plan.chest_wall import SHALLOW_MM, cut_at_wall
 from carina.volume import Volume
 
@@ -214,8 +214,8 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
 
 def _no_boundary() -> NoResultError:
     return NoResultError(
-        f"no end of it within {HALVES_MM[-1] - EDGE_MM:.0f} mm: this is no nodule but a consolidation, the chest wall, "
-        "the heart or the diaphragm. Click into the middle of the nodule",
+        f"no boundary was found within {HALVES_MM[-1] - EDGE_MM:.0f} mm: this looks like consolidation, the chest "
+        "wall, the heart or the diaphragm rather than a nodule; click in the middle of the nodule",
         code="plan.no-boundary",
     )
 
@@ -236,8 +236,8 @@ class _Grown:
         densest = float(very[near].max())
         if densest < self.lung_hu + LEAST_RISE_HU:
             raise NoResultError(
-                f"no nodule there: within {CLICK_MM:.0f} mm the CT shows {densest:.0f} HU at most, and the lung round "
-                f"it {self.lung_hu:.0f}. Click into the nodule's middle",
+                f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} HU, "
+                f"and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
                 code="plan.no-nodule",
             )
         meant = near & (very >= self.lung_hu + MEANT * (densest - self.lung_hu))
@@ -255,7 +255,6 @@ class _Grown:
 
     def _grow(self, level: float) -> None:
         """The part round the seed that is denser than half-way to ``level``, without what enters it."""
-        self.level_hu = level
         self.bar_hu = 0.5 * (self.lung_hu + level)
         self.dense = self.smooth > self.bar_hu
         self.dense[self.seed] = True
@@ -270,7 +269,8 @@ class _Grown:
                 self.wall = wall
                 whole = component_at(cut | _only(self.seed, cut.shape), self.seed)
         depth = ball_distance(whole, self.box.step_mm)
-        peak = self._peak(depth)
+        # The middle of the largest ball.
+        peak = uphill(depth, self.seed)
         radius = float(depth[peak])
         whole_mm = np.inf
         for share in OPENINGS_AT_WALL if self.wall.any() else OPENINGS:
@@ -284,7 +284,6 @@ class _Grown:
         self.inside |= core
         self.cut, own = self._parted(whole)
         self.inside |= own
-        self.radius_mm = radius
         self.others = self.dense & ~self.inside
         if (self.wall & self._rim(self.inside, 2.0 * self.box.step_mm)).sum() > 8:
             self.touches.append("pleura")
@@ -299,18 +298,6 @@ class _Grown:
         if float(off.min()) > SHALLOW_MM:
             raise _no_boundary()
         self.seed = _first(off.argmin(), off.shape)
-
-    def _peak(self, depth: NDArray[np.float32]) -> tuple[int, ...]:
-        """Uphill from the seed to the middle of the largest ball."""
-        at = self.seed
-        while True:
-            window = tuple(slice(max(k - 1, 0), k + 2) for k in at)
-            part = depth[window]
-            best = np.unravel_index(int(np.argmax(part)), part.shape)
-            there = tuple(int(w.start + b) for w, b in zip(window, best, strict=True))
-            if depth[there] <= depth[at]:
-                return at
-            at = there
 
     def _parted(self, whole: Mask) -> tuple[Mask, Mask]:
         """What the opening took away: vessels, and what is only the nodule's shape."""
@@ -391,10 +378,10 @@ class _Grown:
         surface = _surface(inside)
         # How much too far inside the boundary of the smoothed CT lies: seen where the nodule is free.
         open_air = ~(self.dense | self.wall)
-        faces = surface & _beside(open_air)
+        faces = surface & beside(open_air)
         gained = float(share[zone].sum() - (inside & free).sum())
-        beside = float((faces & ~free).sum()) * gained / max(float((faces & free).sum()), 1.0)
-        voxels_mm3 = float(share[zone].sum() + (inside & ~free).sum() + max(beside, 0.0)) * step**3
+        more = float((faces & ~free).sum()) * gained / max(float((faces & free).sum()), 1.0)
+        voxels_mm3 = float(share[zone].sum() + (inside & ~free).sum() + max(more, 0.0)) * step**3
         cut_share = float((surface & ~free).sum() / max(surface.sum(), 1))
         area_mm2 = float(surface.sum()) * step**2 * 1.2
         noise = self._noise(lung_hu)
@@ -482,16 +469,6 @@ def _only(at: tuple[int, ...], shape: tuple[int, ...]) -> Mask:
     mask = np.zeros(shape, dtype=bool)
     mask[at] = True
     return mask
-
-
-def _beside(mask: Mask) -> Mask:
-    """Voxels with a face to the mask."""
-    padded = np.pad(mask, 1)
-    found = np.zeros_like(mask)
-    for axis in range(3):
-        for shift in (-1, 1):
-            found |= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
-    return found
 
 
 def _surface(inside: Mask) -> Mask:
