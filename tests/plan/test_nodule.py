@@ -170,3 +170,11 @@ def test_a_nodule_at_the_end_of_the_scan_says_so():
     place[:3, 3] += k * place[:3, 2]
     cut = Volume(np.ascontiguousarray(volume.hu_zyx[k:]), place)
     assert "edge of the CT" in grow_nodule(cut, middle).touches
+
+
+def test_a_click_at_the_edge_cuts_a_vessel_off_as_one_in_the_middle_does():
+    volume, true_mm3, middle = painted(Scene(radii_mm=(6.0, 6.0, 6.0), vessels=(((0, 0, 0), (1, 0.3, 0.2), 2.2),)))
+    for aside in ((0.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, -5.0)):
+        nodule = grow_nodule(volume, middle + np.array(aside))
+        assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=0.1)
+        assert nodule.touches == ("vessel",)
