@@ -16,7 +16,6 @@ from carina.case import (
     Document,
     History,
     KeptMeasures,
-    LaidScope,
     Moment,
     SourceFacts,
     Target,
@@ -26,7 +25,7 @@ from carina.commands import AddTarget, EditKeyFrames, EditTree, KeyFrameAdd, Set
 from carina.errors import NoResultError, UsageError
 from carina.navigate import Navigator
 from carina.render import GreyWindow, Sight, transfer_preset
-from carina.scopes import Pose
+from carina.scopes import Pose, ScopeHold
 from carina.session.measured import MeasuredAirways
 from carina.session.targets import followed_route, tracked_target
 from carina.track import Airways, BranchMeasures, PaintLumen, TreeMeasures, edit_airways, measure_tree
@@ -175,7 +174,7 @@ class Doing:
             position=self.history.position,
             sight=self.sight,
             tip=navigator.state(),
-            scope=LaidScope(12.5, 0.1, -0.2) if self.history.position % 2 else None,
+            scope=ScopeHold(12.5, 0.1, -0.2) if self.history.position % 2 else None,
             search_status="found",
             search_words="words; größer",
             person_moved=True,

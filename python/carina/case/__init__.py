@@ -4,7 +4,7 @@ from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.file import CaseFile, StepFacts, migrate
 from carina.case.following import CaseFollower
 from carina.case.history import History, Step
-from carina.case.moment import LaidScope, Moment
+from carina.case.moment import Moment
 from carina.case.reading import KeptAirways, KeptMeasures
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.rescue import rescued
@@ -23,7 +23,6 @@ __all__ = [
     "KeptAirways",
     "KeptMeasures",
     "KeyFrames",
-    "LaidScope",
     "Moment",
     "RecordingFacts",
     "RecordingWriter",

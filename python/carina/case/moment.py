@@ -9,19 +9,9 @@ from carina.case.document import Document
 from carina.case.history import History, Step
 from carina.display import one_line
 from carina.render import Sight
-from carina.value import FrozenValue
+from carina.scopes import ScopeHold
 
-__all__ = ["LaidScope", "Moment"]
-
-
-class LaidScope(FrozenValue, frozen=True):
-    """A scope in the lumen, as its operator holds it."""
-
-    insertion_mm: float
-    """From the start of the route that it was laid along."""
-    roll_rad: float
-    flexion_rad: float
-    """Above 0 up."""
+__all__ = ["Moment"]
 
 
 @one_line
@@ -38,8 +28,8 @@ class Moment:
     sight: Sight
     tip: dict[str, Any]
     """:meth:`carina.navigate.Navigator.state`: plain JSON."""
-    scope: LaidScope | None = None
-    """The scope in the lumen, where one was held; ``tip`` then is its free pose."""
+    scope: ScopeHold | None = None
+    """How the scope was held along its route, where one was in the lumen; ``tip`` then is its free pose."""
     search_status: str = "waiting"
     """How the search for the airways stands: ``none``, ``waiting``, ``found`` or ``failed``."""
     search_words: str | None = None

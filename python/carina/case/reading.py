@@ -16,7 +16,7 @@ from carina.case.database import no_surprise
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.history import Step
 from carina.case.measures import branch_from, fork_from
-from carina.case.moment import LaidScope, Moment
+from carina.case.moment import Moment
 from carina.case.packing import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
 from carina.case.routes import ChosenRoute, RouteSpan
 from carina.case.source import Turn
@@ -26,7 +26,7 @@ from carina.commands.look import Look
 from carina.errors import CarinaError
 from carina.navigate import FlightPath
 from carina.render import TransferFunction
-from carina.scopes import Pose
+from carina.scopes import Pose, ScopeHold
 from carina.track import (
     Airways,
     AirwayTree,
@@ -160,7 +160,7 @@ class CaseReader:
                 position=position,
                 sight=facts.sight,
                 tip=facts.tip,
-                scope=None if scope is None else LaidScope(scope.insertion_mm, scope.roll_rad, scope.flexion_rad),
+                scope=None if scope is None else ScopeHold(scope.insertion_mm, scope.roll_rad, scope.flexion_rad),
                 search_status=facts.search_status,
                 search_words=facts.search_words,
                 person_moved=facts.person_moved,

@@ -17,7 +17,7 @@ from carina.case.database import connected, copied_with_journal, needed_header, 
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
 from carina.case.history import Step
-from carina.case.moment import LaidScope, Moment
+from carina.case.moment import Moment
 from carina.case.packed_ct import packed_volume
 from carina.case.packing import from_json
 from carina.case.reading import CaseReader, Rows
@@ -28,6 +28,7 @@ from carina.commands.look import Look
 from carina.disk import ScratchFolder
 from carina.errors import UsageError
 from carina.render import Sight, transfer_preset
+from carina.scopes import ScopeHold
 from carina.volume import Volume
 
 __all__ = ["rescued"]
@@ -169,7 +170,7 @@ class _Rescue:
             position=min(max(position, 0), len(documents) - 1),
             sight=facts.sight,
             tip=facts.tip,
-            scope=None if facts.scope is None else LaidScope(*msgspec.structs.astuple(facts.scope)),
+            scope=None if facts.scope is None else ScopeHold(*msgspec.structs.astuple(facts.scope)),
             search_status=facts.search_status,
             search_words=facts.search_words,
             person_moved=facts.person_moved,

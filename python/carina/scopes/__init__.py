@@ -2,7 +2,7 @@
 (library), and how one moves in the airways (drive)."""
 
 from carina.scopes.calibration import lens_from_file, lens_from_text
-from carina.scopes.drive import Contact, ContactRecord, ScopeDrive, ScopeLimit, ScopeState, lever_flexion
+from carina.scopes.drive import Contact, ContactRecord, ScopeDrive, ScopeHold, ScopeLimit, ScopeState, lever_flexion
 from carina.scopes.fit import FittedOptics, Residual, fit_generic_optics
 from carina.scopes.haptics import (
     FORCE_LIMIT_N,
@@ -58,6 +58,7 @@ __all__ = [
     "Pose",
     "Residual",
     "ScopeDrive",
+    "ScopeHold",
     "ScopeLimit",
     "ScopePreset",
     "ScopeState",

@@ -15,8 +15,9 @@ from carina.errors import UsageError
 from carina.scopes.library import ScopePreset, scope_preset
 from carina.scopes.pose import Pose
 from carina.scopes.wall_field import WallField
+from carina.value import FrozenValue
 
-__all__ = ["Contact", "ContactRecord", "ScopeDrive", "ScopeLimit", "ScopeState", "lever_flexion"]
+__all__ = ["Contact", "ContactRecord", "ScopeDrive", "ScopeHold", "ScopeLimit", "ScopeState", "lever_flexion"]
 
 ScopeLimit = Literal["none", "entry", "wall", "narrow", "length", "flexion"]
 OperatorPosition = Literal["head", "facing"]
@@ -55,6 +56,17 @@ class ContactRecord:
     """The deepest `Contact.depth_mm`."""
 
 
+class ScopeHold(FrozenValue, frozen=True):
+    """How an operator holds a scope."""
+
+    insertion_mm: float
+    """From the start of the path that the scope enters along (the trachea's start)."""
+    roll_rad: float
+    """Clockwise as the operator sees it."""
+    flexion_rad: float
+    """Above 0 the instrument's up, below 0 down."""
+
+
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ScopeState:
@@ -63,12 +75,8 @@ class ScopeState:
     pose: Pose
     """The tip's face, turned by 180 degrees about its axis for an operator who faces the patient
     (`ScopeDrive.operator`); `ScopePreset.camera_pose` gives the camera of a forward-oblique scope from it."""
-    insertion_mm: float
-    """Insertion, in mm from the start of the path that the scope enters along (the trachea's start)."""
-    roll_rad: float
-    """Roll, clockwise as the operator sees it."""
-    flexion_rad: float
-    """Flexion, above 0 the instrument's up, below 0 down."""
+    hold: ScopeHold
+    """Insertion, roll and flexion that it has reached."""
     contact: Contact | None
     """Where the tip touches, or None."""
     red_out: float
@@ -81,6 +89,21 @@ class ScopeState:
     """The largest diameter that would pass on, where the limit is ``narrow``."""
     record: ContactRecord
     """All that touched since the scope was placed."""
+
+    @property
+    def insertion_mm(self) -> float:
+        """See `ScopeHold`."""
+        return self.hold.insertion_mm
+
+    @property
+    def roll_rad(self) -> float:
+        """See `ScopeHold`."""
+        return self.hold.roll_rad
+
+    @property
+    def flexion_rad(self) -> float:
+        """See `ScopeHold`."""
+        return self.hold.flexion_rad
 
 
 class ScopeDrive:
@@ -327,9 +350,7 @@ def _state(found: dict[str, Any]) -> ScopeState:
     contact = found["contact"]
     return ScopeState(
         pose=Pose(found["lps_from_tip"]),
-        insertion_mm=found["insertion_mm"],
-        roll_rad=found["roll_rad"],
-        flexion_rad=found["flexion_rad"],
+        hold=ScopeHold(found["insertion_mm"], found["roll_rad"], found["flexion_rad"]),
         contact=None if contact is None else Contact(tuple(contact[0]), tuple(contact[1]), contact[2]),
         red_out=found["red_out"],
         limit=found["limit"],
