@@ -131,7 +131,7 @@ def test_the_start_of_a_path_and_its_target_are_marked_by_the_pen_and_need_no_ai
     pen.presses(first)
     told = window.until(lambda m: isinstance(m, wire.StartMarked))
     assert np.linalg.norm(np.array(told.lps) - first) < 0.1
-    window.send(wire.ArmPen("target", "walls", told.lps))
+    window.send(wire.ArmPen("target", cost="walls", root_lps=told.lps))
     place = middle + np.array([-6.0, 5.0, -3.0])
     pen.comes_to(place)
     pen.presses(place)

@@ -13,7 +13,7 @@ from carina.case.packing import from_json
 from carina.commands import Command, KeyFrameFlying, all_commands
 from carina.commands.fields import BranchId, Count, Identifier, Matrix4, Part, PointLps
 from carina.commands.look import Look
-from carina.commands.tree import PathCost
+from carina.commands.tree import AskedPath
 from carina.commands.value import LocalCommand
 from carina.render import Sight
 from carina.track import Uncertainty
@@ -192,7 +192,7 @@ class RouteFacts(_Facts, frozen=True):
     lumen_known: bool = True
 
 
-class TargetFacts(_Facts, frozen=True):
+class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
     """A target; ``route`` is a row of that table."""
 
     target_id: ShortWords
@@ -203,8 +203,6 @@ class TargetFacts(_Facts, frozen=True):
     length_mm: Mm | None
     problem: LongWords | None
     route: RowId | None
-    cost: PathCost = "lumen"
-    root_lps: PointLps | None = None
     outside_mm: Mm | None = None
     value_range: tuple[int, int] | None = None
 

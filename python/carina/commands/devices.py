@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from carina.commands.fields import Clutch, Control, DeviceName, PointLps, Three
-from carina.commands.tree import PathCost
+from carina.commands.tree import AskedPath
 from carina.commands.value import Command, FrozenValue, LocalCommand
 
 Cutoff = Annotated[float, Meta(ge=0.1, le=1000.0)]
@@ -87,22 +87,13 @@ class Calibrate(Command, frozen=True):
     patient_lps: Annotated[tuple[PointLps, ...], Meta(max_length=100)]
 
 
-class ArmPen(Command, frozen=True):
+class ArmPen(AskedPath, Command, frozen=True):
     """What the pen's first button sets, at the pen's own tip (``pen``); null lets it change the way to move.
 
     ``start`` is where paths of the costs ``walls`` and ``paper`` begin: windows are told (``start_marked``).
     """
 
     tool: Literal["root", "start", "target"] | None
-    cost: PathCost = "lumen"
-    """Of the target's path, as in ``add_target``."""
-    root_lps: PointLps | None = None
-
-    def choice_problem(self) -> str | None:
-        """As for a target."""
-        if self.cost == "lumen" and self.root_lps is not None:
-            return "arm_pen: expected the cost walls or paper with a start point of its own; found lumen"
-        return None
 
 
 class JoinPen(Command, frozen=True):

@@ -33,14 +33,13 @@ class SetLumenThreshold(Command, frozen=True):
     value: Annotated[float, Meta(ge=-32_768.0, le=32_767.0)] | None
 
 
-class AddTarget(Command, frozen=True):
-    """A target, and what its path costs.
+class AskedPath(FrozenValue, frozen=True, kw_only=True):
+    """What a target's path costs, and where it begins.
 
     ``lumen`` keeps to the middle of the airways; the target is snapped to the lumen within 5 mm, and said.
     ``walls`` and ``paper`` (its sections 6.3 and 6.2) search all of the scan, whatever it shows, and move nothing.
     """
 
-    lps: PointLps
     cost: PathCost = "lumen"
     root_lps: PointLps | None = None
     """Where the path begins, for the costs ``walls`` and ``paper``; null begins where the airways do."""
@@ -48,8 +47,15 @@ class AddTarget(Command, frozen=True):
     def choice_problem(self) -> str | None:
         """Paths through the lumen begin where the airways do."""
         if self.cost == "lumen" and self.root_lps is not None:
-            return "add_target: expected the cost walls or paper with a start point of its own; found lumen"
+            name = snake_case(type(self).__name__)
+            return f"{name}: expected the cost walls or paper with a start point of its own; found lumen"
         return None
+
+
+class AddTarget(AskedPath, Command, frozen=True):
+    """A target, with the path that leads there."""
+
+    lps: PointLps
 
 
 class RemoveTarget(Command, frozen=True):

@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from carina.case import LaidScope
 from carina.commands.fields import (
     BranchId,
     Count,
@@ -23,8 +22,9 @@ from carina.commands.fields import (
     Words,
 )
 from carina.commands.look import Look
-from carina.commands.tree import PathCost
+from carina.commands.tree import AskedPath
 from carina.render import ClusterState, Processor, Sight
+from carina.scopes import ScopeHold
 from carina.server.messages_of_devices import NetworkPage
 from carina.server.wire_codec import ServerMessage
 from carina.session.snapshot import FlightPlace, SavingInfo
@@ -163,7 +163,7 @@ class CaseInfo(FrozenValue, frozen=True):
     """Grows with each case opened: two cases may be of one CT."""
 
 
-class Target(FrozenValue, frozen=True):
+class Target(AskedPath, frozen=True):
     """A target as asked and as used; ``problem`` says in words why there is no path."""
 
     target_id: Identifier
@@ -173,10 +173,6 @@ class Target(FrozenValue, frozen=True):
     snapped_mm: float | None
     length_mm: float | None
     problem: Words | None
-    cost: PathCost = "lumen"
-    """What its path was searched with; see ``add_target``."""
-    root_lps: PointLps | None = None
-    """Where the path begins, with the costs ``walls`` and ``paper``."""
     outside_mm: float | None = None
     """How much of that path lies outside the lumen; null where there is no lumen to compare with."""
     value_range: tuple[VoxelValue, VoxelValue] | None = None
@@ -298,7 +294,7 @@ class Route(ServerMessage, frozen=True):
     route: RouteInfo | None
 
 
-class HeldScope(LaidScope, frozen=True):
+class HeldScope(ScopeHold, frozen=True):
     """A scope that is held by the lumen."""
 
     red_out: Part

@@ -150,7 +150,7 @@ class Devices(Subject):
             elif tool == "start":
                 self.core.emit(StartMarked(place))
             else:
-                self._do(c.AddTarget(place, case.armed_pen.cost, case.armed_pen.root_lps))
+                self._do(c.AddTarget(place, cost=case.armed_pen.cost, root_lps=case.armed_pen.root_lps))
         except CarinaError as trouble:
             self.core.emit(Trouble(trouble.code, str(trouble)))
 

@@ -128,10 +128,7 @@ export interface SetLumenThresholdMessage {
   readonly value: number | null;
 }
 
-/** A target, and what its path costs.
-
-    `lumen` keeps to the middle of the airways; the target is snapped to the lumen within 5 mm, and said.
-    `walls` and `paper` (its sections 6.3 and 6.2) search all of the scan, whatever it shows, and move nothing. */
+/** A target, with the path that leads there. */
 export interface AddTargetMessage {
   readonly type: "add_target";
   readonly lps: readonly [number, number, number];
@@ -1002,10 +999,10 @@ export interface Target {
   readonly snapped_mm: number | null;
   readonly length_mm: number | null;
   readonly problem: string | null;
-  readonly cost: "lumen" | "paper" | "walls";
-  readonly root_lps: readonly [number, number, number] | null;
   readonly outside_mm: number | null;
   readonly value_range: readonly [number, number] | null;
+  readonly cost: "lumen" | "paper" | "walls";
+  readonly root_lps: readonly [number, number, number] | null;
 }
 
 /** One structure of a mask of another tool. */
