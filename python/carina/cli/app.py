@@ -241,9 +241,11 @@ def render(
     path: PathArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG file to write.")],
     view: Annotated[
-        str,
-        typer.Option(help="View to render: airway, cut-plane, axial, tree, ...; any unknown name lists them all."),
-    ] = "airway",
+        str | None,
+        typer.Option(
+            help="View to render: airway (default), cut-plane, axial, tree, ...; any unknown name lists them all."
+        ),
+    ] = None,
     at: Annotated[
         str,
         typer.Option(
@@ -373,6 +375,7 @@ def render(
     with exit_codes(as_json):
         from carina.cli.optics import SeenThrough
         from carina.cli.render import report
+        from carina.render import LEAD_VIEW
 
         for what, switch in (("--shading", shading), ("--texture", texture)):
             if switch not in {None, "on", "off"}:
@@ -381,7 +384,7 @@ def render(
             report(
                 path,
                 output=output,
-                view=view,
+                view=LEAD_VIEW if view is None else view,
                 at=None if at == "auto" else parse_point(at, "--at"),
                 look=None if look is None else parse_point(look, "--look"),
                 up=None if up is None else parse_point(up, "--up"),

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from carina.case.document import Document, KeyFrames, Point
 from carina.case.history import History
-from carina.case.moment import LaidScope, Moment
+from carina.case.moment import Moment
 from carina.case.recordings import RecordingFacts, RecordingWriter
 from carina.case.routes import AirwayIndex, ChosenRoute, path_move
 from carina.commands import ArmPen, TakeMask
 from carina.errors import CarinaError, UsageError
 from carina.navigate import Navigator, Pilot
-from carina.render import GreyWindow, Sight
-from carina.scopes import Pose
+from carina.render import GreyWindow, Sight, TransferFunction
+from carina.scopes import Pose, ScopeHold
 from carina.session.airway_values import LumenWall, derived_measures, derived_wall
 from carina.session.content import ShownContent
 from carina.session.derived import Cached, Derived
@@ -108,7 +108,7 @@ class FlownFlight:
 class AwaitedScope:
     """A scope that was held when the case was closed, until the wall is known that holds it."""
 
-    scope: LaidScope
+    scope: ScopeHold
     airways: Any
     mode: str
     pose: Pose
@@ -144,6 +144,41 @@ class CaseFlights:
     """The one that was flown again last."""
 
 
+@dataclass(frozen=True, slots=True)
+class GreyScale:
+    """What the numbers of a volume stand for, as far as it says how they are shown and searched."""
+
+    presets: tuple[str, ...]
+    """Transfer functions that make sense for them."""
+    threshold: float | None
+    """Of the lumen, from the histogram; None for HU, where the airway search finds its own."""
+    window: GreyWindow
+    transfer: TransferFunction
+    """To begin with."""
+    off: tuple[FeatureOff, ...] = ()
+    """What needs HU and has none."""
+
+
+def grey_scale(volume: Volume, parts: Parts) -> GreyScale:
+    """How a volume is shown before a person says anything."""
+    if volume.is_hu:
+        return GreyScale(parts.presets, None, LUNG_WINDOW, parts.transfer_preset("endoscopic"))
+    low, high = volume.value_range
+    transfer, threshold = parts.transfer_from_histogram(volume)
+    why = volume.not_hu_reason or "this volume is not in HU"
+    return GreyScale(
+        (HISTOGRAM_PRESET,),
+        threshold,
+        GreyWindow(float(max(1, high - low)), (high + low) / 2.0),
+        transfer,
+        (
+            FeatureOff("transfer functions and windows in HU", why),
+            FeatureOff("the check that the scan covers both lungs", why),
+            FeatureOff("a lumen threshold in HU (the threshold shown is in the file's own units)", why),
+        ),
+    )
+
+
 @dataclass(slots=True)
 class OpenCase:
     """All of it is guarded by the session's lock."""
@@ -153,8 +188,7 @@ class OpenCase:
     content: ShownContent
     pilot: Pilot
     history: History[Document]
-    presets: tuple[str, ...]
-    threshold_from_histogram: float | None
+    scale: GreyScale
     wall: Derived[Airways, LumenWall]
     """Of airways that a scope was to be held in."""
     measures: Derived[Airways, TreeMeasures]
@@ -256,37 +290,20 @@ def new_case(
     def say_lost(trouble: CarinaError) -> None:
         say(f"the saved measurements of the airways cannot be read, so the airways will be measured again: {trouble}")
 
-    off: tuple[FeatureOff, ...] = ()
-    threshold: float | None = None
-    window = LUNG_WINDOW
-    presets = parts.presets
-    low, high = volume.value_range
-    if volume.is_hu:
-        transfer = parts.transfer_preset("endoscopic")
-    else:
-        transfer, threshold = parts.transfer_from_histogram(volume)
-        window = GreyWindow(float(max(1, high - low)), (high + low) / 2.0)
-        presets = (HISTOGRAM_PRESET,)
-        why = volume.not_hu_reason or "this volume is not in HU"
-        off = (
-            FeatureOff("transfer functions and windows in HU", why),
-            FeatureOff("the check that the scan covers both lungs", why),
-            FeatureOff("a lumen threshold in HU (the threshold shown is in the file's own units)", why),
-        )
-    document = Document(transfer=transfer, lumen_threshold=threshold)
+    scale = grey_scale(volume, parts)
+    document = Document(transfer=scale.transfer, lumen_threshold=scale.threshold)
     history = History(document) if kept is None else kept.history()
     measured = MeasuredAirways(() if kept is None else kept.measures)
     transfer = history.current.transfer
     case = OpenCase(
         number=number,
-        info=CaseSnapshot(volume, parts.quality_words(volume), off, (low, high)),
+        info=CaseSnapshot(volume, parts.quality_words(volume), scale.off, volume.value_range),
         content=ShownContent(
             renderer_factory(volume, transfer), transfer, jobs=jobs, lock=lock, changed=partial(changed, "views")
         ),
         pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
         history=history,
-        presets=presets,
-        threshold_from_histogram=threshold,
+        scale=scale,
         wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
         measures=derived_measures(
             volume,
@@ -302,7 +319,7 @@ def new_case(
         outlined=Cached(partial(LumenOutline, volume), same=lambda a, b: a.lumen_zyx is b.lumen_zyx),
         indexed=Cached(AirwayIndex),
         key_flight=Cached(lambda keys_and_airways: key_flight(volume, *keys_and_airways)),
-        sights=Sights(Sight(window=window) if kept is None else kept.sight),
+        sights=Sights(Sight(window=scale.window) if kept is None else kept.sight),
     )
     if kept is not None:
         restore(case, kept)
@@ -329,7 +346,7 @@ def restore(case: OpenCase, kept: Moment) -> None:
 def moment_of(case: OpenCase) -> Moment:
     """All of a case that is kept; with the session locked. It shares what is immutable."""
     history, held, awaited = case.history, case.navigator.scope_state, case.scope.awaited
-    scope = None if held is None else LaidScope(held.insertion_mm, held.roll_rad, held.flexion_rad)
+    scope = None if held is None else held.hold
     if scope is None and awaited is not None and awaited.is_due(case):
         # A Carina that is killed before the wall is known has not forgotten it.
         scope = awaited.scope

@@ -356,7 +356,7 @@ class SessionCore:
                 redo_label=case.history.redo_label,
                 steps=case.history.steps,
                 position=case.history.position,
-                transfer_presets=case.presets,
+                transfer_presets=case.scale.presets,
                 measures=case.measures.of(case.document.airways),
                 mask_question=None if case.asked_mask is None else case.asked_mask.question,
                 saving=(saving := self.saving()),

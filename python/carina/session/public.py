@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from carina.commands import Command, Question, Redo, Undo
 from carina.errors import CarinaError, NoResultError, UsageError
+from carina.render import LEAD_VIEW
 from carina.session.case_scan import is_case_file
 from carina.session.joined_case import JoinedCase
 from carina.session.own_case import OwnCase, ProgramCase
@@ -223,7 +224,7 @@ class Case:
             raise UsageError("no case is open", code="session.no-case")
         return info.pose
 
-    def render(self, view: str = "airway", *, width: int = 512, height: int = 512) -> Picture:
+    def render(self, view: str = LEAD_VIEW, *, width: int = 512, height: int = 512) -> Picture:
         """A picture of a view as the window shows it.
 
         Parameters
