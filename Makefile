@@ -103,6 +103,7 @@ check-python: $(STAMP)
 	$(PY) -m mypy.stubtest carina._core --ignore-missing-stub
 	.venv/bin/typos
 	$(PY) tools/check_layers.py
+	$(PY) tools/count_house.py --check
 	$(PY) tools/check_repository.py
 	$(PY) tools/collect_words.py --check
 	$(PY) tools/audit.py

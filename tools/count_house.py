@@ -5,6 +5,7 @@ The same counter reads the working tree or any revision, so that before and afte
     python tools/count_house.py                 # the working tree (files that git knows)
     python tools/count_house.py --at 62b7702    # a revision
     python tools/count_house.py --json
+    python tools/count_house.py --check         # what has grown beyond its limit; as ``make check`` does
 
 *Product* is what a person wrote and a user runs: ``crates/*/src``, ``python/carina`` and ``web/src``, without tests,
 generated files, the demo's data and documents. Rust's ``#[cfg(test)]`` modules inside a file are left out of it.
@@ -51,6 +52,12 @@ VIEWS = (
     "tree",
 )
 REPEATED = 0.6
+MOST_FILES_PER_VIEW = 4
+PLAIN_WORDS = {"tree"}
+"""Views whose name is a word of many other things too: their files cannot be told apart by it."""
+MOST_REPEATING = 5
+MOST_METHODS = 15
+MOST_ATTRIBUTES = 22
 TEST_FILE = re.compile(r"(^|/)(tests?|benches|test_[^/]*\.py|tests\.rs|[^/]*_tests\.rs|[^/]*\.test\.tsx?)(/|$)")
 GENERATED = re.compile(r"generated (from|by)|do not edit", re.IGNORECASE)
 TEXT_STRING = re.compile(r"""(["'`])([a-z][a-z-]*)\1""")
@@ -453,6 +460,28 @@ def report(house: House) -> str:
     return "\n".join(rows)
 
 
+def overgrown(house: House) -> list[str]:
+    """What is larger than it may be, each in a sentence."""
+    found = [
+        f"{len(files)} files name the view {view!r} (at most {MOST_FILES_PER_VIEW}): {', '.join(files)}"
+        for view, files in house.views.items()
+        if len(files) > MOST_FILES_PER_VIEW and view not in PLAIN_WORDS
+    ]
+    if len(house.repeating_two) > MOST_REPEATING:
+        pairs = ", ".join(f"{name} {other}" for name, (other, _) in house.repeating_two.items())
+        found.append(f"{len(house.repeating_two)} classes repeat another (at most {MOST_REPEATING}): {pairs}")
+    for name, methods in house.methods.items():
+        if len(methods or ()) > MOST_METHODS:
+            found.append(f"{name} has {len(methods or ())} public methods (at most {MOST_METHODS})")
+    if len(house.open_case or {}) > MOST_ATTRIBUTES:
+        found.append(f"OpenCase has {len(house.open_case or {})} attributes (at most {MOST_ATTRIBUTES})")
+    loose = [name for name, kind in (house.open_case or {}).items() if re.search(r"\bAny\b", kind)]
+    if loose:
+        found.append(f"attributes of OpenCase without a type: {', '.join(loose)}")
+    found += [f"files import each other in a circle: {', '.join(circle)}" for circle in house.circles]
+    return found
+
+
 def read_folder(root: Path, names: Iterable[str]) -> Tree:
     """The product among named files of a folder."""
     return product(
@@ -483,8 +512,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--at", metavar="REV", help="a git revision; the working tree unless told")
     parser.add_argument("--json", action="store_true", help="all figures, with the files' names")
+    parser.add_argument("--check", action="store_true", help="only what is larger than it may be")
     told = parser.parse_args(arguments)
     house = count(read_revision(told.at) if told.at else read_working_tree())
+    if told.check:
+        found = overgrown(house)
+        print("\n".join(found) or "house: nothing is larger than it may be")
+        return 1 if found else 0
     print(json.dumps(house.as_json(), indent=1) if told.json else report(house))
     return 0
 

@@ -15,6 +15,7 @@ from count_house import (
     files_naming_views,
     is_product,
     lines_per_part,
+    overgrown,
     product,
     public_methods,
     record_classes,
@@ -203,3 +204,33 @@ def test_the_table_tells_every_figure() -> None:
     text = report(count(tree({"python/carina/session/case.py": "class OpenCase:\n    wall: Any\n"})))
     rows = [" ".join(row.split()) for row in text.splitlines()]
     assert {"attributes of OpenCase 1", "with Any in their type 1", "public methods of Session none"} <= set(rows)
+
+
+def test_what_has_grown_too_large_is_said_and_what_is_at_its_limit_is_not() -> None:
+    def house(more: int) -> list[str]:
+        record = "@dataclass\nclass {}:\n    a: int\n    b: int\n"
+        files = {f"python/carina/render/view{n}.py": "x = 'drr'\ny = 'tree'\n" for n in range(4 + more)}
+        files["python/carina/session/case.py"] = "class OpenCase:\n" + "".join(
+            f"    a{n}: int\n" for n in range(22 + more)
+        )
+        files["python/carina/session/session.py"] = "class Session:\n" + "".join(
+            f"    def m{n}(self): ...\n" for n in range(15 + more)
+        )
+        files["python/carina/track/twins.py"] = "".join(record.format(f"Twin{n}") for n in range(5 + more))
+        return overgrown(count(tree(files)))
+
+    assert house(0) == []
+    found = house(1)
+    assert [words.split(" ")[0] for words in found] == ["5", "6", "Session", "OpenCase"]
+    assert "'drr'" in found[0] and "Twin5" in found[1] and "16" in found[2] and "23" in found[3]
+
+
+def test_an_attribute_without_a_type_and_a_circle_are_said() -> None:
+    files = {
+        "python/carina/session/case.py": "from carina.session import core\nclass OpenCase:\n    wall: Any\n",
+        "python/carina/session/core.py": "from carina.session import case\n",
+    }
+    assert overgrown(count(tree(files))) == [
+        "attributes of OpenCase without a type: wall",
+        "files import each other in a circle: python/carina/session/case.py, python/carina/session/core.py",
+    ]
