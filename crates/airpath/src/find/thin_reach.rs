@@ -1,8 +1,5 @@
 //! Voxels that thin airways may lead through, from the lumen outwards, and the least-cost ways through them.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
-
 use carina_grid::Grid;
 use carina_leastcost::{TrackError, Watch};
 use rayon::prelude::*;
@@ -50,30 +47,27 @@ impl Reached {
         let around = Neighbours::new(grid);
         let mut at = VoxelMap::new(lumen.len());
         let mut nodes: Vec<Node> = Vec::new();
-        let mut wave: Vec<(u32, f32)> = Vec::new();
+        let mut wave = Wave::new(lumen.len());
         for here in 0..lumen.len() {
             if lumen[here] == LUMEN {
                 around.each(here, |next, _| {
                     if lumen[next] != LUMEN {
-                        wave.push((next as u32, FIRST_MM));
+                        wave.reach(next as u32, FIRST_MM);
                     }
                 });
             }
         }
         while !wave.is_empty() && nodes.len() <= most {
             watch.go_on(0.0)?;
-            // The best of the ways to each.
-            wave.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
-            wave.dedup_by_key(|(voxel, _)| *voxel);
-            let dips: Vec<Option<i16>> = wave
+            let reached = wave.take();
+            let dips: Vec<Option<i16>> = reached
                 .par_iter()
                 .map(|(voxel, _)| match at.get(*voxel) {
                     Some(n) => Some(nodes[n as usize].dip),
                     None => dip(*voxel as usize),
                 })
                 .collect();
-            let mut next_wave = Vec::new();
-            for ((voxel, left_mm), dip) in wave.drain(..).zip(dips) {
+            for ((voxel, left_mm), dip) in reached.into_iter().zip(dips) {
                 let Some(dip) = dip else { continue };
                 if let Some(n) = at.get(voxel) {
                     let node = &mut nodes[n as usize];
@@ -98,11 +92,10 @@ impl Reached {
                             .get(next as u32)
                             .is_none_or(|n| left_mm > nodes[n as usize].left_mm + BETTER_MM)
                     {
-                        next_wave.push((next as u32, left_mm));
+                        wave.reach(next as u32, left_mm);
                     }
                 });
             }
-            wave = next_wave;
         }
         Ok(Self { nodes, at, around })
     }
@@ -119,16 +112,21 @@ impl Reached {
 
     /// The cheapest ways from the lumen.
     pub(crate) fn ways(&self, lumen: &[u8], asked: f64) -> Ways {
-        // Micrometres times weight: integers have one order.
-        let weight =
-            |node: &Node| 1.0 + (2.0 * asked / f64::from(node.dip.max(1))).min(4.0).powi(2);
         let num = self.nodes.len();
         let mut ways = Ways {
             before: vec![None; num],
             along_mm: vec![f32::INFINITY; num],
         };
-        let mut cost = vec![u64::MAX; num];
-        let mut open = BinaryHeap::new();
+        // Micrometres times weight: integers have one order.
+        let mut found: Vec<Found> = self
+            .nodes
+            .iter()
+            .map(|node| Found {
+                cost: u64::MAX,
+                weight: 1.0 + (2.0 * asked / f64::from(node.dip.max(1))).min(4.0).powi(2),
+            })
+            .collect();
+        let mut open = Buckets::new(1e3 * f64::from(self.around.nearest_mm()));
         for (n, node) in self.nodes.iter().enumerate() {
             let mut from_mm = f32::INFINITY;
             self.around.each(node.voxel as usize, |next, step_mm| {
@@ -137,28 +135,78 @@ impl Reached {
                 }
             });
             if from_mm.is_finite() {
-                cost[n] = (1e3 * f64::from(from_mm) * weight(node)) as u64;
+                found[n].cost = (1e3 * f64::from(from_mm) * found[n].weight) as u64;
                 ways.along_mm[n] = from_mm;
-                open.push(Reverse((cost[n], n as u32)));
+                open.push(found[n].cost, n as u32);
             }
         }
-        while let Some(Reverse((here, n))) = open.pop() {
-            if here != cost[n as usize] {
-                continue;
-            }
-            let own = weight(&self.nodes[n as usize]);
-            self.each_beside(n, |m, step_mm| {
-                let mean = 0.5 * (own + weight(&self.nodes[m as usize]));
-                let there = here + (1e3 * f64::from(step_mm) * mean) as u64;
-                if there < cost[m as usize] {
-                    cost[m as usize] = there;
-                    ways.before[m as usize] = Some(n);
-                    ways.along_mm[m as usize] = ways.along_mm[n as usize] + step_mm;
-                    open.push(Reverse((there, m)));
+        while let Some(bucket) = open.pop() {
+            for (here, n) in bucket {
+                let Found { cost, weight: own } = found[n as usize];
+                if here != cost {
+                    continue;
                 }
-            });
+                self.each_beside(n, |m, step_mm| {
+                    let beside = &mut found[m as usize];
+                    if beside.cost <= here {
+                        return;
+                    }
+                    let mean = 0.5 * (own + beside.weight);
+                    let there = here + (1e3 * f64::from(step_mm) * mean) as u64;
+                    if there < beside.cost {
+                        beside.cost = there;
+                        ways.before[m as usize] = Some(n);
+                        ways.along_mm[m as usize] = ways.along_mm[n as usize] + step_mm;
+                        open.push(there, m);
+                    }
+                });
+            }
         }
         ways
+    }
+}
+
+/// What the cheapest way to a node costs, and what a mm of it does.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    cost: u64,
+    /// 1 or more.
+    weight: f64,
+}
+
+/// A queue by cost, in buckets so narrow that no step leads from one into itself: sorted once, each is in order.
+#[derive(Debug)]
+struct Buckets {
+    width: u64,
+    open: Vec<Vec<(u64, u32)>>,
+    front: usize,
+}
+
+impl Buckets {
+    /// No step costs less than `least`.
+    fn new(least: f64) -> Self {
+        Self {
+            width: (least as u64).max(1),
+            open: Vec::new(),
+            front: 0,
+        }
+    }
+
+    fn push(&mut self, cost: u64, node: u32) {
+        let bucket = (cost / self.width) as usize;
+        if bucket >= self.open.len() {
+            self.open.resize_with(bucket + 1, Vec::new);
+        }
+        self.open[bucket].push((cost, node));
+    }
+
+    /// The cheapest, by cost and number.
+    fn pop(&mut self) -> Option<Vec<(u64, u32)>> {
+        let ahead = self.open[self.front..].iter().position(|b| !b.is_empty())?;
+        self.front += ahead + 1;
+        let mut bucket = std::mem::take(&mut self.open[self.front - 1]);
+        bucket.sort_unstable();
+        Some(bucket)
     }
 }
 
@@ -176,12 +224,15 @@ pub(crate) struct Ways {
 pub(crate) struct Neighbours {
     shape: [isize; 3],
     steps: Vec<([isize; 3], f32)>,
+    /// The same as steps in memory, for voxels that no side of the volume is next to.
+    in_memory: Vec<(isize, f32)>,
 }
 
 impl Neighbours {
     pub(crate) fn new(grid: &Grid) -> Self {
         let spacing = grid.spacing_mm();
-        let steps = (0..27isize)
+        let shape = grid.shape_ijk().map(|n| n as isize);
+        let steps: Vec<([isize; 3], f32)> = (0..27isize)
             .filter(|n| *n != 13)
             .map(|n| {
                 let step = [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1];
@@ -189,22 +240,84 @@ impl Neighbours {
                 (step, carina_grid::length(mm) as f32)
             })
             .collect();
+        let [nx, ny, _] = shape;
+        let in_memory = steps
+            .iter()
+            .map(|([i, j, k], mm)| (i + nx * (j + ny * k), *mm))
+            .collect();
         Self {
-            shape: grid.shape_ijk().map(|n| n as isize),
+            shape,
             steps,
+            in_memory,
         }
+    }
+
+    /// How far the nearest of them is.
+    fn nearest_mm(&self) -> f32 {
+        self.steps
+            .iter()
+            .fold(f32::INFINITY, |least, (_, mm)| least.min(*mm))
     }
 
     pub(crate) fn each(&self, at: usize, mut visit: impl FnMut(usize, f32)) {
         let [nx, ny, nz] = self.shape;
         let at = at as isize;
         let (i, j, k) = (at % nx, at / nx % ny, at / nx / ny);
+        let is_within = |at: isize, num: isize| 0 < at && at < num - 1;
+        if is_within(i, nx) && is_within(j, ny) && is_within(k, nz) {
+            for (step, step_mm) in &self.in_memory {
+                visit((at + step) as usize, *step_mm);
+            }
+            return;
+        }
         for ([di, dj, dk], step_mm) in &self.steps {
             let (x, y, z) = (i + di, j + dj, k + dk);
             if (0..nx).contains(&x) && (0..ny).contains(&y) && (0..nz).contains(&z) {
                 visit((x + nx * (y + ny * z)) as usize, *step_mm);
             }
         }
+    }
+}
+
+/// What is reached next, each voxel once.
+#[derive(Debug)]
+struct Wave {
+    reached: Vec<(u32, f32)>,
+    /// Where each voxel stands among them.
+    at: VoxelMap,
+}
+
+impl Wave {
+    fn new(num_voxels: usize) -> Self {
+        Self {
+            reached: Vec::new(),
+            at: VoxelMap::new(num_voxels),
+        }
+    }
+
+    const fn is_empty(&self) -> bool {
+        self.reached.is_empty()
+    }
+
+    /// The best of the ways to a voxel counts.
+    fn reach(&mut self, voxel: u32, left_mm: f32) {
+        if let Some(n) = self.at.get(voxel) {
+            let best_mm = &mut self.reached[n as usize].1;
+            *best_mm = best_mm.max(left_mm);
+        } else {
+            self.at.set(voxel, self.reached.len() as u32);
+            self.reached.push((voxel, left_mm));
+        }
+    }
+
+    /// All of them in their order in memory; none is left.
+    fn take(&mut self) -> Vec<(u32, f32)> {
+        let mut reached = std::mem::take(&mut self.reached);
+        for (voxel, _) in &reached {
+            self.at.set(*voxel, NONE);
+        }
+        reached.sort_unstable_by_key(|(voxel, _)| *voxel);
+        reached
     }
 }
 

@@ -55,18 +55,22 @@ impl ThinSection {
 pub(crate) struct TubeFilter {
     shape: [isize; 3],
     margin: [isize; 3],
+    /// How far in memory the pieces of a voxel reach, back and forth.
+    reach: usize,
     directions: Vec<Direction>,
     section: ThinSection,
 }
 
+/// Where the values of a piece stand in memory, from the first voxel that any piece reaches.
+type Steps = [u32; NUM_ALONG];
+
 #[derive(Debug)]
 struct Direction {
-    /// Steps in memory to the places of the middle.
-    middle: [isize; NUM_ALONG],
-    /// And of each side at each crest.
-    crests: [[[isize; NUM_ALONG]; NUM_SIDES]; CRESTS_MM.len()],
-    /// And of each side behind the wall.
-    beyond: [[isize; NUM_ALONG]; NUM_SIDES],
+    middle: Steps,
+    /// Each side at each crest.
+    crests: [[Steps; NUM_SIDES]; CRESTS_MM.len()],
+    /// Each side behind the wall.
+    beyond: [Steps; NUM_SIDES],
 }
 
 impl TubeFilter {
@@ -74,10 +78,14 @@ impl TubeFilter {
         let shape = grid.shape_ijk().map(|n| n as isize);
         let spacing = grid.spacing_mm();
         let [nx, ny, _] = shape;
+        let thickest = spacing.into_iter().fold(0.0, f64::max);
+        let reach_mm = BEYOND_MM.max(thickest) + 0.5 * (NUM_ALONG - 1) as f64 * STEP_MM;
+        let margin = spacing.map(|s| (reach_mm / s).ceil() as isize + 1);
+        let reach = margin[0] + nx * (margin[1] + ny * margin[2]);
         let at = |mm: [f64; 3]| {
             let [i, j, k]: [isize; 3] =
                 std::array::from_fn(|a| (mm[a] / spacing[a]).round() as isize);
-            i + nx * (j + ny * k)
+            (reach + i + nx * (j + ny * k)) as u32
         };
         let directions = half_sphere(NUM_DIRECTIONS)
             .map(|along| {
@@ -100,11 +108,10 @@ impl TubeFilter {
                 }
             })
             .collect();
-        let thickest = spacing.into_iter().fold(0.0, f64::max);
-        let reach_mm = BEYOND_MM.max(thickest) + 0.5 * (NUM_ALONG - 1) as f64 * STEP_MM;
         Self {
             shape,
-            margin: spacing.map(|s| (reach_mm / s).ceil() as isize + 1),
+            margin,
+            reach: reach as usize,
             directions,
             section,
         }
@@ -118,10 +125,11 @@ impl TubeFilter {
         if !(0..3).all(|a| ijk[a] >= self.margin[a] && ijk[a] < self.shape[a] - self.margin[a]) {
             return 0;
         }
-        let sum = |steps: &[isize; NUM_ALONG]| -> i32 {
+        let window = &values[voxel - self.reach..=voxel + self.reach];
+        let sum = |steps: &Steps| -> i32 {
             steps
                 .iter()
-                .map(|step| i32::from(values[(at + step) as usize]))
+                .map(|step| i32::from(window[*step as usize]))
                 .sum()
         };
         let mean = |sum: i32| f64::from(sum) / NUM_ALONG as f64;
@@ -156,8 +164,8 @@ impl TubeFilter {
 
 /// Whether enough sides are darker than `most` behind the wall.
 fn is_thin(
-    sides: &[[isize; NUM_ALONG]; NUM_SIDES],
-    sum: impl Fn(&[isize; NUM_ALONG]) -> i32,
+    sides: &[Steps; NUM_SIDES],
+    sum: impl Fn(&Steps) -> i32,
     most: f64,
 ) -> bool {
     let dark = sides.iter().filter(|side| f64::from(sum(side)) < most);
@@ -166,8 +174,8 @@ fn is_thin(
 
 /// The second darkest of the sides, and the sum of all; none where it is not above `least`.
 fn risen(
-    sides: &[[isize; NUM_ALONG]; NUM_SIDES],
-    sum: impl Fn(&[isize; NUM_ALONG]) -> i32,
+    sides: &[Steps; NUM_SIDES],
+    sum: impl Fn(&Steps) -> i32,
     least: i32,
 ) -> Option<(i32, i32)> {
     let (mut darkest, mut second, mut total) = (i32::MAX, i32::MAX, 0);
