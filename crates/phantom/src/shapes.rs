@@ -111,9 +111,10 @@ impl Piece {
 
 /// Distance to an ellipsoid with axes along LPS, first order near the surface.
 pub(crate) fn ellipsoid(p: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
-    let q: [f64; 3] = std::array::from_fn(|a| (p[a] - centre[a]) / radii[a]);
+    let inverse = radii.map(|r| 1.0 / r);
+    let q: [f64; 3] = std::array::from_fn(|a| (p[a] - centre[a]) * inverse[a]);
     let k0 = length(q);
-    let k1 = length(std::array::from_fn(|a| q[a] / radii[a]));
+    let k1 = length(std::array::from_fn(|a| q[a] * inverse[a]));
     if k1 < 1e-9 {
         return -radii[0].min(radii[1]).min(radii[2]);
     }
