@@ -273,15 +273,18 @@ impl<'a> Rising<'a> {
             }
         }
         while let Some(at) = open.pop() {
-            let state = &mut self.state;
-            for_each_face(grid, at as usize, |next| {
-                let voxel = grid.voxel(next);
-                if state[next] == UNKNOWN && (0..3).all(|a| (low[a]..=high[a]).contains(&voxel[a]))
-                {
-                    state[next] = CLOSED;
-                    open.push(next as u32);
+            let at = at as usize;
+            let voxel = grid.voxel(at);
+            for (axis, step) in [1, shape[0], shape[0] * shape[1]].into_iter().enumerate() {
+                let before = (voxel[axis] > low[axis]).then(|| at - step);
+                let after = (voxel[axis] < high[axis]).then(|| at + step);
+                for next in before.into_iter().chain(after) {
+                    if self.state[next] == UNKNOWN {
+                        self.state[next] = CLOSED;
+                        open.push(next as u32);
+                    }
                 }
-            });
+            }
         }
         for k in low[2]..=high[2] {
             for j in low[1]..=high[1] {

@@ -51,8 +51,8 @@ pub(crate) fn lungs_beside(
         };
         let mut along_u = vec![(usize::MAX, 0); shape[v]];
         let mut along_v = vec![(usize::MAX, 0); shape[u]];
-        for p in 0..shape[u] {
-            for q in 0..shape[v] {
+        for q in 0..shape[v] {
+            for p in 0..shape[u] {
                 if values.at(voxel(p, q)) >= levels.tissue {
                     along_u[q] = (p.min(along_u[q].0), p.max(along_u[q].1));
                     along_v[p] = (q.min(along_v[p].0), q.max(along_v[p].1));
@@ -60,8 +60,8 @@ pub(crate) fn lungs_beside(
             }
         }
         let (mut right, mut left) = (0, 0);
-        for p in 1..shape[u].max(2) - 1 {
-            for q in 1..shape[v].max(2) - 1 {
+        for q in 1..shape[v].max(2) - 1 {
+            for p in 1..shape[u].max(2) - 1 {
                 let ijk = voxel(p, q);
                 let sides = [
                     along_u[q].0 < p,

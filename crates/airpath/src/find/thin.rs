@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::find::extension_levels::{EXTENDED, Followed, LUMEN};
 use crate::find::thin_profile::{Asked, Place, Profile, length_mm};
-use crate::find::thin_reach::{Reached, Ways};
+use crate::find::thin_reach::{Dips, Reached, Ways};
 use crate::find::tube_filter::{ThinSection, TubeFilter, across, sides};
 use crate::find::tubeness::smoothed;
 
@@ -101,8 +101,9 @@ pub fn extend_thin(
     };
     let filter = TubeFilter::new(grid, section);
     let asked_dip = pretended(&sample, |at| filter.dip(data, at)).max(limits.least_dip);
-    let dip = |at: usize| (smooth[at] <= limits.brightest).then(|| filter.dip(data, at));
-    let reached = Reached::from_lumen(grid, lumen, dip, asked_dip, most, watch)?;
+    let mut dips = Dips::new(&filter, data, &smooth, limits.brightest);
+    let reached = Reached::from_lumen(grid, lumen, &mut dips, asked_dip, most, watch)?;
+    drop(dips);
     let num_reached = reached.nodes.len();
     if num_reached > most {
         return Ok(Thin {

@@ -1,10 +1,11 @@
 //! Voxels that thin airways may lead through, from the lumen outwards, and the least-cost ways through them.
 
-use carina_grid::Grid;
+use carina_grid::{Grid, InstructionSet};
 use carina_leastcost::{TrackError, Watch};
 use rayon::prelude::*;
 
 use crate::find::extension_levels::LUMEN;
+use crate::find::tube_filter::{BLOCK, TubeFilter};
 
 /// How far ways lead from the lumen, and later on, through voxels without a dip, mm; half as far at that price.
 const FIRST_MM: f32 = 1.0;
@@ -34,12 +35,11 @@ pub(crate) struct Reached {
 }
 
 impl Reached {
-    /// What can be reached from the lumen; it ends with more than `most` voxels. Voxels without a dip that may be
-    /// measured have none.
+    /// What can be reached from the lumen; it ends with more than `most` voxels.
     pub(crate) fn from_lumen(
         grid: &Grid,
         lumen: &[u8],
-        dip: impl Fn(usize) -> Option<i16> + Sync,
+        dips: &mut Dips<'_>,
         asked: f64,
         most: usize,
         watch: &impl Watch,
@@ -60,15 +60,9 @@ impl Reached {
         while !wave.is_empty() && nodes.len() <= most {
             watch.go_on(0.0)?;
             let reached = wave.take();
-            let dips: Vec<Option<i16>> = reached
-                .par_iter()
-                .map(|(voxel, _)| match at.get(*voxel) {
-                    Some(n) => Some(nodes[n as usize].dip),
-                    None => dip(*voxel as usize),
-                })
-                .collect();
-            for ((voxel, left_mm), dip) in reached.into_iter().zip(dips) {
-                let Some(dip) = dip else { continue };
+            dips.measure(&reached);
+            for (voxel, left_mm) in reached {
+                let Some(dip) = dips.of(voxel) else { continue };
                 if let Some(n) = at.get(voxel) {
                     let node = &mut nodes[n as usize];
                     if left_mm <= node.left_mm + BETTER_MM {
@@ -276,6 +270,67 @@ impl Neighbours {
                 visit((x + nx * (y + ny * z)) as usize, *step_mm);
             }
         }
+    }
+}
+
+/// Dips of voxels that are dark enough for a lumen, as far as they were asked for.
+pub(crate) struct Dips<'a> {
+    filter: &'a TubeFilter,
+    values: &'a [i16],
+    smooth: &'a [i16],
+    /// A brighter voxel is no lumen.
+    brightest: i16,
+    simd: InstructionSet,
+    /// In blocks of voxels beside each other: who asks for one asks for its neighbours soon.
+    known: Vec<[i16; BLOCK]>,
+    /// Where each block stands among them.
+    at: VoxelMap,
+}
+
+impl<'a> Dips<'a> {
+    pub(crate) fn new(
+        filter: &'a TubeFilter,
+        values: &'a [i16],
+        smooth: &'a [i16],
+        brightest: i16,
+    ) -> Self {
+        Self {
+            filter,
+            values,
+            smooth,
+            brightest,
+            simd: InstructionSet::best(),
+            known: Vec::new(),
+            at: VoxelMap::new(values.len().div_ceil(BLOCK)),
+        }
+    }
+
+    /// Measures what is not known yet of voxels, in their order in memory.
+    fn measure(&mut self, voxels: &[(u32, f32)]) {
+        let is_dark = |voxel: u32| self.smooth[voxel as usize] <= self.brightest;
+        let mut blocks: Vec<u32> = voxels
+            .iter()
+            .filter(|(voxel, _)| is_dark(*voxel))
+            .map(|(voxel, _)| voxel / BLOCK as u32)
+            .filter(|block| self.at.get(*block).is_none())
+            .collect();
+        blocks.dedup();
+        for (n, block) in (self.known.len() as u32..).zip(&blocks) {
+            self.at.set(*block, n);
+        }
+        let (filter, values, simd) = (self.filter, self.values, self.simd);
+        self.known.par_extend(
+            blocks
+                .par_iter()
+                .map(|block| filter.dips(simd, values, *block as usize * BLOCK)),
+        );
+    }
+
+    /// The dip of a voxel that was measured; none of one that is too bright.
+    fn of(&self, voxel: u32) -> Option<i16> {
+        let block = self.at.get(voxel / BLOCK as u32)?;
+        (self.smooth[voxel as usize] <= self.brightest)
+            .then(|| self.known[block as usize][voxel as usize % BLOCK])
     }
 }
 

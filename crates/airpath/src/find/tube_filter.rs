@@ -7,7 +7,7 @@
 //! the sides are alike, where they are as bright as a wall can be, and where the middle is as dark as a tube that wide is:
 //! lung between vessels is surrounded on some sides, is wide, and too bright for its width.
 
-use carina_grid::Grid;
+use carina_grid::{Grid, InstructionSet};
 
 /// Directions that are tried, over half a sphere: any tube is within 12 degrees of one.
 const NUM_DIRECTIONS: usize = 64;
@@ -67,11 +67,27 @@ type Steps = [u32; NUM_ALONG];
 #[derive(Debug)]
 struct Direction {
     middle: Steps,
-    /// Each side at each crest.
-    crests: [[Steps; NUM_SIDES]; CRESTS_MM.len()],
+    crests: Vec<Crest>,
     /// Each side behind the wall.
     beyond: [Steps; NUM_SIDES],
 }
+
+#[derive(Debug, Clone)]
+struct Crest {
+    mm: f64,
+    sides: [Steps; NUM_SIDES],
+}
+
+/// What the sides of a piece are like at one crest: sums of its values.
+#[derive(Debug, Clone, Copy)]
+struct Sides {
+    /// The second darkest of them.
+    second: i32,
+    total: i32,
+}
+
+/// So many voxels beside each other in memory are filtered at once.
+pub(crate) const BLOCK: usize = 8;
 
 impl TubeFilter {
     pub(crate) fn new(grid: &Grid, section: ThinSection) -> Self {
@@ -101,9 +117,17 @@ impl TubeFilter {
                         std::array::from_fn(|n| place(n, out))
                     })
                 };
+                let mut crests = CRESTS_MM
+                    .map(|mm| Crest {
+                        mm,
+                        sides: ring(mm),
+                    })
+                    .to_vec();
+                // In large voxels two crests are the same places: the tube of the nearer one may be brighter.
+                crests.dedup_by(|next, last| next.sides == last.sides);
                 Direction {
                     middle: std::array::from_fn(|n| place(n, [0.0; 3])),
-                    crests: CRESTS_MM.map(ring),
+                    crests,
                     beyond: ring(BEYOND_MM),
                 }
             })
@@ -118,66 +142,201 @@ impl TubeFilter {
     }
 
     /// The dip at a voxel; 0 where there is no tube, or where the volume ends.
+    ///
+    /// This is the definition; [`TubeFilter::dips`] says the same of many voxels sooner.
     pub(crate) fn dip(&self, values: &[i16], voxel: usize) -> i16 {
-        let [nx, ny, _] = self.shape;
-        let at = voxel as isize;
-        let ijk = [at % nx, at / nx % ny, at / nx / ny];
-        if !(0..3).all(|a| ijk[a] >= self.margin[a] && ijk[a] < self.shape[a] - self.margin[a]) {
+        if !self.is_within(voxel) {
             return 0;
         }
         let window = &values[voxel - self.reach..=voxel + self.reach];
-        let sum = |steps: &Steps| -> i32 {
-            steps
-                .iter()
-                .map(|step| i32::from(window[*step as usize]))
-                .sum()
-        };
-        let mean = |sum: i32| f64::from(sum) / NUM_ALONG as f64;
+        let sum = |steps: &Steps| sum_of(window, steps);
         let mut best = 0;
         for direction in &self.directions {
             let middle = sum(&direction.middle);
-            for (crest, crest_mm) in direction.crests.iter().zip(CRESTS_MM) {
-                let Some((second, total)) = risen(crest, sum, middle + best) else {
-                    continue;
-                };
-                let wall = mean(total) / NUM_SIDES as f64;
-                let is_round = f64::from(second - middle)
-                    >= ROUNDNESS * NUM_ALONG as f64 * (wall - mean(middle));
-                if is_round
-                    && wall >= self.section.least_wall
-                    && self
-                        .section
-                        .is_dark(mean(middle), wall, HALF_WAY * crest_mm)
-                    && is_thin(
-                        &direction.beyond,
-                        sum,
-                        NUM_ALONG as f64 * self.section.beyond(wall),
-                    )
+            for crest in &direction.crests {
+                if let Some(sides) = risen(&crest.sides, sum, middle + best)
+                    && self.is_tube(direction, crest.mm, middle, sides, sum)
                 {
-                    best = second - middle;
+                    best = sides.second - middle;
                 }
             }
         }
-        (best / NUM_ALONG as i32) as i16
+        mean_dip(best)
+    }
+
+    /// The dips of [`BLOCK`] voxels beside each other in memory, bit for bit.
+    pub(crate) fn dips(&self, simd: InstructionSet, values: &[i16], first: usize) -> [i16; BLOCK] {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+            fn avx2(filter: &TubeFilter, values: &[i16], first: usize) -> [i16; BLOCK] {
+                filter.block(values, first)
+            }
+            if matches!(simd, InstructionSet::Avx2 | InstructionSet::Avx512) {
+                // SAFETY: a set is only handed out where the machine has it.
+                return unsafe { avx2(self, values, first) };
+            }
+        }
+        let _ = simd;
+        self.block(values, first)
+    }
+
+    #[expect(
+        clippy::inline_always,
+        reason = "compiled once for each instruction set"
+    )]
+    #[inline(always)]
+    fn block(&self, values: &[i16], first: usize) -> [i16; BLOCK] {
+        if first < self.reach || first + BLOCK + self.reach > values.len() {
+            return std::array::from_fn(|lane| {
+                let voxel = first + lane;
+                if voxel < values.len() {
+                    self.dip(values, voxel)
+                } else {
+                    0
+                }
+            });
+        }
+        let is_within: [bool; BLOCK] = std::array::from_fn(|lane| self.is_within(first + lane));
+        if !is_within.contains(&true) {
+            return [0; BLOCK];
+        }
+        let window = &values[first - self.reach..first + BLOCK + self.reach];
+        let mut best = [0i32; BLOCK];
+        for direction in &self.directions {
+            let middle = sums_of(window, &direction.middle);
+            for crest in &direction.crests {
+                let least: [i32; BLOCK] = std::array::from_fn(|lane| {
+                    if is_within[lane] {
+                        middle[lane] + best[lane]
+                    } else {
+                        i32::MAX
+                    }
+                });
+                let Some((second, total)) = risen_anywhere(window, &crest.sides, &least) else {
+                    continue;
+                };
+                for lane in 0..BLOCK {
+                    let sides = Sides {
+                        second: second[lane],
+                        total: total[lane],
+                    };
+                    let sum = |steps: &Steps| sum_of(&window[lane..], steps);
+                    if second[lane] > least[lane]
+                        && self.is_tube(direction, crest.mm, middle[lane], sides, sum)
+                    {
+                        best[lane] = second[lane] - middle[lane];
+                    }
+                }
+            }
+        }
+        best.map(mean_dip)
+    }
+
+    /// Whether all that is looked at round a voxel lies in the volume.
+    fn is_within(&self, voxel: usize) -> bool {
+        let [nx, ny, _] = self.shape;
+        let at = voxel as isize;
+        let ijk = [at % nx, at / nx % ny, at / nx / ny];
+        (0..3).all(|a| ijk[a] >= self.margin[a] && ijk[a] < self.shape[a] - self.margin[a])
+    }
+
+    /// Whether a piece whose sides have risen over its middle looks like a thin tube.
+    fn is_tube(
+        &self,
+        direction: &Direction,
+        crest_mm: f64,
+        middle: i32,
+        sides: Sides,
+        sum: impl Fn(&Steps) -> i32,
+    ) -> bool {
+        let mean = |sum: i32| f64::from(sum) / NUM_ALONG as f64;
+        let wall = mean(sides.total) / NUM_SIDES as f64;
+        let is_round = f64::from(sides.second - middle)
+            >= ROUNDNESS * NUM_ALONG as f64 * (wall - mean(middle));
+        is_round
+            && wall >= self.section.least_wall
+            && self
+                .section
+                .is_dark(mean(middle), wall, HALF_WAY * crest_mm)
+            && is_thin(
+                &direction.beyond,
+                sum,
+                NUM_ALONG as f64 * self.section.beyond(wall),
+            )
     }
 }
 
-/// Whether enough sides are darker than `most` behind the wall.
-fn is_thin(
+/// A piece's dip from that of its sum.
+const fn mean_dip(sum: i32) -> i16 {
+    (sum / NUM_ALONG as i32) as i16
+}
+
+/// The sum of a piece's values; `window` begins with the first voxel that any piece reaches.
+fn sum_of(window: &[i16], steps: &Steps) -> i32 {
+    steps
+        .iter()
+        .map(|step| i32::from(window[*step as usize]))
+        .sum()
+}
+
+/// The same for voxels beside each other.
+#[expect(
+    clippy::inline_always,
+    reason = "compiled once for each instruction set"
+)]
+#[inline(always)]
+fn sums_of(window: &[i16], steps: &Steps) -> [i32; BLOCK] {
+    let mut sums = [0; BLOCK];
+    for step in steps {
+        let Some(row) = window[*step as usize..].first_chunk::<BLOCK>() else {
+            continue;
+        };
+        for lane in 0..BLOCK {
+            sums[lane] += i32::from(row[lane]);
+        }
+    }
+    sums
+}
+
+/// [`risen`] for voxels beside each other: the second darkest of the sides and the sum of all; none where none is above
+/// its `least`.
+#[expect(
+    clippy::inline_always,
+    reason = "compiled once for each instruction set"
+)]
+#[inline(always)]
+fn risen_anywhere(
+    window: &[i16],
     sides: &[Steps; NUM_SIDES],
-    sum: impl Fn(&Steps) -> i32,
-    most: f64,
-) -> bool {
+    least: &[i32; BLOCK],
+) -> Option<([i32; BLOCK], [i32; BLOCK])> {
+    let (mut darkest, mut second) = ([i32::MAX; BLOCK], [i32::MAX; BLOCK]);
+    let mut total = [0; BLOCK];
+    for side in sides {
+        let side = sums_of(window, side);
+        let mut is_above = false;
+        for lane in 0..BLOCK {
+            total[lane] += side[lane];
+            second[lane] = second[lane].min(side[lane].max(darkest[lane]));
+            darkest[lane] = darkest[lane].min(side[lane]);
+            is_above |= second[lane] > least[lane];
+        }
+        if !is_above {
+            return None;
+        }
+    }
+    Some((second, total))
+}
+
+/// Whether enough sides are darker than `most` behind the wall.
+fn is_thin(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, most: f64) -> bool {
     let dark = sides.iter().filter(|side| f64::from(sum(side)) < most);
     dark.count() >= LEAST_BEYOND
 }
 
-/// The second darkest of the sides, and the sum of all; none where it is not above `least`.
-fn risen(
-    sides: &[Steps; NUM_SIDES],
-    sum: impl Fn(&Steps) -> i32,
-    least: i32,
-) -> Option<(i32, i32)> {
+/// What the sides are like; none where the second darkest is not above `least`.
+fn risen(sides: &[Steps; NUM_SIDES], sum: impl Fn(&Steps) -> i32, least: i32) -> Option<Sides> {
     let (mut darkest, mut second, mut total) = (i32::MAX, i32::MAX, 0);
     for side in sides {
         let side = sum(side);
@@ -191,7 +350,7 @@ fn risen(
             return None;
         }
     }
-    Some((second, total))
+    Some(Sides { second, total })
 }
 
 /// One side of an axis.
@@ -247,4 +406,84 @@ fn half_sphere(num: usize) -> impl Iterator<Item = [f64; 3]> {
         let (sin, cos) = (golden * n as f64).sin_cos();
         [across * cos, across * sin, z]
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use carina_grid::Affine;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SECTION: ThinSection = ThinSection {
+        air: -1000.0,
+        least_wall: -840.0,
+        blur_mm: 0.8,
+        lung: -870.0,
+    };
+
+    /// Noise, with a bright thread whose middle is dark, at an angle to all axes.
+    fn chest(grid: &Grid, seed: u64, noise: i64) -> Vec<i16> {
+        let spacing = grid.spacing_mm();
+        let mut state = seed | 1;
+        (0..grid.num_voxels())
+            .map(|at| {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                let p = grid.voxel(at);
+                let mm: [f64; 3] = std::array::from_fn(|a| (p[a] as f64 - 13.0) * spacing[a]);
+                let along = carina_grid::unit([0.5, 0.3, 0.8]).unwrap();
+                let off = carina_grid::length(carina_grid::cross(mm, along));
+                let own = match off {
+                    off if off < 0.5 => -800,
+                    off if off < 1.3 => -620,
+                    _ => -870,
+                };
+                (own + (state >> 33) as i64 % (noise + 1) - noise / 2) as i16
+            })
+            .collect()
+    }
+
+    fn grid(spacing: [f64; 3]) -> Grid {
+        let place = Affine::from_columns(
+            [spacing[0], 0.0, 0.0],
+            [0.0, spacing[1], 0.0],
+            [0.0, 0.0, spacing[2]],
+            [0.0; 3],
+        );
+        Grid::new([27, 26, 29], place).unwrap()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+
+        #[test]
+        fn many_voxels_at_once_say_what_each_says_alone(
+            seed: u64,
+            noise in 0..300i64,
+            spacing in prop::array::uniform3(0.45..1.1),
+        ) {
+            let grid = grid(spacing);
+            let values = chest(&grid, seed, noise);
+            let filter = TubeFilter::new(&grid, SECTION);
+            let alone: Vec<i16> = (0..values.len()).map(|at| filter.dip(&values, at)).collect();
+            for simd in InstructionSet::available() {
+                for first in (0..values.len()).step_by(BLOCK) {
+                    let dips = filter.dips(simd, &values, first);
+                    let num = BLOCK.min(values.len() - first);
+                    prop_assert_eq!(&dips[..num], &alone[first..first + num], "{} at {}", simd.name(), first);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_dark_middle_of_a_thread_has_a_dip_and_lung_has_none() {
+        let grid = grid([0.6, 0.6, 0.6]);
+        let values = chest(&grid, 1, 0);
+        let filter = TubeFilter::new(&grid, SECTION);
+        assert!(filter.dip(&values, grid.index([13, 13, 13])) > 80);
+        assert_eq!(filter.dip(&values, grid.index([10, 17, 13])), 0);
+    }
 }
