@@ -14,7 +14,7 @@ export function AbsentAirways() {
   const absent = useApp((state) => state.tree?.absent ?? NONE);
   if (absent.length === 0) return null;
   return (
-    <details className="uncertain" data-testid="absent">
+    <details className="uncertain" name="doubts" data-testid="absent">
       <summary>{plural(absent.length, "bronchus", "bronchi")} not found</summary>
       <div className="places">
         <ul>

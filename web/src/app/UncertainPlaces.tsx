@@ -29,7 +29,7 @@ export function UncertainPlaces() {
   const tree = useApp((state) => state.tree);
   if (places.length === 0) return null;
   return (
-    <details className="uncertain" data-testid="uncertain">
+    <details className="uncertain" name="doubts" data-testid="uncertain">
       <summary>Airway lost at {plural(places.length, "place")}</summary>
       <div className="places">
         {groupsOf(places).map(({ why, places: members }) => (
