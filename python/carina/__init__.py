@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carina.export import export_airways, read_tree, write_film, write_tree
     from carina.navigate import FlightPath, Navigator
     from carina.phantom import generate_phantom, write_phantom
-    from carina.plan import Nodule, grow_nodule
+    from carina.plan import Nodule, Plan, grow_nodule, plan_route
     from carina.render import (
         Renderer,
         TransferFunction,
@@ -46,6 +46,7 @@ _HOME = {
     "Navigator": "navigate",
     "NoResultError": "errors",
     "Nodule": "plan",
+    "Plan": "plan",
     "Pose": "scopes",
     "Renderer": "render",
     "ScopeDrive": "scopes",
@@ -60,6 +61,7 @@ _HOME = {
     "find_airways": "track",
     "generate_phantom": "phantom",
     "grow_nodule": "plan",
+    "plan_route": "plan",
     "inspect_path": "volume",
     "isoregion_map": "render",
     "open_mask": "volume",
@@ -84,6 +86,7 @@ __all__ = [
     "Navigator",
     "NoResultError",
     "Nodule",
+    "Plan",
     "Pose",
     "Renderer",
     "ScopeDrive",
@@ -103,6 +106,7 @@ __all__ = [
     "isoregion_map",
     "open_mask",
     "open_volume",
+    "plan_route",
     "read_tree",
     "render_surface",
     "render_view",

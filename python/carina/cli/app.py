@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 import carina
-from carina.cli.app_airways import airways, export, track
+from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
 from carina.cli.arguments import check_output_folder, parse_point, parse_size
@@ -232,7 +232,7 @@ def info(
         raise SystemExit(report(path, strict=strict, series=series, as_json=as_json, ct=ct))
 
 
-for verb in (airways, export, track):
+for verb in (airways, export, track, plan):
     app.command()(verb)
 
 

@@ -1,4 +1,4 @@
-"""The verbs about the airway tree: find it, write it, track paths in it."""
+"""The verbs about the airway tree: find it, write it, track paths in it, plan the way to a nodule."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carina.cli.arguments import parse_point
 from carina.cli.console import exit_codes
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption
 
-__all__ = ["airways", "export", "track"]
+__all__ = ["airways", "export", "plan", "track"]
 
 FromMaskOption = Annotated[
     Path | None,
@@ -193,6 +193,56 @@ def track(
                 targets=targets,
                 cost=cost,
                 graph=graph,
+                series=series,
+                ct=ct,
+                output=output,
+                as_json=as_json,
+            )
+        )
+
+
+def plan(
+    path: PathArgument,
+    target: Annotated[str, typer.Option("--target", help="Point in the nodule, x,y,z in mm (LPS).")],
+    scope: Annotated[
+        str, typer.Option("--scope", help="Bronchoscope: ultrathin, thin, standard, generic, ...")
+    ] = "ultrathin",
+    tool: Annotated[
+        str, typer.Option("--tool", help="Needle: needle-21g, needle-19g or needle-21g-long.")
+    ] = "needle-21g",
+    vessel_margin_mm: Annotated[
+        float, typer.Option("--vessel-margin-mm", help="Vessels closer to the needle than this lower a route's score.")
+    ] = 3.0,
+    moved_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--moved-mm",
+            help=("Distance the target may have moved since the CT (default: 20 mm in a lower lobe, 15 mm elsewhere)."),
+        ),
+    ] = None,
+    series: SeriesOption = None,
+    ct: CtOption = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Plan file to write: .json.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan the way to a nodule outside the airways: where the scope stands, and the needle's path from there.
+
+    The nodule is grown from the point. If no route reaches it, the reason is given and the exit code is 4. Not a
+    medical device.
+
+    Example: carina plan scan.nii.gz --target -41,12,-180 --scope thin -o plan.json
+    """
+    with exit_codes(as_json):
+        from carina.cli.plan import report
+
+        raise SystemExit(
+            report(
+                path,
+                target=parse_point(target, "--target"),
+                scope=scope,
+                tool=tool,
+                vessel_margin_mm=vessel_margin_mm,
+                moved_mm=moved_mm,
                 series=series,
                 ct=ct,
                 output=output,

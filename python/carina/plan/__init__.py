@@ -1,5 +1,30 @@
 """Planning: from a nodule in the lung to a way there."""
 
+from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
+from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
+from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
+from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
 
-__all__ = ["Nodule", "NoduleKind", "grow_nodule"]
+__all__ = [
+    "DEFAULT_TOOL",
+    "Crossed",
+    "LastLeg",
+    "NeedleErrors",
+    "NeedleScene",
+    "Nodule",
+    "NoduleKind",
+    "Plan",
+    "PlannedRoute",
+    "ScoreWeights",
+    "Surroundings",
+    "Tool",
+    "grow_nodule",
+    "hit_share",
+    "last_leg",
+    "plan_route",
+    "surroundings",
+    "tool",
+    "tools",
+]

@@ -152,14 +152,18 @@ class Nodule:
         inside = (
             np.argwhere(_surface(self.inside_zyx))[:, ::-1] @ self.lps_from_ijk[:3, :3].T + self.lps_from_ijk[:3, 3]
         )
-        ijk = np.rint((points - self.lps_from_ijk[:3, 3]) @ np.linalg.inv(self.lps_from_ijk[:3, :3]).T).astype(int)
-        shape = np.array(self.inside_zyx.shape[::-1])
-        there = ((ijk >= 0) & (ijk < shape)).all(axis=1)
-        is_in = np.zeros(len(points), dtype=bool)
-        is_in[there] = self.inside_zyx[tuple(ijk[there].T[::-1])]
         off = np.array([float(np.min(((inside - point) ** 2).sum(axis=1))) ** 0.5 for point in points])
         half_mm = 0.5 * float(np.linalg.norm(self.lps_from_ijk[:3, 0]))
-        return np.where(is_in, 0.0, np.maximum(off - half_mm, 0.0))
+        return np.where(self.contains(points), 0.0, np.maximum(off - half_mm, 0.0))
+
+    def contains(self, points_lps: ArrayLike) -> Mask:
+        """Whether points (n, 3) LPS mm lie in it, by the nearest voxel of its box."""
+        points = np.atleast_2d(np.asarray(points_lps, dtype=np.float64))
+        ijk = np.rint((points - self.lps_from_ijk[:3, 3]) @ np.linalg.inv(self.lps_from_ijk[:3, :3]).T).astype(int)
+        there = ((ijk >= 0) & (ijk < np.array(self.inside_zyx.shape[::-1]))).all(axis=1)
+        found = np.zeros(len(points), dtype=bool)
+        found[there] = self.inside_zyx[tuple(ijk[there].T[::-1])]
+        return found
 
 
 def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:

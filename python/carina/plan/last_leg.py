@@ -1,0 +1,204 @@
+"""The last leg of a route: from the tip of the scope through the wall into the target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.plan.needle import NeedleErrors, hit_share
+from carina.plan.nodule import Nodule
+from carina.plan.surroundings import WALL_MM, Surroundings
+from carina.plan.tools import Tool
+from carina.scopes import WallField
+
+__all__ = ["Crossed", "LastLeg", "NeedleScene", "Tissue", "last_leg", "where_it_may_have_moved"]
+
+Points = NDArray[np.float64]
+Tissue = Literal["lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall"]
+
+STEP_MM = 0.25
+LEAST_MM = 0.5
+"""A tissue that is crossed for less than this is the edge of another."""
+SPREAD = 1.645
+"""In units of the errors' standard deviation: nine needles of ten go nearer to the line."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Crossed:
+    """A stretch of one tissue on the needle's way, mm from the scope's tip."""
+
+    tissue: Tissue
+    from_mm: float
+    to_mm: float
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class LastLeg:
+    """From the tip of the scope to the target, and what is on the way."""
+
+    tip_lps: tuple[float, float, float]
+    aim_lps: tuple[float, float, float]
+    entry_lps: tuple[float, float, float]
+    """Where the needle meets the wall."""
+    to_target_mm: float
+    """From the tip to the target's edge, along the needle."""
+    outside_mm: float
+    """Of which outside the lumen."""
+    angle_deg: float
+    """Between the needle and the airway's axis at the tip."""
+    crossed: tuple[Crossed, ...]
+    """In order, to the end of the needle's reach or beyond the target by 10 mm, whichever is farther."""
+    in_target_mm: float
+    """Length in the target, as aimed."""
+    least_in_target_mm: float
+    """The same for the worst of needles at 1.6 standard deviations; 0 where one misses."""
+    vessel_mm: float | None
+    """From the needle's line, up to the target's far edge, to the nearest vessel seen; None where none is seen near."""
+    vessel_lps: tuple[float, float, float] | None
+    """The place on that line."""
+    beyond_mm: float | None
+    """From the target's far edge along the needle to pleura or mediastinum; None where there is none within 10 mm."""
+    hit_share: float
+    """Of the needle positions that the errors allow, where the target lies as in the CT."""
+    reaches: bool
+    """The tool gets to the target's edge."""
+    hit_share_moved: float | None = None
+    """The same share where the target may have moved and the needle is not aimed anew; None where nobody asked."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return {
+            "tip_lps": list(self.tip_lps),
+            "aim_lps": list(self.aim_lps),
+            "entry_lps": list(self.entry_lps),
+            "to_target_mm": self.to_target_mm,
+            "outside_mm": self.outside_mm,
+            "angle_deg": self.angle_deg,
+            "crossed": [{"tissue": one.tissue, "from_mm": one.from_mm, "to_mm": one.to_mm} for one in self.crossed],
+            "in_target_mm": self.in_target_mm,
+            "least_in_target_mm": self.least_in_target_mm,
+            "vessel_mm": self.vessel_mm,
+            "vessel_lps": None if self.vessel_lps is None else list(self.vessel_lps),
+            "beyond_mm": self.beyond_mm,
+            "hit_share": self.hit_share,
+            "hit_share_moved": self.hit_share_moved,
+            "reaches": self.reaches,
+        }
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class NeedleScene:
+    """A nodule, what lies round it, and the needle that is meant for it."""
+
+    nodule: Nodule
+    wall: WallField
+    around: Surroundings
+    tool: Tool
+    errors: NeedleErrors
+
+
+def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points) -> LastLeg:
+    """The straight line from a tip to the middle of a nodule, and what it meets, where the nodule has not moved.
+
+    Parameters
+    ----------
+    tip_lps, forward
+        (3,) where the scope's tip is, and the airway's direction there.
+    """
+    nodule, wall, around, tool, errors = scene.nodule, scene.wall, scene.around, scene.tool, scene.errors
+    aim = np.array(nodule.centre_lps)
+    off = aim - tip_lps
+    distance = float(np.linalg.norm(off))
+    # An airway may lead through the middle of the nodule: there the needle goes straight on.
+    along = off / distance if distance >= LEAST_MM else forward
+    at = np.arange(0.0, max(tool.reach_mm, distance + 0.5 * nodule.long_mm + 12.0) + STEP_MM, STEP_MM)
+    points = tip_lps + at[:, None] * along
+    in_target = nodule.contains(points)
+    to_wall = wall.distance_mm(points)
+    in_lumen = (to_wall > 0.0) & (np.cumsum(to_wall <= 0.0) == 0)
+    tissue = np.full(len(at), "lung", dtype=object)
+    tissue[around.read(around.vessel, points)] = "vessel"
+    tissue[around.read(around.thick, points)] = "mediastinum or chest wall"
+    tissue[(to_wall > -WALL_MM) & (to_wall <= 0.0)] = "airway wall"
+    tissue[to_wall > 0.0] = "lumen"
+    tissue[in_target] = "target"
+    hits = np.flatnonzero(in_target)
+    edge_mm = float(at[hits[0]]) if hits.size else distance
+    far = int(hits[-1]) if hits.size else int(np.searchsorted(at, distance))
+    end = max(far + int(10.0 / STEP_MM), int(tool.reach_mm / STEP_MM))
+    crossed = _stretches(tissue[: min(end, len(at))])
+    entry = int(np.flatnonzero(~in_lumen)[0]) if (~in_lumen).any() else 0
+    between = slice(entry, far + 1)
+    to_vessel = around.read(around.vessel_mm, points[between])
+    nearest = int(np.argmin(to_vessel)) if to_vessel.size else 0
+    has_vessel = bool(to_vessel.size) and math.isfinite(float(to_vessel[nearest]))
+    thick = np.flatnonzero(tissue[far:] == "mediastinum or chest wall")
+    sigma = math.hypot(math.radians(errors.angle_deg), errors.tip_mm / max(distance, 1.0))
+    return LastLeg(
+        tip_lps=_point(tip_lps),
+        aim_lps=_point(aim),
+        entry_lps=_point(points[entry]),
+        to_target_mm=edge_mm,
+        outside_mm=max(edge_mm - float(at[entry]), 0.0),
+        angle_deg=math.degrees(math.acos(float(np.clip(along @ forward, -1.0, 1.0)))),
+        crossed=crossed,
+        in_target_mm=_length_in(nodule, tip_lps, along[None], tool.reach_mm),
+        least_in_target_mm=_length_in(nodule, tip_lps, _ring(along, SPREAD * sigma), tool.reach_mm),
+        vessel_mm=float(to_vessel[nearest]) if has_vessel else None,
+        vessel_lps=_point(points[between][nearest]) if has_vessel else None,
+        beyond_mm=float(STEP_MM * thick[0]) if thick.size and STEP_MM * thick[0] <= 10.0 else None,
+        hit_share=hit_share(nodule, tip_lps, aim, tool.reach_mm, errors),
+        reaches=edge_mm <= tool.reach_mm,
+    )
+
+
+def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
+    """The same leg with its hits where the target may lie anywhere in a ball of ``moved_mm``."""
+    tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
+    share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors, moved_mm=moved_mm)
+    return replace(leg, hit_share_moved=share)
+
+
+def _stretches(tissue: NDArray[Any]) -> tuple[Crossed, ...]:
+    found: list[Crossed] = []
+    start = 0
+    for n in range(1, len(tissue) + 1):
+        if n < len(tissue) and tissue[n] == tissue[start]:
+            continue
+        name, from_mm, to_mm = tissue[start], STEP_MM * start, STEP_MM * n
+        start = n
+        if found and (to_mm - from_mm < LEAST_MM or found[-1].tissue == name):
+            found[-1] = Crossed(found[-1].tissue, found[-1].from_mm, to_mm)
+        else:
+            found.append(Crossed(name, from_mm, to_mm))
+    return tuple(found)
+
+
+def _length_in(nodule: Nodule, tip: Points, ways: Points, reach_mm: float) -> float:
+    at = np.arange(0.0, reach_mm + 1e-9, STEP_MM)
+    points = tip + at[None, :, None] * ways[:, None, :]
+    inside = nodule.contains(points.reshape(-1, 3)).reshape(len(ways), -1)
+    return float(inside.sum(axis=1).min()) * STEP_MM
+
+
+def _ring(along: Points, off_rad: float) -> Points:
+    helper = np.eye(3)[int(np.argmin(np.abs(along)))]
+    across = np.cross(along, helper)
+    across /= np.linalg.norm(across)
+    up = np.cross(along, across)
+    turn = 2.0 * np.pi * np.arange(16) / 16
+    side = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
+    ring: Points = math.cos(off_rad) * along + math.sin(off_rad) * side
+    return ring
+
+
+def _point(values: Points) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,119 @@
+"""How often a needle hits: the share of the positions that the errors allow, by quadrature."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.plan.nodule import Nodule
+
+__all__ = ["NeedleErrors", "fibonacci_sphere", "hit_share"]
+
+Points = NDArray[np.float64]
+
+STEP_MM = 0.5
+NUM_RINGS, NUM_ROUND = 14, 24
+NUM_WAYS, NUM_SHELLS = 96, 6
+FEW_RINGS, FEW_ROUND = 4, 8
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class NeedleErrors:
+    """Standard deviations of where a needle goes, against where it was meant to go.
+
+    The defaults are common knowledge, not measured (k).
+    """
+
+    angle_deg: float = 4.0
+    """Of its direction, on each of two axes."""
+    tip_mm: float = 0.7
+    """Of the scope's tip, on each of the two axes across the needle."""
+
+    def __post_init__(self) -> None:
+        for name, value, most in (("angle_deg", self.angle_deg, 45.0), ("tip_mm", self.tip_mm, 20.0)):
+            if not (math.isfinite(value) and 0.0 <= value <= most):
+                raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.errors")
+
+
+def hit_share(
+    nodule: Nodule,
+    tip_lps: Points,
+    aim_lps: Points,
+    reach_mm: float,
+    errors: NeedleErrors,
+    *,
+    moved_mm: float = 0.0,
+) -> float:
+    """The share of needle positions that go through the nodule within their reach.
+
+    Parameters
+    ----------
+    tip_lps, aim_lps
+        (3,) where the needle leaves the scope, and what it is meant for.
+    reach_mm
+        How far it goes beyond the tip.
+    errors
+        Gaussian errors of direction and place, taken together at the aim's distance.
+    moved_mm
+        The nodule may lie anywhere in a ball of this radius round where the CT shows it, and the needle is not aimed
+        anew.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
+    along = aim_lps - tip_lps
+    distance = float(np.linalg.norm(along))
+    if distance < 1e-6:
+        return 1.0
+    along = along / distance
+    sigma = math.hypot(math.radians(errors.angle_deg), errors.tip_mm / distance)
+    if moved_mm <= 0.0:
+        return _share(nodule, tip_lps[None], _cone(along, sigma, NUM_RINGS, NUM_ROUND), reach_mm)
+    ball = fibonacci_sphere(NUM_WAYS)
+    # Shells of equal volume.
+    radii = moved_mm * ((np.arange(NUM_SHELLS) + 0.5) / NUM_SHELLS) ** (1.0 / 3.0)
+    shifts = (radii[:, None, None] * ball).reshape(-1, 3)
+    return _share(nodule, tip_lps - shifts, _cone(along, sigma, FEW_RINGS, FEW_ROUND), reach_mm)
+
+
+def _cone(along: Points, sigma_rad: float, num_rings: int, num_round: int) -> Points:
+    """Directions of equal weight in a Gaussian cone, (n, 3)."""
+    helper = np.eye(3)[int(np.argmin(np.abs(along)))]
+    across = np.cross(along, helper)
+    across /= np.linalg.norm(across)
+    up = np.cross(along, across)
+    share = (np.arange(num_rings) + 0.5) / num_rings
+    # The two axes together: a Rayleigh distribution.
+    off = np.minimum(sigma_rad * np.sqrt(-2.0 * np.log1p(-share)), 1.5)
+    turn = 2.0 * np.pi * (np.arange(num_round)[None] + 0.5 * (np.arange(num_rings)[:, None] % 2)) / num_round
+    side = np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * up
+    found: Points = np.cos(off)[:, None, None] * along + np.sin(off)[:, None, None] * side
+    return found.reshape(-1, 3)
+
+
+def _share(nodule: Nodule, tips: Points, ways: Points, reach_mm: float) -> float:
+    at = np.arange(0.0, reach_mm + 1e-9, STEP_MM)
+    num = 0
+    for tip in tips:
+        points = tip + at[None, :, None] * ways[:, None, :]
+        num += int(nodule.contains(points.reshape(-1, 3)).reshape(len(ways), -1).any(axis=1).sum())
+    return num / (len(tips) * len(ways))
+
+
+@cache
+def fibonacci_sphere(num: int) -> Points:
+    """Directions spread evenly over the sphere, (num, 3)."""
+    n = np.arange(num)
+    z = 1.0 - (2.0 * n + 1.0) / num
+    across = np.sqrt(1.0 - z * z)
+    turn = np.pi * (3.0 - math.sqrt(5.0)) * n
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

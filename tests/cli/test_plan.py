@@ -1,0 +1,74 @@
+"""``carina plan``: the same plan as in Python, in words and as a file."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+import carina
+from carina.cli.app import app
+from made import made_phantom
+
+
+@pytest.fixture(scope="module")
+def chest(tmp_path_factory):
+    """A chest with a nodule, as a file, and a point in the nodule."""
+    made = made_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    folder = tmp_path_factory.mktemp("chest")
+    carina.write_phantom(made, folder)
+    return folder / "ct.nii.gz", made.truth["nodule"]["center_lps"]
+
+
+def run(path, place, *more):
+    point = ",".join(f"{v:.2f}" for v in place)
+    return CliRunner().invoke(app, ["plan", str(path), "--target", point, *more])
+
+
+def test_the_plan_is_said_written_and_the_same_as_in_python(chest, tmp_path) -> None:
+    path, place = chest
+    output = tmp_path / "plan.json"
+    result = run(path, place, "--json", "-o", str(output))
+    assert result.exit_code == 0, result.output
+    document = json.loads(output.read_text(encoding="utf-8"))
+    printed = json.loads(result.stdout)
+    assert printed.pop("badges") == []
+    assert printed == document
+    volume = carina.open_volume(path)
+    at = [round(float(v), 2) for v in place]
+    assert carina.plan_route(volume, carina.find_airways(volume), at).to_json() == document
+    assert "target: solid nodule" in result.stderr
+    assert "route 1: " in result.stderr and "needle" in result.stderr
+    assert "in the procedure the target may lie up to" in result.stderr
+
+
+def test_no_route_is_exit_code_4_with_the_reason(chest, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, place = chest
+    from carina.plan import routes
+
+    monkeypatch.setattr(routes, "MOST_ANGLE_DEG", -1.0)
+    result = run(path, place)
+    assert result.exit_code == 4
+    assert "no route: " in result.stderr and "another access" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        (["--tool", "saw"], 2, "no tool is called 'saw'"),
+        (["--scope", "long"], 2, "long"),
+        (["--moved-mm", "-3"], 2, "moved_mm: expected 0 to 60; found -3"),
+        (["-o", "plan.html"], 2, ".json"),
+    ],
+)
+def test_what_cannot_be_done_is_said(chest, more: list[str], code: int, words: str) -> None:
+    path, place = chest
+    result = run(path, place, *more)
+    assert result.exit_code == code and words in result.stderr
+
+
+def test_a_place_without_a_nodule_is_refused(chest) -> None:
+    path, place = chest
+    result = run(path, [place[0], place[1], place[2] + 45.0])
+    assert result.exit_code in {2, 4} and "nodule" in result.stderr

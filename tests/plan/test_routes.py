@@ -1,0 +1,242 @@
+"""Routes to nodules: where a scope stands, what the needle crosses, and which way is the best."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from nodules import ellipsoid
+
+import carina
+from carina.errors import CancelledError, NoResultError, UsageError
+from carina.plan import (
+    NeedleErrors,
+    NeedleScene,
+    Plan,
+    ScoreWeights,
+    Tool,
+    grow_nodule,
+    last_leg,
+    plan_route,
+    surroundings,
+    tool,
+)
+from carina.scopes import WallField
+from carina.track import Airways, wall_field
+from carina.volume import Volume
+from made import made_airways, made_phantom
+
+CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1, "nodule": True}
+
+
+@cache
+def wall() -> WallField:
+    return wall_field(made_phantom(**CHEST).volume, made_airways(**CHEST))
+
+
+def truth() -> dict[str, Any]:
+    found: dict[str, Any] = made_phantom(**CHEST).truth["nodule"]
+    return found
+
+
+@cache
+def plan() -> Plan:
+    return plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), truth()["center_lps"], wall=wall())
+
+
+def retreed(airways: Airways, branch_id: int, **changes: Any) -> Airways:
+    """The same airways with one branch changed."""
+    branches = tuple(
+        dataclasses.replace(one, **changes) if one.id == branch_id else one for one in airways.tree.branches
+    )
+    return dataclasses.replace(airways, tree=dataclasses.replace(airways.tree, branches=branches))
+
+
+def test_a_nodule_beside_an_airway_gets_a_route_that_reaches_it_in_the_truth() -> None:
+    best = plan().routes[0]
+    tip, aim = np.array(best.leg.tip_lps), np.array(truth()["center_lps"])
+    to_edge = np.linalg.norm(aim - tip) - truth()["radius_mm"]
+    assert best.leg.to_target_mm == pytest.approx(to_edge, abs=1.0)
+    assert best.leg.reaches and best.leg.hit_share > 0.9
+    branch = made_airways(**CHEST).tree.branch(best.branch_id)
+    assert np.linalg.norm(branch.points - tip, axis=1).min() < 1e-9, "the tip stands on the centreline"
+    route = made_airways(**CHEST).tree.route_to(best.branch_id)
+    assert 0.0 < best.from_carina_mm < best.along_mm < 1.02 * route.length_mm
+
+
+def test_tissue_on_the_way_comes_in_order_without_a_gap() -> None:
+    for route in plan().routes:
+        crossed = route.leg.crossed
+        assert crossed[0].tissue == "lumen" and crossed[0].from_mm == 0.0
+        assert all(one.to_mm == beyond.from_mm for one, beyond in itertools.pairwise(crossed))
+        target = next(one for one in crossed if one.tissue == "target")
+        assert target.from_mm == pytest.approx(route.leg.to_target_mm, abs=0.51)
+        assert route.leg.least_in_target_mm <= route.leg.in_target_mm
+        assert route.leg.hit_share_moved < route.leg.hit_share
+
+
+def test_no_place_on_any_branch_scores_better_than_the_first_route() -> None:
+    volume, airways, found = made_phantom(**CHEST).volume, made_airways(**CHEST), plan()
+    nodule = found.nodule
+    around = surroundings(volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
+    scene = NeedleScene(nodule, wall(), around, found.tool, NeedleErrors())
+    weights = ScoreWeights()
+    best = 0.0
+    for branch in airways.tree.branches[1:]:
+        room = min(2.0 * float(one.wall_distance.min()) for one in airways.tree.lineage(branch.id)[1:])
+        for point, forward in zip(branch.points, np.gradient(branch.points, axis=0), strict=True):
+            if np.linalg.norm(point - nodule.centre_lps) > 40.0:
+                continue
+            leg = last_leg(scene, point, forward / np.linalg.norm(forward))
+            if not leg.reaches or leg.angle_deg > 100.0:
+                continue
+            near = 0.0 if leg.vessel_mm is None else max(1.0 - leg.vessel_mm / 3.0, 0.0)
+            lost = (
+                weights.misses * (1.0 - leg.hit_share)
+                + weights.way * leg.outside_mm / found.tool.reach_mm
+                + weights.angle * min(leg.angle_deg / 90.0, 1.0)
+                + weights.narrow * min(max(2.0 * (1.0 - room / found.scope.fit_mm), 0.0), 1.0)
+                + weights.vessels * near
+                + weights.shallow * max(1.0 - leg.in_target_mm / min(8.0, 0.9 * nodule.short_mm), 0.0)
+            )
+            total = sum(getattr(weights, name) for name in weights.__slots__)
+            best = max(best, 1.0 - lost / total)
+    # The branch's narrowest place may lie beyond where the tip stands: this search is no less strict.
+    assert plan().routes[0].score >= best - 0.02
+    assert [route.score for route in plan().routes] == sorted((route.score for route in plan().routes), reverse=True)
+
+
+def test_routes_stand_apart_and_at_least_two_are_told() -> None:
+    tips = [np.array(route.leg.tip_lps) for route in plan().routes]
+    assert len(tips) >= 2
+    assert min(np.linalg.norm(a - b) for n, a in enumerate(tips) for b in tips[:n]) > 4.0
+
+
+def test_a_plan_is_plain_json_and_a_grown_nodule_plans_the_same() -> None:
+    said = plan().to_json()
+    assert json.loads(json.dumps(said)) == said
+    volume = made_phantom(**CHEST).volume
+    again = plan_route(volume, made_airways(**CHEST), grow_nodule(volume, truth()["center_lps"]), wall=wall())
+    assert again.to_json() == said
+
+
+def test_a_way_over_a_drawn_bridged_or_doubtful_branch_says_so() -> None:
+    airways, best = made_airways(**CHEST), plan().routes[0]
+    parent = airways.tree.branch(best.branch_id).parent
+    name = airways.tree.branch(parent).name or f"branch {parent}"
+    for change, words in (
+        ({"kind": "manual"}, f"{name} was drawn by hand"),
+        ({"kind": "bridge"}, f"{name} is a bridge across an obstruction"),
+        ({"confidence": 0.31}, f"{name} is doubtful: 31 % confidence"),
+    ):
+        changed = plan_route(
+            made_phantom(**CHEST).volume, retreed(airways, parent, **change), plan().nodule, wall=wall()
+        )
+        route = next(one for one in changed.routes if one.branch_id == best.branch_id)
+        assert any(doubt.startswith(words) for doubt in route.doubts)
+    assert best.doubts == ()
+
+
+def test_where_no_airway_is_near_the_plan_says_so_and_what_would_help() -> None:
+    short = Tool("short", "A short needle", 1.8, 1.0, True, None, "k")
+    found = plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, tool=short, wall=wall())
+    assert found.routes == ()
+    assert found.why.startswith("no route: the nearest airway that was found is ")
+    assert "A short needle reaches 1 mm" in found.why and "percutaneous" in found.why
+
+
+def test_a_bronchus_that_leads_into_a_nodule_one_beside_it_and_none() -> None:
+    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    tip = next(one for one in airways.tree.tips() if one.generation >= 5 and one.length_mm > 8.0)
+    ahead = tip.points[-1] - tip.points[-4]
+    ahead /= np.linalg.norm(ahead)
+    across = np.cross(ahead, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    middle = tip.points[len(tip.points) // 2]
+
+    def sign(centre):
+        return plan_route(volume, airways, ellipsoid((4.0, 4.0, 4.0), centre), wall=wall())
+
+    into = sign(tip.points[-1] + 3.5 * ahead)
+    assert (into.bronchus_sign, into.sign_branch) == ("into", tip.name or f"branch {tip.id}")
+    beside = sign(middle + (4.0 + 1.0 + float(np.median(tip.wall_distance))) * across)
+    assert beside.bronchus_sign in {"beside", "into"}
+    far = volume.lps_from_ijk[:3, 3] + volume.lps_from_ijk[:3, :3] @ [4.0, 4.0, 4.0]
+    assert sign(far).bronchus_sign == "none"
+
+
+def test_a_lower_lobe_is_taken_to_have_moved_farther() -> None:
+    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    for name, moved_mm in (("RLL", 20.0), ("RUL", 15.0)):
+        place = airways.tree.named(name).points[-1]
+        assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == moved_mm
+
+
+def test_bad_input_is_refused_in_words() -> None:
+    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
+        plan_route(volume, airways, plan().nodule, tool="saw")
+    with pytest.raises(UsageError, match="Cytology brush does not go through a wall"):
+        plan_route(volume, airways, plan().nodule, tool="brush")
+    with pytest.raises(UsageError, match="vessel_margin_mm: expected 0 to 50; found -1"):
+        plan_route(volume, airways, plan().nodule, vessel_margin_mm=-1.0)
+    with pytest.raises(UsageError, match="weights: expected numbers from 0 up"):
+        ScoreWeights(misses=-0.1)
+    with pytest.raises(NoResultError, match="nodule"):
+        plan_route(volume, airways, airways.tree.root.points[0] + [0.0, 60.0, 0.0])
+    with pytest.raises(CancelledError):
+        plan_route(volume, airways, plan().nodule, wall=wall(), cancel=lambda: True)
+
+
+def test_progress_ends_at_one_and_never_goes_back() -> None:
+    told: list[float] = []
+    plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, wall=wall(), progress=told.append)
+    assert told == sorted(told) and told[-1] == 1.0
+
+
+@cache
+def tube() -> tuple[Volume, WallField]:
+    """A straight airway of 3 mm radius along z in lung, and a vessel beside it."""
+    z, y, x = np.mgrid[-40:41, -40:41, -40:41].astype(np.float32)
+    off = np.hypot(x, y)
+    hu = np.where(off < 3.0, -1000.0, np.where(off < 4.0, 0.0, -860.0))
+    hu = np.where(np.hypot(x - 12.0, z - 9.0) < 2.0, 40.0, hu)
+    place = np.eye(4)
+    place[:3, 3] = -40.0
+    return Volume(hu.astype(np.int16), place), WallField.from_distances(3.0 - off, place)
+
+
+def test_the_last_leg_in_a_straight_tube_is_as_drawn() -> None:
+    volume, field = tube()
+    nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
+    around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
+    leg = last_leg(
+        NeedleScene(nodule, field, around, tool("needle-21g-long"), NeedleErrors()), np.zeros(3), np.array([0.0, 0, 1])
+    )
+    assert leg.angle_deg == pytest.approx(90.0)
+    assert leg.entry_lps == pytest.approx((3.0, 0.0, 0.0), abs=0.3)
+    assert leg.to_target_mm == pytest.approx(15.0, abs=0.55)
+    assert leg.outside_mm == pytest.approx(12.0, abs=0.8)
+    assert leg.in_target_mm == pytest.approx(5.0, abs=0.6)
+    # The vessel's middle runs 9 mm beside the needle and is 2 mm thick.
+    assert leg.vessel_mm == pytest.approx(7.0, abs=0.8)
+    assert [one.tissue for one in leg.crossed] == ["lumen", "airway wall", "lung", "target", "lung"]
+
+
+def test_a_vessel_in_the_way_is_named() -> None:
+    volume, field = tube()
+    nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 9.0))
+    around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
+    scene = NeedleScene(nodule, field, around, tool("needle-21g-long"), NeedleErrors())
+    leg = last_leg(scene, np.array([0.0, 0.0, 9.0]), np.array([0.0, 0.0, 1.0]))
+    assert [one.tissue for one in leg.crossed][:5] == ["lumen", "airway wall", "lung", "vessel", "lung"]
+    assert leg.vessel_mm == 0.0
+
+
+def test_the_public_door_has_it() -> None:
+    assert carina.plan_route is plan_route
