@@ -72,10 +72,10 @@ def test_a_nodule_beside_an_airway_gets_a_route_that_reaches_it_in_the_truth() -
 def test_tissue_on_the_way_comes_in_order_without_a_gap() -> None:
     for route in plan().routes:
         crossed = route.leg.crossed
-        assert crossed[0].tissue == "lumen" and crossed[0].from_mm == 0.0
-        assert all(one.to_mm == beyond.from_mm for one, beyond in itertools.pairwise(crossed))
+        assert crossed[0].tissue == "lumen" and crossed[0].start_mm == 0.0
+        assert all(one.end_mm == beyond.start_mm for one, beyond in itertools.pairwise(crossed))
         target = next(one for one in crossed if one.tissue == "target")
-        assert target.from_mm == pytest.approx(route.leg.to_target_mm, abs=0.51)
+        assert target.start_mm == pytest.approx(route.leg.to_target_mm, abs=0.51)
         assert route.leg.least_in_target_mm <= route.leg.in_target_mm
         assert route.leg.hit_share_moved < route.leg.hit_share
 

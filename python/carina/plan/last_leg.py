@@ -31,11 +31,17 @@ SPREAD = 1.645
 @one_line
 @dataclass(frozen=True, slots=True)
 class Crossed:
-    """A stretch of one tissue on the needle's way, mm from the scope's tip."""
+    """A stretch of one tissue on the needle's way."""
 
     tissue: Tissue
-    from_mm: float
-    to_mm: float
+    start_mm: float
+    """From the scope's tip."""
+    length_mm: float
+
+    @property
+    def end_mm(self) -> float:
+        """From the scope's tip."""
+        return self.start_mm + self.length_mm
 
 
 @one_line
@@ -81,7 +87,7 @@ class LastLeg:
             "to_target_mm": self.to_target_mm,
             "outside_mm": self.outside_mm,
             "angle_deg": self.angle_deg,
-            "crossed": [{"tissue": one.tissue, "from_mm": one.from_mm, "to_mm": one.to_mm} for one in self.crossed],
+            "crossed": [{"tissue": one.tissue, "from_mm": one.start_mm, "to_mm": one.end_mm} for one in self.crossed],
             "in_target_mm": self.in_target_mm,
             "least_in_target_mm": self.least_in_target_mm,
             "vessel_mm": self.vessel_mm,
@@ -173,12 +179,12 @@ def _stretches(tissue: NDArray[Any]) -> tuple[Crossed, ...]:
     for n in range(1, len(tissue) + 1):
         if n < len(tissue) and tissue[n] == tissue[start]:
             continue
-        name, from_mm, to_mm = tissue[start], STEP_MM * start, STEP_MM * n
+        name, start_mm, length_mm = tissue[start], STEP_MM * start, STEP_MM * (n - start)
         start = n
-        if found and (to_mm - from_mm < LEAST_MM or found[-1].tissue == name):
-            found[-1] = Crossed(found[-1].tissue, found[-1].from_mm, to_mm)
+        if found and (length_mm < LEAST_MM or found[-1].tissue == name):
+            found[-1] = replace(found[-1], length_mm=found[-1].length_mm + length_mm)
         else:
-            found.append(Crossed(name, from_mm, to_mm))
+            found.append(Crossed(name, start_mm, length_mm))
     return tuple(found)
 
 
