@@ -47,7 +47,8 @@ def test_an_edit_in_one_is_seen_in_the_other_which_takes_it_back(two):
     second.page.keyboard.press("Control+z")
     first.wait_for("window.__carina.state.session.can_redo?.startsWith('route to') === true")
     second.page.keyboard.press("Control+z")
-    first.wait_for("window.__carina.state.session.can_undo === null")
+    for window in two:
+        window.wait_for("window.__carina.state.session.can_undo === null")
     assert first.state("look") == second.state("look")
 
 
