@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 import carina
 from carina.cli.app import app
+from carina.scopes import scope_presets
 from made import made_phantom
 
 
@@ -37,7 +38,10 @@ def test_the_plan_is_said_written_and_the_same_as_in_python(chest, tmp_path) -> 
     assert printed == document
     volume = carina.open_volume(path)
     at = [round(float(v), 2) for v in place]
+    verdicts = document.pop("verdicts")
     assert carina.plan_route(volume, carina.find_airways(volume), at).to_json() == document
+    assert [one["scope"] for one in verdicts] == ["thin"]
+    assert f"on route 1: {verdicts[0]['words']}" in result.stderr
     assert "target: solid nodule" in result.stderr
     assert "route 1: " in result.stderr and "needle" in result.stderr
     assert "in the procedure the target may lie up to" in result.stderr
@@ -72,3 +76,12 @@ def test_a_place_without_a_nodule_is_refused(chest) -> None:
     path, place = chest
     result = run(path, [place[0], place[1], place[2] + 45.0])
     assert result.exit_code in {2, 4} and "nodule" in result.stderr
+
+
+def test_all_scopes_are_judged_when_asked(chest) -> None:
+    path, place = chest
+    result = run(path, place, "--all-scopes", "--json")
+    assert result.exit_code == 0
+    verdicts = json.loads(result.stdout)["verdicts"]
+    assert [one["scope"] for one in verdicts] == [one.name for one in scope_presets()]
+    assert all(one["outcome"] in {"reaches", "may reach", "does not reach", "cannot say"} for one in verdicts)

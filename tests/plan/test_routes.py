@@ -100,7 +100,7 @@ def test_no_place_on_any_branch_scores_better_than_the_first_route() -> None:
                 weights.misses * (1.0 - leg.hit_share)
                 + weights.way * leg.outside_mm / found.tool.reach_mm
                 + weights.angle * min(leg.angle_deg / 90.0, 1.0)
-                + weights.narrow * min(max(2.0 * (1.0 - room / found.scope.fit_mm), 0.0), 1.0)
+                + weights.narrow * min(max(4.0 * (1.0 - room / found.scope.fit_mm), 0.0), 1.0)
                 + weights.vessels * near
                 + weights.shallow * max(1.0 - leg.in_target_mm / min(8.0, 0.9 * nodule.short_mm), 0.0)
             )

@@ -206,7 +206,7 @@ def plan(
     target: Annotated[str, typer.Option("--target", help="Point in the nodule, x,y,z in mm (LPS).")],
     scope: Annotated[
         str, typer.Option("--scope", help="Bronchoscope: ultrathin, thin, standard, generic, ...")
-    ] = "ultrathin",
+    ] = "thin",
     tool: Annotated[
         str, typer.Option("--tool", help="Needle: needle-21g, needle-19g or needle-21g-long.")
     ] = "needle-21g",
@@ -220,6 +220,9 @@ def plan(
             help=("Distance the target may have moved since the CT (default: 20 mm in a lower lobe, 15 mm elsewhere)."),
         ),
     ] = None,
+    all_scopes: Annotated[
+        bool, typer.Option("--all-scopes", help="Judge every bronchoscope of the library on the first route.")
+    ] = False,
     series: SeriesOption = None,
     ct: CtOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Plan file to write: .json.")] = None,
@@ -243,6 +246,7 @@ def plan(
                 tool=tool,
                 vessel_margin_mm=vessel_margin_mm,
                 moved_mm=moved_mm,
+                all_scopes=all_scopes,
                 series=series,
                 ct=ct,
                 output=output,

@@ -14,7 +14,7 @@ from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
 from carina.disk import write_whole
 from carina.errors import NoResultError
-from carina.plan import Plan, PlannedRoute
+from carina.plan import Plan, PlannedRoute, Verdict, judge_scopes
 
 __all__ = ["report"]
 
@@ -29,6 +29,7 @@ def report(
     tool: str,
     vessel_margin_mm: float,
     moved_mm: float | None,
+    all_scopes: bool,
     output: Path | None,
     series: str | None,
     as_json: bool,
@@ -44,6 +45,7 @@ def report(
     say(f"target: {nodule.words}")
     airways = source.airways(progress)
     source.badges.add(airways.badges)
+    wall = carina.wall_field(source.volume, airways)
     found = carina.plan_route(
         source.volume,
         airways,
@@ -52,10 +54,17 @@ def report(
         tool=tool,
         vessel_margin_mm=vessel_margin_mm,
         moved_mm=moved_mm,
+        wall=wall,
     )
     for line in lines(found):
         say(line)
-    document = found.to_json()
+    verdicts: tuple[Verdict, ...] = ()
+    if found.routes:
+        scopes = None if all_scopes else [found.scope]
+        verdicts = judge_scopes(airways.tree, found, wall, scopes=scopes, spacing_mm=max(source.volume.spacing_mm))
+    for verdict in verdicts:
+        say(f"{verdict.scope.title} on route 1: {verdict.words}")
+    document = found.to_json() | {"verdicts": [verdict.to_json() for verdict in verdicts]}
     if output is not None:
         write_whole(output, (json.dumps(document, indent=1) + "\n").encode(), what="the plan")
         say(f"wrote {output}")

@@ -6,22 +6,28 @@ from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 
 __all__ = [
     "DEFAULT_TOOL",
+    "Check",
     "Crossed",
     "LastLeg",
     "NeedleErrors",
     "NeedleScene",
     "Nodule",
     "NoduleKind",
+    "Outcome",
     "Plan",
     "PlannedRoute",
     "ScoreWeights",
     "Surroundings",
     "Tool",
+    "Verdict",
     "grow_nodule",
     "hit_share",
+    "judge_scope",
+    "judge_scopes",
     "last_leg",
     "plan_route",
     "surroundings",

@@ -31,8 +31,8 @@ __all__ = ["PLANNED_SCOPE", "BronchusSign", "Plan", "PlannedRoute", "ScoreWeight
 Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 
-PLANNED_SCOPE = "ultrathin"
-"""What goes far into the lung; unless another is chosen."""
+PLANNED_SCOPE = "thin"
+"""The thinnest whose channel takes a needle of 1.8 mm; unless another is chosen."""
 MOST_ANGLE_DEG = 100.0
 """A needle that leaves at more than this from the airway's axis comes back at the scope."""
 DEEP_MM = 8.0
@@ -59,14 +59,14 @@ MOST_BOX_MM = 60.0
 class ScoreWeights:
     """What each part of a route's score counts. A part is 0 at its best and 1 where it is as bad as can be."""
 
-    misses: float = 0.3
+    misses: float = 0.25
     """Needle positions that miss."""
     way: float = 0.15
     """Way outside the lumen, of the tool's reach."""
     angle: float = 0.15
     """Angle between needle and airway, of 90 degrees."""
-    narrow: float = 0.15
-    """What the narrowest place before the tip lacks for the scope, of the scope's own size; 1 where it lacks half."""
+    narrow: float = 0.3
+    """What the narrowest place on the way lacks for the scope, of the scope's own size; 1 where it lacks a quarter."""
     vessels: float = 0.1
     """What the nearest vessel lacks of the margin."""
     shallow: float = 0.15
@@ -282,7 +282,16 @@ def plan_route(
         moved_mm=moved,
         routes=kept,
         why=None if kept else places.why_none(used),
-        notes=tuple(note.words for note in airways.badges),
+        notes=(*(note.words for note in airways.badges), *_channel_note(preset, used)),
+    )
+
+
+def _channel_note(scope: ScopePreset, tool: Tool) -> tuple[str, ...]:
+    """That the tool does not go through the scope, where that is known."""
+    if scope.channel_mm is None or tool.passes(scope.channel_mm):
+        return ()
+    return (
+        f"{tool.title} ({tool.outer_mm:g} mm) does not pass the {scope.channel_mm:g} mm channel of the {scope.title}",
     )
 
 
@@ -315,7 +324,7 @@ class _Judge:
             "misses": 1.0 - leg.hit_share,
             "way": leg.outside_mm / self.tool.reach_mm,
             "angle": leg.angle_deg / 90.0,
-            "narrow": 2.0 * (1.0 - narrowest_mm / self.scope.fit_mm),
+            "narrow": 4.0 * (1.0 - narrowest_mm / self.scope.fit_mm),
             "vessels": near,
             "shallow": 1.0 - leg.in_target_mm / min(DEEP_MM, 0.9 * nodule.short_mm),
         }

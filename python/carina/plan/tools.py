@@ -14,6 +14,8 @@ from carina.errors import UsageError
 __all__ = ["DEFAULT_TOOL", "Tool", "tool", "tools"]
 
 DEFAULT_TOOL = "needle-21g"
+CLEARANCE_MM = 0.1
+"""A tool slides in a channel that is so much wider (k)."""
 
 
 @one_line
@@ -32,6 +34,10 @@ class Tool:
     rigid_mm: float | None
     """Longest part that does not bend."""
     basis: str
+
+    def passes(self, channel_mm: float) -> bool:
+        """Whether it slides through a channel of this width."""
+        return channel_mm - self.outer_mm >= CLEARANCE_MM - 1e-9
 
 
 _TOOLS = (

@@ -1,0 +1,195 @@
+"""Verdicts against tubes whose answers are known: what passes, what bends far enough, and what cannot be said."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from nodules import ellipsoid
+
+from carina.errors import CancelledError, UsageError
+from carina.plan import Plan, Verdict, judge_scope, judge_scopes, plan_route, tool, verdict
+from carina.plan.last_leg import LastLeg
+from carina.plan.routes import PlannedRoute
+from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
+from carina.track import AirwayTree, Branch, wall_field
+from made import made_airways, made_phantom
+
+RADIUS_MM = 2.0
+STRAIGHT_MM = 70.0
+
+
+def centreline(bend_deg: float, bend_radius_mm: float) -> np.ndarray:
+    """Straight down for 70 mm, then along a circle towards +x, then straight for 10 mm."""
+    down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, STRAIGHT_MM, 0.5)]
+    bend = math.radians(bend_deg)
+    angles = np.linspace(0.0, bend, int(2.0 * bend * bend_radius_mm) + 2)
+    turned = [
+        np.array([bend_radius_mm * (1.0 - math.cos(a)), 0.0, -STRAIGHT_MM - bend_radius_mm * math.sin(a)])
+        for a in angles
+    ]
+    points = [*down, *turned]
+    ahead = np.array([math.sin(bend), 0.0, -math.cos(bend)])
+    return np.array([*points, *(points[-1] + s * ahead for s in np.arange(0.5, 10.0, 0.5))])
+
+
+@cache
+def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, WallField, np.ndarray]:
+    points = centreline(bend_deg, bend_radius_mm)
+    lo, hi = points.min(axis=0) - 4.0, points.max(axis=0) + 4.0
+    step = 0.5
+    num = np.ceil((hi - lo) / step).astype(int) + 1
+    grid = np.stack(np.meshgrid(*(lo[a] + step * np.arange(num[a]) for a in range(3)), indexing="ij"), axis=-1)
+    off = np.full(num, np.inf, dtype=np.float32)
+    at = np.arange(0.0, len(points) - 1.0, 0.25)
+    for point in np.stack([np.interp(at, np.arange(len(points)), points[:, axis]) for axis in range(3)], axis=1):
+        off = np.minimum(off, np.linalg.norm(grid - point, axis=-1))
+    place = np.diag([step, step, step, 1.0])
+    place[:3, 3] = lo
+    field = WallField.from_distances(np.ascontiguousarray((RADIUS_MM - off).transpose(2, 1, 0)), place)
+    half = len(points) // 2
+    radius = np.full(len(points), RADIUS_MM)
+    trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", points[: half + 1], radius[: half + 1])
+    rest = Branch(1, 0, (), 1, None, "tracked", points[half:], radius[half:])
+    return AirwayTree((trunk, rest)), field, points
+
+
+def plan_in(points: np.ndarray, park: int = -8) -> Plan:
+    """A plan by hand: the nodule lies straight ahead of where the scope stands."""
+    tip = points[park]
+    ahead = points[-1] - points[-3]
+    ahead /= np.linalg.norm(ahead)
+    nodule = ellipsoid((4.0, 4.0, 4.0), tip + 12.0 * ahead)
+    along = float(np.linalg.norm(np.diff(points[: len(points) + park + 1], axis=0), axis=1).sum())
+    place = (float(tip[0]), float(tip[1]), float(tip[2]))
+    leg = LastLeg(place, nodule.centre_lps, place, 8.0, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
+    route = PlannedRoute(1, "branch 1", along, None, (0.0, 0.0, -1.0), 2 * RADIUS_MM, True, leg, {}, 1.0, ())
+    return Plan(nodule, scope_preset("thin"), tool("needle-21g"), "none", None, None, 15.0, (route,), None)
+
+
+def scope(**changes: Any) -> ScopePreset:
+    return dataclasses.replace(scope_preset("thin"), tip_mm=3.0, tube_mm=None, **changes)
+
+
+def check(found: Verdict, name: str):
+    return next(one for one in found.checks if one.name == name)
+
+
+@pytest.fixture
+def few_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that ask nothing of how a scope points: most of what a verdict costs in a narrow tube."""
+    monkeypatch.setattr(verdict, "NUM_ROLLS", 2)
+    monkeypatch.setattr(verdict, "NUM_LEVERS", 1)
+
+
+@pytest.mark.usefixtures("few_holds")
+@pytest.mark.parametrize("tip_mm", [3.0, 3.8, 3.95, 4.05, 4.2, 5.0])
+def test_without_errors_what_is_thinner_than_the_tube_passes_to_a_tenth_of_a_millimetre(tip_mm: float) -> None:
+    tree, field, points = tube(30.0)
+    thick = dataclasses.replace(scope(), tip_mm=tip_mm)
+    answer = check(judge_scope(tree, plan_in(points), field, thick, errors=False), "diameter").answer
+    assert answer == ("yes" if tip_mm <= 2 * RADIUS_MM else "no")
+
+
+@pytest.mark.usefixtures("few_holds")
+@pytest.mark.parametrize(("bend_deg", "bend_radius_mm"), [(30.0, 20.0), (60.0, 20.0), (100.0, 20.0), (120.0, 15.0)])
+def test_the_angle_that_a_bend_asks_is_within_two_degrees_of_the_circle(bend_deg: float, bend_radius_mm: float) -> None:
+    tree, field, points = tube(bend_deg, bend_radius_mm)
+    section_mm = 40.0 + 10.0
+    asked = min(bend_deg, math.degrees(section_mm / bend_radius_mm))
+    for spare, answer in ((2.0, "yes"), (-2.0, "no")):
+        bends = scope(flexion_deg=(asked + spare, 10.0), bending_mm=(40.0, 40.0), rigid_tip_mm=10.0)
+        # Thin enough that its rigid tip passes the bend.
+        bends = dataclasses.replace(bends, tip_mm=1.5)
+        found = check(judge_scope(tree, plan_in(points), field, bends, errors=False), "bend")
+        assert found.answer == answer, found.words
+
+
+@pytest.mark.usefixtures("few_holds")
+def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> None:
+    tree, field, points = tube(100.0)
+    plan = plan_in(points)
+
+    def shares(name: str, presets: list[ScopePreset]) -> list[float]:
+        return [check(judge_scope(tree, plan, field, one, spacing_mm=0.8), name).share for one in presets]
+
+    wider = shares("diameter", [dataclasses.replace(scope(), tip_mm=tip) for tip in (2.5, 3.2, 3.6, 4.0, 5.0)])
+    assert wider == sorted(wider, reverse=True) and wider[0] > 0.99 and wider[-1] < 0.01
+    bends = shares("bend", [scope(flexion_deg=(deg, 60.0)) for deg in (160.0, 115.0, 100.0, 90.0, 70.0)])
+    assert bends == sorted(bends, reverse=True) and bends[0] > 0.9 and bends[-1] < 0.1
+    order = {"yes": 2, "perhaps": 1, "no": 0}
+    for entry_mm in (None, 200.0):
+        lengths = [
+            order[check(judge_scope(tree, plan, field, scope(length_mm=mm), entry_mm=entry_mm), "length").answer]
+            for mm in (600.0, 300.0, 250.0, 60.0)
+        ]
+        assert lengths == sorted(lengths, reverse=True) and (lengths[0], lengths[-1]) == (2, 0)
+
+
+def test_between_yes_and_no_lies_perhaps_as_wide_as_the_errors() -> None:
+    tree, field, points = tube(30.0, 80.0)
+    fits = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4)
+    coarse = judge_scope(tree, plan_in(points), field, fits, spacing_mm=2.0)
+    assert check(coarse, "diameter").answer == "perhaps" and check(coarse, "diameter").share == pytest.approx(0.5)
+    assert coarse.outcome == "may reach" and coarse.words.startswith("may reach: needs 4.0 mm; the narrowest place")
+
+
+def test_a_scope_that_fits_and_bends_reaches_and_points_at_what_lies_ahead() -> None:
+    tree, field, points = tube(60.0)
+    found = judge_scope(tree, plan_in(points), field, scope(), spacing_mm=0.6)
+    assert found.outcome == "reaches", found.words
+    assert found.words == "reaches the standing place and can point at the target" and found.would is None
+    assert found.reached_mm == pytest.approx(plan_in(points).routes[0].along_mm, abs=1.5)
+    assert check(found, "pointing").share > 0.8 and found.hold is not None
+    assert json.loads(json.dumps(found.to_json())) == found.to_json()
+
+
+def test_what_is_unknown_cannot_be_said() -> None:
+    tree, field, points = tube(60.0)
+    robot = dataclasses.replace(scope_preset("ion"), tip_mm=3.0)
+    found = judge_scope(tree, plan_in(points), field, robot, spacing_mm=0.6)
+    assert found.outcome == "cannot say" and "nothing is known" in found.words
+    assert found.hold is None and found.would.startswith("would reach, if ")
+
+
+def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
+    tree, field, points = tube(60.0)
+    found = judge_scope(tree, plan_in(points), field, scope(channel_mm=1.7), spacing_mm=0.6)
+    assert found.outcome == "does not reach"
+    assert found.words.endswith("Aspiration needle, 21 G is 1.8 mm thick; the channel has 1.7 mm")
+    assert found.would == "would reach, if a thinner tool were used"
+
+
+def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancelled() -> None:
+    chest: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1, "nodule": True}
+    airways = made_airways(**chest)
+    wall = wall_field(made_phantom(**chest).volume, airways)
+    plan = plan_route(
+        made_phantom(**chest).volume, airways, made_phantom(**chest).truth["nodule"]["center_lps"], wall=wall
+    )
+    told: list[float] = []
+    found = judge_scopes(airways.tree, plan, wall, spacing_mm=1.1, progress=told.append)
+    assert [one.scope for one in found] == list(scope_presets())
+    assert told == sorted(told) and told[-1] == 1.0
+    for one in found:
+        assert all(named.basis and named.words for named in one.checks)
+        assert (one.outcome == "reaches") == all(named.answer == "yes" for named in one.checks)
+    by_name = {one.scope.name: one for one in found}
+    assert by_name["ion"].outcome in {"cannot say", "does not reach"}
+    assert check(by_name["therapeutic"], "diameter").answer == "no"
+    with pytest.raises(CancelledError):
+        judge_scopes(airways.tree, plan, wall, cancel=lambda: True)
+
+
+def test_a_plan_without_a_route_and_a_bad_spacing_are_refused() -> None:
+    tree, field, points = tube(60.0)
+    plan = plan_in(points)
+    with pytest.raises(UsageError, match="the plan has no route to judge"):
+        judge_scope(tree, dataclasses.replace(plan, routes=()), field, scope())
+    with pytest.raises(UsageError, match="spacing_mm: expected above 0 up to 20; found 0"):
+        judge_scope(tree, plan, field, scope(), spacing_mm=0.0)
