@@ -146,7 +146,7 @@ def test_where_no_airway_is_near_the_plan_says_so_and_what_would_help() -> None:
     short = Tool("short", "A short needle", 1.8, 1.0, True, None, "k")
     found = plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, tool=short, wall=wall())
     assert found.routes == ()
-    assert found.why.startswith("no route: the nearest airway that was found is ")
+    assert found.why.startswith("no route: the nearest airway found is ")
     assert "A short needle reaches 1 mm" in found.why and "percutaneous" in found.why
 
 
@@ -181,7 +181,7 @@ def test_bad_input_is_refused_in_words() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
         plan_route(volume, airways, plan().nodule, tool="saw")
-    with pytest.raises(UsageError, match="Cytology brush does not go through a wall"):
+    with pytest.raises(UsageError, match="Cytology brush cannot pass through an airway wall"):
         plan_route(volume, airways, plan().nodule, tool="brush")
     with pytest.raises(UsageError, match="vessel_margin_mm: expected 0 to 50; found -1"):
         plan_route(volume, airways, plan().nodule, vessel_margin_mm=-1.0)
@@ -240,3 +240,38 @@ def test_a_vessel_in_the_way_is_named() -> None:
 
 def test_the_public_door_has_it() -> None:
     assert carina.plan_route is plan_route
+
+
+def test_what_was_not_examined_is_neither_lung_nor_vessel() -> None:
+    volume, field = tube()
+    nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
+    scene = NeedleScene(
+        nodule,
+        field,
+        surroundings(volume, np.array(nodule.centre_lps), 8.0, nodule, field),
+        tool("needle-21g"),
+        NeedleErrors(),
+    )
+    leg = last_leg(scene, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    assert [one.tissue for one in leg.crossed] == [
+        "lumen",
+        "airway wall",
+        "not examined",
+        "lung",
+        "target",
+        "lung",
+        "not examined",
+    ]
+
+
+def test_the_left_lower_lobe_moves_as_far_as_the_right() -> None:
+    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    place = airways.tree.named("LLL").points[-1]
+    assert plan_route(volume, airways, ellipsoid((3.0, 3.0, 3.0), place), wall=wall()).moved_mm == 20.0
+
+
+def test_a_tool_of_no_size_is_refused() -> None:
+    with pytest.raises(UsageError, match="reach_mm: expected above 0 up to 100; found inf"):
+        Tool("endless", "An endless needle", 1.8, float("inf"), True, None, "k")
+    with pytest.raises(UsageError, match="outer_mm: expected above 0 up to 10; found 0"):
+        Tool("thin", "No needle", 0.0, 10.0, True, None, "k")

@@ -153,16 +153,16 @@ def test_what_is_unknown_cannot_be_said() -> None:
     tree, field, points = tube(60.0)
     robot = dataclasses.replace(scope_preset("ion"), tip_mm=3.0)
     found = judge_scope(tree, plan_in(points), field, robot, spacing_mm=0.6)
-    assert found.outcome == "cannot say" and "nothing is known" in found.words
-    assert found.hold is None and found.would.startswith("would reach, if ")
+    assert found.outcome == "cannot say" and "is not known" in found.words
+    assert found.hold is None and found.would.startswith("would reach if ")
 
 
 def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
     tree, field, points = tube(60.0)
     found = judge_scope(tree, plan_in(points), field, scope(channel_mm=1.7), spacing_mm=0.6)
     assert found.outcome == "does not reach"
-    assert found.words.endswith("Aspiration needle, 21 G is 1.8 mm thick; the channel has 1.7 mm")
-    assert found.would == "would reach, if a thinner tool were used"
+    assert found.words.endswith("21 G has a diameter of 1.8 mm; the working channel has 1.7 mm")
+    assert found.would == "would reach if a thinner tool were used"
 
 
 def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancelled() -> None:

@@ -92,11 +92,12 @@ def lines(plan: Plan) -> list[str]:
 def _route_words(plan: Plan, route: PlannedRoute) -> str:
     leg = route.leg
     place = "" if route.from_carina_mm is None else f", {route.from_carina_mm:.0f} mm beyond the carina"
-    fits = "" if route.fits else f" (the {plan.scope.title} needs {plan.scope.fit_mm:.1f})"
-    vessel = "none seen" if leg.vessel_mm is None else f"{leg.vessel_mm:.1f} mm away"
+    fits = "" if route.fits else f" ({plan.scope.title} needs {plan.scope.fit_mm:.1f} mm)"
+    vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm away"
     moved = "" if leg.hit_share_moved is None else f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
     return (
-        f"{route.branch_name}{place}; narrowest {route.narrowest_mm:.1f} mm{fits}; needle {leg.to_target_mm:.1f} mm to "
-        f"the target at {leg.angle_deg:.0f} degrees, {leg.in_target_mm:.1f} mm in it; nearest vessel {vessel}; "
-        f"hits {100 * leg.hit_share:.0f} %{moved}; score {route.score:.2f}"
+        f"{route.branch_name}{place}; narrowest {route.narrowest_mm:.1f} mm{fits}; needle path "
+        f"{leg.to_target_mm:.1f} mm to the target at {leg.angle_deg:.0f} degrees to the airway, "
+        f"{leg.in_target_mm:.1f} mm within it; {vessel}; expected hits {100 * leg.hit_share:.0f} %{moved}; "
+        f"score {route.score:.2f}"
     )

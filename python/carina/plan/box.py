@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carina.volume import Volume
 
-__all__ = ["Box", "ball_distance", "beside", "component_at", "smoothed", "uphill"]
+__all__ = ["Box", "ball_distance", "beside", "component_at", "lung_median_hu", "smoothed", "uphill"]
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -92,6 +92,12 @@ def smoothed(values: Values, sigma_vox: float) -> Values:
             total += np.float32(weight) * wide.take(range(n, n + num), axis=axis)
         out = total
     return out
+
+
+def lung_median_hu(smooth: Values) -> float:
+    """What lung is like among smoothed values; the usual where there is hardly any."""
+    dark = smooth[(smooth < -600.0) & (smooth > -990.0)]
+    return float(np.median(dark)) if dark.size > 200 else -850.0
 
 
 def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.needle import NeedleErrors, hit_share
+from carina.plan.needle import NeedleErrors, axes_across, hit_share
 from carina.plan.nodule import Nodule
 from carina.plan.surroundings import WALL_MM, Surroundings
 from carina.plan.tools import Tool
@@ -19,7 +19,8 @@ from carina.scopes import WallField
 __all__ = ["Crossed", "LastLeg", "NeedleScene", "Tissue", "last_leg", "where_it_may_have_moved"]
 
 Points = NDArray[np.float64]
-Tissue = Literal["lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall"]
+Tissue = Literal["lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall", "not examined"]
+"""*Not examined*: beyond the CT, or too far from the target to have been looked at."""
 
 STEP_MM = 0.25
 LEAST_MM = 0.5
@@ -133,6 +134,8 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points) -> LastLeg:
     tissue = np.full(len(at), "lung", dtype=object)
     tissue[around.read(around.vessel, points)] = "vessel"
     tissue[around.read(around.thick, points)] = "mediastinum or chest wall"
+    examined = around.holds(points)
+    tissue[~examined] = "not examined"
     tissue[(to_wall > -WALL_MM) & (to_wall <= 0.0)] = "airway wall"
     tissue[to_wall > 0.0] = "lumen"
     tissue[in_target] = "target"
@@ -143,7 +146,7 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points) -> LastLeg:
     crossed = _stretches(tissue[: min(end, len(at))])
     entry = int(np.flatnonzero(~in_lumen)[0]) if (~in_lumen).any() else 0
     between = slice(entry, far + 1)
-    to_vessel = around.read(around.vessel_mm, points[between])
+    to_vessel = np.where(examined[between], around.read(around.vessel_mm, points[between]), np.inf)
     nearest = int(np.argmin(to_vessel)) if to_vessel.size else 0
     has_vessel = bool(to_vessel.size) and math.isfinite(float(to_vessel[nearest]))
     thick = np.flatnonzero(tissue[far:] == "mediastinum or chest wall")
@@ -196,10 +199,7 @@ def _length_in(nodule: Nodule, tip: Points, ways: Points, reach_mm: float) -> fl
 
 
 def _ring(along: Points, off_rad: float) -> Points:
-    helper = np.eye(3)[int(np.argmin(np.abs(along)))]
-    across = np.cross(along, helper)
-    across /= np.linalg.norm(across)
-    up = np.cross(along, across)
+    across, up = axes_across(along)
     turn = 2.0 * np.pi * np.arange(16) / 16
     side = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
     ring: Points = math.cos(off_rad) * along + math.sin(off_rad) * side

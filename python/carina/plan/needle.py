@@ -13,7 +13,7 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.nodule import Nodule
 
-__all__ = ["NeedleErrors", "fibonacci_sphere", "hit_share"]
+__all__ = ["NeedleErrors", "axes_across", "hit_share"]
 
 Points = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ def hit_share(
     sigma = math.hypot(math.radians(errors.angle_deg), errors.tip_mm / distance)
     if moved_mm <= 0.0:
         return _share(nodule, tip_lps[None], _cone(along, sigma, NUM_RINGS, NUM_ROUND), reach_mm)
-    ball = fibonacci_sphere(NUM_WAYS)
+    ball = _fibonacci_sphere(NUM_WAYS)
     # Shells of equal volume.
     radii = moved_mm * ((np.arange(NUM_SHELLS) + 0.5) / NUM_SHELLS) ** (1.0 / 3.0)
     shifts = (radii[:, None, None] * ball).reshape(-1, 3)
@@ -87,10 +87,7 @@ def hit_share(
 
 def _cone(along: Points, sigma_rad: float, num_rings: int, num_round: int) -> Points:
     """Directions of equal weight in a Gaussian cone, (n, 3)."""
-    helper = np.eye(3)[int(np.argmin(np.abs(along)))]
-    across = np.cross(along, helper)
-    across /= np.linalg.norm(across)
-    up = np.cross(along, across)
+    across, up = axes_across(along)
     share = (np.arange(num_rings) + 0.5) / num_rings
     # The two axes together: a Rayleigh distribution.
     off = np.minimum(sigma_rad * np.sqrt(-2.0 * np.log1p(-share)), 1.5)
@@ -109,8 +106,15 @@ def _share(nodule: Nodule, tips: Points, ways: Points, reach_mm: float) -> float
     return num / (len(tips) * len(ways))
 
 
+def axes_across(along: Points) -> tuple[Points, Points]:
+    """Two unit vectors across a direction and each other."""
+    across = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
+    across /= np.linalg.norm(across)
+    return across, np.cross(along, across)
+
+
 @cache
-def fibonacci_sphere(num: int) -> Points:
+def _fibonacci_sphere(num: int) -> Points:
     """Directions spread evenly over the sphere, (num, 3)."""
     n = np.arange(num)
     z = 1.0 - (2.0 * n + 1.0) / num

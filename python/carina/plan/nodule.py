@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carina.display import one_line
 from carina.errors import NoResultError, UsageError, check_type
-from carina.plan.box import Box, ball_distance, beside, component_at, smoothed, uphill
+from carina.plan.box import Box, ball_distance, beside, component_at, lung_median_hu, smoothed, uphill
 from carina.plan.chest_wall import SHALLOW_MM, cut_at_wall
 from carina.volume import Volume
 
@@ -233,7 +233,7 @@ class _Grown:
         self.blur = max(1.0, coarsest_mm / 1.5)
         self.smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
         very = smoothed(box.hu_zyx, SEED_SMOOTH_MM / box.step_mm)
-        self.lung_hu = self._lung_hu()
+        self.lung_hu = lung_median_hu(self.smooth)
         off = box.offsets_mm(point)
         near = off <= CLICK_MM
         # The nearest place that is dense: the densest may lie in the chest wall behind it.
@@ -252,10 +252,6 @@ class _Grown:
         glass = self._glass_hu()
         self._grow(level if glass is None else glass)
         self.is_glass = glass is not None or level <= SOLID_HU
-
-    def _lung_hu(self) -> float:
-        dark = self.smooth[(self.smooth < -600.0) & (self.smooth > -990.0)]
-        return float(np.median(dark)) if dark.size > 200 else -850.0
 
     def _grow(self, level: float) -> None:
         """The part round the seed that is denser than half-way to ``level``, without what enters it."""

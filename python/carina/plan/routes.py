@@ -23,7 +23,7 @@ from carina.plan.surroundings import surroundings
 from carina.plan.tools import DEFAULT_TOOL, Tool
 from carina.plan.tools import tool as tool_named
 from carina.scopes import ScopePreset, WallField, scope_preset
-from carina.track import Airways, AirwayTree, Branch, wall_field
+from carina.track import Airways, AirwayTree, Branch, branch_side_and_lobe, wall_field
 from carina.volume import Volume
 
 __all__ = ["PLANNED_SCOPE", "BronchusSign", "Plan", "PlannedRoute", "ScoreWeights", "plan_route"]
@@ -235,7 +235,7 @@ def plan_route(
     used = tool_named(tool) if isinstance(tool, str) else tool
     if not used.pierces:
         raise UsageError(
-            f"{used.title} does not go through a wall; choose a needle for a target outside the airways",
+            f"{used.title} cannot pass through an airway wall; choose a needle for a target outside the airways",
             code="plan.tool",
         )
     for name, value, most in (("vessel_margin_mm", vessel_margin_mm, 50.0), ("moved_mm", moved_mm or 0.0, 60.0)):
@@ -291,7 +291,8 @@ def _channel_note(scope: ScopePreset, tool: Tool) -> tuple[str, ...]:
     if scope.channel_mm is None or tool.passes(scope.channel_mm):
         return ()
     return (
-        f"{tool.title} ({tool.outer_mm:g} mm) does not pass the {scope.channel_mm:g} mm channel of the {scope.title}",
+        f"{tool.title} ({tool.outer_mm:g} mm) does not fit the working channel of {scope.title} "
+        f"({scope.channel_mm:g} mm)",
     )
 
 
@@ -414,8 +415,9 @@ class _Places:
     def moved_mm(self) -> float:
         """How far the nodule may have moved, by the lobe of the airway that is nearest."""
         branch, _, _ = self._tree.nearest_branch(self._nodule.centre_lps)
-        names = " ".join(one.name or "" for one in self._tree.lineage(branch.id))
-        return LOWER_LOBE_MM if "RLL" in names or "LLL" in names or not names.strip() else ELSEWHERE_MM
+        lobe = branch_side_and_lobe(self._tree)[branch.id]
+        # Where the lobe is not known, the larger of the two.
+        return LOWER_LOBE_MM if lobe in {"RLL", "LLL", None} else ELSEWHERE_MM
 
     def why_none(self, tool: Tool) -> str:
         """Why there is no route, and what would help."""
@@ -425,13 +427,13 @@ class _Places:
         nearest = _name(self._row[int(self.branch[int(np.argmin(self.distance))])])
         if gap > tool.reach_mm:
             return (
-                f"no route: the nearest airway that was found is {nearest}, {gap:.0f} mm from the nodule, and "
-                f"{tool.title} reaches {tool.reach_mm:.0f} mm. If the CT shows an airway nearer to it, draw it or find "
-                "the airways again from there; otherwise consider a longer needle or a percutaneous access"
+                f"no route: the nearest airway found is {nearest}, {gap:.0f} mm from the nodule; {tool.title} reaches "
+                f"{tool.reach_mm:.0f} mm. If the CT shows a closer airway, add it to the tree and plan again; "
+                "otherwise consider a longer needle or percutaneous access"
             )
         return (
-            f"no route: {nearest} passes {gap:.0f} mm from the nodule, but no place on it lets a needle leave forwards "
-            "to it; consider another access"
+            f"no route: {nearest} passes {gap:.0f} mm from the nodule, but a needle cannot be advanced forwards into "
+            "the nodule from any point along it; consider another access"
         )
 
     def _carina_mm(self, branch: Branch) -> float | None:

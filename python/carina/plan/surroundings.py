@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.plan.box import Box, ball_distance, smoothed
+from carina.plan.box import Box, ball_distance, lung_median_hu, smoothed
 from carina.plan.nodule import Nodule
 from carina.scopes import WallField
 from carina.volume import Volume
@@ -49,11 +49,19 @@ class Surroundings:
     thick_mm: NDArray[np.float32]
 
     def read(self, of: NDArray[Any], points_lps: NDArray[np.float64]) -> NDArray[Any]:
-        """Values of an array of the box at the nearest voxels, (n,)."""
-        ijk = np.rint((points_lps - self.box.lps_from_ijk[:3, 3]) / self.box.step_mm).astype(np.intp)
-        ijk = np.clip(ijk, 0, np.array(of.shape[::-1]) - 1)
-        found: NDArray[Any] = of[tuple(ijk.T[::-1])]
+        """Values of an array of the box at the nearest voxels, (n,); they mean nothing where it holds no point."""
+        found: NDArray[Any] = of[tuple(np.clip(self._ijk(points_lps), 0, np.array(of.shape[::-1]) - 1).T[::-1])]
         return found
+
+    def holds(self, points_lps: NDArray[np.float64]) -> Mask:
+        """Whether points lie in the box and in the CT, (n,)."""
+        ijk = self._ijk(points_lps)
+        inside = ((ijk >= 0) & (ijk < np.array(self.vessel.shape[::-1]))).all(axis=1)
+        found: Mask = inside & self.read(self.box.known, points_lps)
+        return found
+
+    def _ijk(self, points_lps: NDArray[np.float64]) -> NDArray[np.intp]:
+        return np.rint((points_lps - self.box.lps_from_ijk[:3, 3]) / self.box.step_mm).astype(np.intp)
 
     @property
     def vessels_ml(self) -> float:
@@ -67,8 +75,7 @@ def surroundings(
     """The tissue in a box of ``half_mm`` round a point, without the nodule and the airways' own walls."""
     box = Box.around(volume, centre_lps, half_mm)
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
-    dark = smooth[(smooth < -600.0) & (smooth > -990.0)]
-    lung_hu = float(np.median(dark)) if dark.size > 200 else -850.0
+    lung_hu = lung_median_hu(smooth)
     points = _centres(box)
     to_wall = wall.distance_mm(points).reshape(smooth.shape)
     dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)

@@ -6,6 +6,7 @@ the maker's data. Unknown is None, never a guess.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from carina.display import one_line
@@ -34,6 +35,11 @@ class Tool:
     rigid_mm: float | None
     """Longest part that does not bend."""
     basis: str
+
+    def __post_init__(self) -> None:
+        for what, value, most in (("outer_mm", self.outer_mm, 10.0), ("reach_mm", self.reach_mm, 100.0)):
+            if not (math.isfinite(value) and 0.0 < value <= most):
+                raise UsageError(f"{what}: expected above 0 up to {most:g}; found {value}", code="plan.tool")
 
     def passes(self, channel_mm: float) -> bool:
         """Whether it slides through a channel of this width."""

@@ -41,6 +41,8 @@ NEAR_MM = 1.5
 SMOOTH_MM = 4.0
 """Half the way over which a direction of the route is taken."""
 NUM_ROLLS, NUM_LEVERS = 12, 4
+POINTS, BARELY = 0.5, 0.1
+"""It can be pointed where this share of needles hits; below the second it cannot: a pass can be repeated."""
 MOST_AIMED = 8
 """Of the ways to hold it, those that point nearest to the target are tried with a needle."""
 SLIMMER_MM = 0.8
@@ -200,11 +202,8 @@ def judge_scope(
         laid = replace(scope, tip_mm=max(float(way.room_mm.min()) - SLIMMER_MM, 1.0), tube_mm=None)
     reached_mm, hold, pointing = _pointing(way, wall, laid, plan, errors=errors)
     if checks[0].answer == "perhaps" and pointing.answer == "yes":
-        pointing = replace(pointing, answer="perhaps", words=f"if it passes, it {pointing.words}")
+        pointing = replace(pointing, answer="perhaps", words=f"if it fits, it {pointing.words}")
     checks.append(pointing)
-    if checks[0].answer == "yes" and reached_mm < way.park_mm - NEAR_MM and pointing.answer == "no":
-        # Room for a ball is no room for a stiff tip.
-        checks[1] = _stuck(way, reached_mm, checks[1])
     answers = {check.answer for check in checks}
     outcome: Outcome = (
         "does not reach"
@@ -272,7 +271,7 @@ def _diameter(way: _Way, scope: ScopePreset, sigma_mm: float, *, errors: bool) -
     needs = scope.fit_mm if errors else max(scope.tip_mm, scope.tube_mm or 0.0)
     sigma = math.hypot(sigma_mm, EXCESS_SIGMA_MM) if errors else 0.0
     share = _passes(room - needs, sigma)
-    more = f" +- {1.645 * sigma:.1f}" if sigma > 0.0 else ""
+    more = f" \u00b1 {1.645 * sigma:.1f}" if sigma > 0.0 else ""
     words = f"needs {needs:.1f} mm; the narrowest place, {where:.0f} mm along the route, is {room:.1f}{more} mm wide"
     margin = f", and {FIT_MARGIN_MM:g} mm measured excess (s)" if errors else ""
     basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; lumen from the CT"
@@ -281,7 +280,7 @@ def _diameter(way: _Way, scope: ScopePreset, sigma_mm: float, *, errors: bool) -
 
 def _bend(way: _Way, scope: ScopePreset, *, errors: bool) -> Check:
     if scope.flexion_deg is None or scope.bending_mm is None:
-        words = "nothing is known of how far it bends"
+        words = "its flexion or bending section is not known"
         return Check("bend", "unknown", None, words, "flexion and bending section unknown")
     most = max(scope.flexion_deg)
     section = float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
@@ -292,7 +291,9 @@ def _bend(way: _Way, scope: ScopePreset, *, errors: bool) -> Check:
         if asked > worst:
             worst, where = asked, float(mm)
     share = _passes(most - worst, BEND_SIGMA_DEG if errors else 0.0)
-    words = f"the bend {where:.0f} mm along the route asks {worst:.0f} degrees; this scope has {most:.0f}"
+    words = (
+        f"the bend {where:.0f} mm along the route requires {worst:.0f} degrees of flexion; this scope has {most:.0f}"
+    )
     basis = f"flexion {most:g} degrees, bending section {np.mean(scope.bending_mm):g} mm ({_basis(scope)})"
     return Check("bend", _answer(share), share, words, basis)
 
@@ -300,27 +301,27 @@ def _bend(way: _Way, scope: ScopePreset, *, errors: bool) -> Check:
 def _length(way: _Way, scope: ScopePreset, entry_mm: float | None) -> Check:
     basis = f"working length ({_basis(scope)})"
     if scope.length_mm is None:
-        return Check("length", "unknown", None, "nothing is known of its length", basis)
+        return Check("length", "unknown", None, "its working length is not known", basis)
     spare = scope.length_mm - way.park_mm
     if entry_mm is None:
         words = (
-            f"{way.park_mm:.0f} mm from where the airway tree begins; its {scope.length_mm:.0f} mm leave "
-            f"{spare:.0f} mm from nose or mouth to there"
+            f"{way.park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
+            f"leaves {spare:.0f} mm from nose or mouth to that point"
         )
         # From the nose to the carina there are some 320 mm at most in adults (k).
         return Check(
             "length", "yes" if spare >= LONGEST_ENTRY_MM else "no" if spare < 0 else "perhaps", None, words, basis
         )
     left = spare - entry_mm
-    words = f"{way.park_mm + entry_mm:.0f} mm are needed; it has {scope.length_mm:.0f}"
+    words = f"needs a working length of {way.park_mm + entry_mm:.0f} mm; this scope has {scope.length_mm:.0f}"
     return Check("length", "yes" if left >= 0.0 else "no", None, words, basis)
 
 
 def _channel(scope: ScopePreset, tool: Tool) -> Check:
     basis = f"channel ({_basis(scope)}), {tool.title} ({tool.basis})"
     if scope.channel_mm is None:
-        return Check("channel", "unknown", None, "nothing is known of its working channel", basis)
-    words = f"{tool.title} is {tool.outer_mm:g} mm thick; the channel has {scope.channel_mm:g} mm"
+        return Check("channel", "unknown", None, "its working channel is not known", basis)
+    words = f"{tool.title} has a diameter of {tool.outer_mm:g} mm; the working channel has {scope.channel_mm:g} mm"
     return Check("channel", "yes" if tool.passes(scope.channel_mm) else "no", None, words, basis)
 
 
@@ -329,16 +330,16 @@ def _pointing(
 ) -> tuple[float, ScopeHold | None, Check]:
     basis = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
     if scope.flexion_deg is None or scope.bending_mm is None:
-        return 0.0, None, Check("pointing", "unknown", None, "nothing is known of how it bends", basis)
+        return 0.0, None, Check("pointing", "unknown", None, "its flexion or bending section is not known", basis)
     try:
         drive = ScopeDrive(wall, scope, way.points)
     except UsageError as error:
-        return 0.0, None, Check("pointing", "no", 0.0, f"it does not enter: {error}", basis)
+        return 0.0, None, Check("pointing", "no", 0.0, f"the scope does not enter the airway: {error}", basis)
     state = drive.place(way.points, way.park_mm)
     reached = float(state.insertion_mm)
     if reached < way.park_mm - NEAR_MM or np.linalg.norm(state.pose.position_lps - way.at(way.park_mm)) > 4.0 * NEAR_MM:
-        place = f"it stops {reached:.0f} of {way.park_mm:.0f} mm along the route"
-        why = f": the airway lets {state.passable_mm:.1f} mm pass" if state.passable_mm is not None else ""
+        place = f"stops at {reached:.0f} of {way.park_mm:.0f} mm along the route"
+        why = f": the airway admits {state.passable_mm:.1f} mm" if state.passable_mm is not None else ""
         return reached, None, Check("pointing", "no", 0.0, place + why, basis)
     needle = NeedleErrors() if errors else NeedleErrors(0.0, 0.0)
     held: list[tuple[float, ScopeHold, Points, Points]] = []
@@ -359,14 +360,9 @@ def _pointing(
     ]
     best = int(np.argmax(shares))
     share, (angle, hold, _, _) = shares[best], held[best]
-    words = f"points {math.degrees(angle):.0f} degrees off the target's middle; {100 * share:.0f} % of needles hit"
-    answer: Answer = "yes" if share >= 0.5 else "perhaps" if share >= 0.1 else "no"
+    words = f"points {math.degrees(angle):.0f} degrees from the target centre; {100 * share:.0f} % of needle passes hit"
+    answer: Answer = "yes" if share >= POINTS else "perhaps" if share >= BARELY else "no"
     return reached, hold, Check("pointing", answer, share, words, basis)
-
-
-def _stuck(way: _Way, reached_mm: float, bend: Check) -> Check:
-    words = f"it does not follow the route beyond {reached_mm:.0f} of {way.park_mm:.0f} mm; {bend.words}"
-    return Check("bend", "no", 0.0, words, bend.basis)
 
 
 def _would(checks: list[Check]) -> str | None:
@@ -374,13 +370,13 @@ def _would(checks: list[Check]) -> str | None:
     if not lacking:
         return None
     ways = {
-        "diameter": "the airway were wider, or the scope thinner",
-        "bend": "it bent farther, or the scope stood before that bend",
+        "diameter": "the airway were wider or the scope thinner",
+        "bend": "it could flex further, or stopped before that bend",
         "length": "it were longer",
         "channel": "a thinner tool were used",
-        "pointing": "it could be pointed from another place on the route",
+        "pointing": "it could be aimed from another position on the route",
     }
-    return "would reach, if " + ", and if ".join(ways[check.name] for check in lacking)
+    return "would reach if " + ", and if ".join(ways[check.name] for check in lacking)
 
 
 def _basis(scope: ScopePreset) -> str:

@@ -38,7 +38,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   },
   fork: {
     label: "Move fork",
-    short: "Fork",
+    short: "Move fork",
     words: "Move a fork: click near it, then where it belongs",
     hint: "Click near the fork to be moved, or click its branch in the list. The amber dot marks the fork.",
   },
