@@ -26,6 +26,7 @@ from carina.plan import (
     surroundings,
     tool,
 )
+from carina.plan.routes import standing_apart
 from carina.scopes import WallField
 from carina.track import Airways, wall_field
 from carina.volume import Volume
@@ -115,6 +116,19 @@ def test_routes_stand_apart_and_at_least_two_are_told() -> None:
     tips = [np.array(route.leg.tip_lps) for route in plan().routes]
     assert len(tips) >= 2
     assert min(np.linalg.norm(a - b) for n, a in enumerate(tips) for b in tips[:n]) > 4.0
+
+
+def test_of_two_routes_that_stand_together_the_better_is_told() -> None:
+    best, other = plan().routes[:2]
+    x, y, z = best.leg.tip_lps
+    beside = dataclasses.replace(
+        best, score=0.5 * best.score, leg=dataclasses.replace(best.leg, tip_lps=(x, y, z + 3.5))
+    )
+    apart = dataclasses.replace(
+        best, score=0.4 * best.score, leg=dataclasses.replace(best.leg, tip_lps=(x, y, z + 4.5))
+    )
+    assert standing_apart([best, beside, other]) == (best, other)
+    assert standing_apart([best, apart]) == (best, apart)
 
 
 def test_a_plan_is_plain_json_and_a_grown_nodule_plans_the_same() -> None:

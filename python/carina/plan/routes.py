@@ -269,7 +269,7 @@ def plan_route(
                 best[route.branch_id] = route
         kept = tuple(
             replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
-            for route in _apart(sorted(best.values(), key=lambda route: (-route.score, route.branch_id)))
+            for route in standing_apart(sorted(best.values(), key=lambda route: (-route.score, route.branch_id)))
         )
     say(1.0)
     return Plan(
@@ -489,7 +489,7 @@ def _name(branch: Branch) -> str:
     return branch.name or f"branch {branch.id}"
 
 
-def _apart(routes: list[PlannedRoute]) -> tuple[PlannedRoute, ...]:
+def standing_apart(routes: list[PlannedRoute]) -> tuple[PlannedRoute, ...]:
     """The best, without those that stand where a better one does."""
     kept: list[PlannedRoute] = []
     for route in routes:
