@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from carina.commands import KeyFrameFlying
 from carina.commands.look import Look
+from carina.commands.plan import PlanOptions
 from carina.commands.tree import PathCost
 from carina.display import one_line
 from carina.scopes import Pose
 
 if TYPE_CHECKING:
     from carina.case.routes import ChosenRoute
+    from carina.plan import Nodule
     from carina.render import TransferFunction
     from carina.track import Airways
 
-__all__ = ["ChosenKeyFrame", "Document", "KeyFrames", "Target"]
+__all__ = ["ChosenKeyFrame", "Document", "KeyFrames", "Lesion", "Target"]
 
 Point = tuple[float, float, float]
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesion:
+    """A target with a size, and how the way to it is planned."""
+
+    nodule: Nodule
+    options: PlanOptions = field(default_factory=PlanOptions)
 
 
 @one_line
@@ -44,6 +55,12 @@ class Target:
     """Length of that path outside the lumen; None where there is no lumen to compare with."""
     value_range: tuple[int, int] | None = None
     """Least and greatest value along that path, in the scan's own numbers."""
+    lesion: Lesion | None = None
+    """What is to be reached there; None for a place in the airways."""
+    note: str = ""
+    """What a person says about it."""
+    priority: int = 1
+    """1 comes first."""
 
 
 @one_line

@@ -22,6 +22,7 @@ from carina.commands.fields import (
     Words,
 )
 from carina.commands.look import Look
+from carina.commands.plan import TargetNote
 from carina.commands.tree import AskedPath
 from carina.render import ClusterState, Processor, Sight
 from carina.scopes import ScopeHold
@@ -177,6 +178,11 @@ class Target(AskedPath, frozen=True):
     """How much of that path lies outside the lumen; null where there is no lumen to compare with."""
     value_range: tuple[VoxelValue, VoxelValue] | None = None
     """Least and greatest value along that path, in the scan's own numbers."""
+    note: TargetNote = ""
+    priority: Annotated[int, Meta(ge=1, le=9)] = 1
+    """1 comes first."""
+    has_size: bool = False
+    """It lies outside the airways: ``plans`` has its boundary and the routes to it."""
 
 
 class MaskLabel(FrozenValue, frozen=True):
@@ -266,6 +272,15 @@ class History(ServerMessage, frozen=True):
     """How many of them hold; those after are taken back and can be done again. ``go_to_step`` changes it."""
 
 
+class NeedleLine(FrozenValue, frozen=True):
+    """The last leg of a planned route: straight from the scope's tip into the target."""
+
+    tip_lps: PointLps
+    aim_lps: PointLps
+    to_target_mm: float
+    """From the tip to the target's edge."""
+
+
 class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """The way that is flown; lists are parallel, root to tip."""
 
@@ -286,6 +301,8 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     spans: tuple[RouteSpan, ...]
     lumen_known: bool = True
     """False where there are no airways round it: the radii and walls are 0 and mean nothing."""
+    needle: NeedleLine | None = None
+    """How the way goes on through the wall; null where it ends in the airways."""
 
 
 class Route(ServerMessage, frozen=True):

@@ -46,7 +46,7 @@ Event = Changed | Trouble | NotEvident | Said | StartMarked | JobProgress | JobE
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
-ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "key_frames", "history", "pose", "views")
+ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "key_frames", "history", "pose", "views")
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +356,7 @@ class SessionCore:
                 redo_label=case.history.redo_label,
                 steps=case.history.steps,
                 position=case.history.position,
-                transfer_presets=case.scale.presets,
+                transfer_presets=case.info.scale.presets,
                 measures=case.measures.of(case.document.airways),
                 mask_question=None if case.asked_mask is None else case.asked_mask.question,
                 saving=(saving := self.saving()),

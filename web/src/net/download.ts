@@ -15,6 +15,15 @@ export function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ nam
   return fetchFile(`airways${suffix}`, signal);
 }
 
+/** The plan of a target as a report with this suffix (".html"). */
+export function fetchPlan(
+  targetId: string,
+  suffix: string,
+  signal: AbortSignal,
+): Promise<{ name: string; blob: Blob }> {
+  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/");
+}
+
 /** The key frames with their ways, as `carina fly` takes them. */
 export function fetchKeyFrames(signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(KEYS_FILE, signal);

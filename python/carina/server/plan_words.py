@@ -1,0 +1,106 @@
+"""The plans of a case, as a wire message."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carina.plan import tools
+from carina.server import messages as wire
+from carina.session import PlannedTarget, PlanningInfo, chosen_number, nodule_surface
+
+if TYPE_CHECKING:
+    from carina.plan import Nodule, PlannedRoute, Verdict
+
+__all__ = ["plans_message"]
+
+
+def plans_message(info: PlanningInfo) -> wire.Plans:
+    """What the steps *Target* and *Route* show."""
+    return wire.Plans(
+        targets=tuple(_target(one, info) for one in info.targets),
+        standing=info.standing,
+        verdicts=tuple(_verdict(verdict) for verdict in info.verdicts),
+        verdicts_standing=info.verdicts_standing,
+        tools=tuple(wire.PlanTool(one.name, one.title) for one in tools()),
+    )
+
+
+def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
+    lesion = one.target.lesion
+    assert lesion is not None
+    planned = one.planned
+    plan = None if planned is None else planned.plan
+    route = info.document.route
+    mine = route is not None and route.target_id == one.target.target_id
+    return wire.TargetPlan(
+        target_id=one.target.target_id,
+        size=_size(lesion.nodule),
+        surface=_surface(lesion.nodule),
+        options=lesion.options,
+        moved_mm=None if plan is None else plan.moved_mm,
+        bronchus_sign=None if plan is None else plan.bronchus_sign,
+        routes=() if plan is None else tuple(_route(route) for route in plan.routes),
+        problem=None if planned is None else planned.problem,
+        notes=() if plan is None else plan.notes,
+        chosen=None if plan is None or not mine else chosen_number(info.document, plan),
+    )
+
+
+def _size(nodule: Nodule) -> wire.TargetSize:
+    return wire.TargetSize(
+        centre_lps=_point(nodule.centre_lps),
+        kind=nodule.kind,
+        volume_mm3=float(nodule.volume_mm3),
+        volume_error_mm3=float(nodule.volume_error_mm3),
+        long_mm=float(nodule.long_mm),
+        short_mm=float(nodule.short_mm),
+        diameter_error_mm=float(nodule.diameter_error_mm),
+        touches=tuple(nodule.touches),
+    )
+
+
+def _surface(nodule: Nodule) -> wire.TargetSurface:
+    mesh = nodule_surface(nodule)
+    vertices = tuple(_point(p) for p in np.round(mesh.vertices_lps, 2))
+    return wire.TargetSurface(vertices, tuple(int(n) for n in mesh.triangles.ravel()))
+
+
+def _route(route: PlannedRoute) -> wire.RouteOffer:
+    leg = route.leg
+    return wire.RouteOffer(
+        branch_id=route.branch_id,
+        branch_name=route.branch_name,
+        from_carina_mm=route.from_carina_mm,
+        narrowest_mm=route.narrowest_mm,
+        fits=route.fits,
+        tip_lps=_point(leg.tip_lps),
+        aim_lps=_point(leg.aim_lps),
+        to_target_mm=leg.to_target_mm,
+        angle_deg=leg.angle_deg,
+        in_target_mm=leg.in_target_mm,
+        vessel_mm=leg.vessel_mm,
+        hit_share=leg.hit_share,
+        hit_share_moved=leg.hit_share_moved,
+        crossed=tuple(wire.NeedleTissue(one.tissue, one.start_mm, one.end_mm) for one in leg.crossed),
+        score=route.score,
+        doubts=tuple(route.doubts),
+    )
+
+
+def _verdict(verdict: Verdict) -> wire.ScopeVerdict:
+    return wire.ScopeVerdict(
+        scope=verdict.scope.name,
+        title=verdict.scope.title,
+        outcome=verdict.outcome,
+        words=verdict.words,
+        share=verdict.share,
+        would=verdict.would,
+        checks=tuple(wire.ScopeCheck(c.name, c.answer, c.words, c.basis) for c in verdict.checks),
+    )
+
+
+def _point(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
