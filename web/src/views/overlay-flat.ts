@@ -73,7 +73,8 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     const near = inPlane(seen.depthMm);
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
-    targetMark(ink, at, colour, near ? 1 : 0.35);
+    // What has a size is drawn as what it is, where it is cut.
+    if (!target.hasSize || !near || seesThrough) targetMark(ink, at, colour, near ? 1 : 0.35);
     if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
   }
   paintWallMarks(ink, viewport, geometry, scene, inPlane);

@@ -13,6 +13,8 @@ const DASH: readonly number[] = [6, 3];
 /** A silhouette behind a wall is seen through it, so faint that the wall is what is looked at. */
 const BEHIND_ALPHA = 0.22;
 const PARTS = 24;
+/** So far before the parking position the needle's line begins to be shown in the airway view. */
+const NEEDLE_FROM_MM = 25;
 
 /** In a slice its outline; where a picture sees through the body, its silhouette. */
 export function paintLesionsFlat(
@@ -30,6 +32,14 @@ export function paintLesionsFlat(
   paintNeedle(ink, viewport, geometry, scene, inPlane);
 }
 
+/** In pictures from outside: silhouettes, and the needle's line. */
+export function paintLesionsOutside(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
+  for (const lesion of scene.lesions) {
+    paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? 0.45 : 0.25);
+  }
+  paintNeedle(ink, viewport, geometry, scene, () => true);
+}
+
 /** Through the airway's wall: where the target lies, and how far from the lens. */
 export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene, mostMm: number): void {
   if (geometry.kind !== "seen") return;
@@ -42,7 +52,10 @@ export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometr
     const at = viewport.screenAt(seen);
     label(ink, `${lesion.name}, ${awayMm.toFixed(0)} mm`, at, { size: 11, colour: INK.lesion });
   }
-  paintNeedle(ink, viewport, geometry, scene, (depthMm) => depthMm < mostMm);
+  const toGoMm = scene.needle?.toGoMm ?? null;
+  // Farther away a wall lies between.
+  if (toGoMm === null || toGoMm <= NEEDLE_FROM_MM)
+    paintNeedle(ink, viewport, geometry, scene, (depthMm) => depthMm < mostMm);
 }
 
 function paintSection(ink: Ink, viewport: Viewport, geometry: FlatGeometry, lesion: SceneLesion): void {

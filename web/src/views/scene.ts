@@ -24,6 +24,7 @@ export interface SceneTarget {
   name: string;
   reachable: boolean;
   chosen: boolean;
+  hasSize: boolean;
 }
 
 /** A target with a size. */
@@ -50,8 +51,8 @@ export interface Scene {
   pathMm: number | null;
   targets: readonly SceneTarget[];
   lesions: readonly SceneLesion[];
-  /** The last leg of the route: from the scope's tip into the target. */
-  needle: { tip: Vec3; aim: Vec3 } | null;
+  /** The last leg of the route, from the scope's tip into the target, and how far the tip has still to go there. */
+  needle: { tip: Vec3; aim: Vec3; toGoMm: number | null } | null;
   root: Vec3 | null;
   /** Where a path begins that is searched through any scan, while such paths are chosen. */
   start: Vec3 | null;
@@ -119,7 +120,13 @@ function lesionsOf(state: AppState): SceneLesion[] {
 
 function needleOf(state: AppState): Scene["needle"] {
   const needle = state.route?.needle ?? null;
-  return needle === null ? null : { tip: asVec3(needle.tip_lps), aim: asVec3(needle.aim_lps) };
+  if (needle === null || state.route === null) return null;
+  const at = pathMm(state);
+  return {
+    tip: asVec3(needle.tip_lps),
+    aim: asVec3(needle.aim_lps),
+    toGoMm: at === null ? null : state.route.length_mm - at,
+  };
 }
 
 let partsOf: BranchTree | null = null;
@@ -328,6 +335,7 @@ function madeOf(state: AppState): Scene {
         name: target.name,
         reachable: target.problem === null,
         chosen: target.target_id === state.route?.target_id,
+        hasSize: target.has_size,
       })) ?? [],
     lesions: lesionsOf(state),
     needle: needleOf(state),

@@ -37,6 +37,12 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           .
         </p>
       )}
+      {chosen === null || plans === null ? null : (
+        <>
+          <Verdicts plans={plans} planned={plan.options.scope} />
+          <Print target={target} />
+        </>
+      )}
       <Options target={target} plan={plan} />
       {plan.notes.map((note) => (
         <p key={note} className="quiet">
@@ -48,12 +54,6 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           The CT was taken at inspiration: in the procedure the target may lie up to {plan.moved_mm.toFixed(0)}
           {"\u202f"}mm off.
         </p>
-      )}
-      {chosen === null || plans === null ? null : (
-        <>
-          <Print target={target} />
-          <Verdicts plans={plans} planned={plan.options.scope} />
-        </>
       )}
     </div>
   );
@@ -216,7 +216,7 @@ function Verdicts({ plans, planned }: { plans: PlansMessage; planned: string }) 
           {plans.verdicts_standing === "making" ? "Simulating the drive\u2026" : "No verdict yet."}
         </p>
       ) : (
-        <VerdictRow verdict={own} open />
+        <VerdictRow verdict={own} />
       )}
       {others.length === 0 ? null : (
         <>
@@ -244,9 +244,9 @@ const MARKS: Readonly<Record<string, string>> = {
   "cannot say": "\u2013",
 };
 
-function VerdictRow({ verdict, open = false }: { verdict: ScopeVerdict; open?: boolean }) {
+function VerdictRow({ verdict }: { verdict: ScopeVerdict }) {
   return (
-    <details className={`verdict ${verdict.outcome.replaceAll(" ", "-")}`} open={open} data-testid="verdict">
+    <details className={`verdict ${verdict.outcome.replaceAll(" ", "-")}`} data-testid="verdict">
       <summary>
         <span className="mark" aria-hidden="true">
           {MARKS[verdict.outcome] ?? "?"}

@@ -58,7 +58,7 @@ export function RouteStep() {
                 <dd className="numbers">{generation} (trachea is 0)</dd>
               </div>
             )}
-            {narrow === null ? null : (
+            {narrow === null || planned !== null ? null : (
               <div>
                 <dt>Narrowest</dt>
                 <dd className="numbers">
