@@ -5,8 +5,10 @@ from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.target import PlanTarget, TargetSource, proposed_aims
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
+from carina.plan.whereabouts import Whereabouts
 
 __all__ = [
     "DEFAULT_TOOL",
@@ -19,17 +21,21 @@ __all__ = [
     "NoduleKind",
     "Outcome",
     "Plan",
+    "PlanTarget",
     "PlannedRoute",
     "ScoreWeights",
     "Surroundings",
+    "TargetSource",
     "Tool",
     "Verdict",
+    "Whereabouts",
     "grow_nodule",
     "hit_share",
     "judge_scope",
     "judge_scopes",
     "last_leg",
     "plan_route",
+    "proposed_aims",
     "surroundings",
     "tool",
     "tools",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carina.volume import Volume
 
-__all__ = ["Box", "ball_distance", "beside", "component_at", "lung_median_hu", "smoothed", "uphill"]
+__all__ = ["Box", "ball_distance", "beside", "component_at", "lung_median_hu", "smoothed", "surface", "uphill"]
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -134,6 +134,16 @@ def beside(mask: Mask) -> Mask:
         for shift in (-1, 1):
             found |= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
     return found
+
+
+def surface(mask: Mask) -> Mask:
+    """Voxels with a face to the outside."""
+    padded = np.pad(mask, 1)
+    deep = mask.copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            deep &= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
+    return mask & ~deep
 
 
 def uphill(values: Values, at: tuple[int, ...]) -> tuple[int, ...]:
