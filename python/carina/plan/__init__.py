@@ -6,6 +6,9 @@ from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
+from carina.plan.target_edits import brushed, resized, sphere
+from carina.plan.target_files import target_from_file
+from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 from carina.plan.whereabouts import Whereabouts
@@ -29,14 +32,20 @@ __all__ = [
     "Tool",
     "Verdict",
     "Whereabouts",
+    "brushed",
     "grow_nodule",
     "hit_share",
     "judge_scope",
     "judge_scopes",
     "last_leg",
+    "nodule_from_mask",
     "plan_route",
     "proposed_aims",
+    "resized",
+    "sphere",
     "surroundings",
+    "target_from_file",
+    "target_from_mask",
     "tool",
     "tools",
 ]
