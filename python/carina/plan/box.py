@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 
 from carina.volume import Volume
 
-__all__ = ["Box", "ball_distance", "beside", "component_at", "lung_median_hu", "smoothed", "uphill"]
+__all__ = [
+    "Box",
+    "ball_distance",
+    "beside",
+    "box_step_mm",
+    "component_at",
+    "lung_median_hu",
+    "smoothed",
+    "surface",
+    "trilinear",
+    "uphill",
+]
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -35,21 +46,27 @@ class Box:
         Its voxels are as fine as the CT's finest spacing, 0.5 to 1 mm: where slices are thicker nothing is gained by
         finer ones, and nothing lost by coarser ones.
         """
-        step = float(np.clip(min(volume.spacing_mm), LEAST_STEP_MM, MOST_STEP_MM))
+        step = box_step_mm(volume)
         half = int(np.ceil(half_mm / step))
         num = 2 * half + 1
         matrix = np.diag([step, step, step, 1.0])
         matrix[:3, 3] = centre_lps - half * step
-        to_ijk = volume.ijk_from_lps @ matrix
-        values = np.empty((num, num, num), dtype=np.float32)
+        return cls.at(volume, matrix, (num, num, num))
+
+    @classmethod
+    def at(cls, volume: Volume, lps_from_ijk: NDArray[np.float64], shape_zyx: tuple[int, ...]) -> Box:
+        """The same for a box whose place is given; cubic voxels."""
+        nz, ny, nx = shape_zyx
+        to_ijk = volume.ijk_from_lps @ lps_from_ijk
+        values = np.empty((nz, ny, nx), dtype=np.float32)
         known = np.empty(values.shape, dtype=bool)
-        y, x = np.mgrid[0:num, 0:num].reshape(2, -1)
+        y, x = np.mgrid[0:ny, 0:nx].reshape(2, -1)
         top = np.array(volume.shape_zyx[::-1]) - 1
-        for z in range(num):
+        for z in range(nz):
             ijk = to_ijk[:3, 0, None] * x + to_ijk[:3, 1, None] * y + (to_ijk[:3, 2] * z + to_ijk[:3, 3])[:, None]
-            known[z] = ((ijk >= -0.5) & (ijk <= (top + 0.5)[:, None])).all(axis=0).reshape(num, num)
-            values[z] = _trilinear(volume.hu_zyx, np.clip(ijk, 0.0, top[:, None])).reshape(num, num)
-        return cls(values, known, step, matrix)
+            known[z] = ((ijk >= -0.5) & (ijk <= (top + 0.5)[:, None])).all(axis=0).reshape(ny, nx)
+            values[z] = trilinear(volume.hu_zyx, np.clip(ijk, 0.0, top[:, None])).reshape(ny, nx)
+        return cls(values, known, float(np.linalg.norm(lps_from_ijk[:3, 0])), lps_from_ijk)
 
     def steps_from(self, at: tuple[int, ...]) -> NDArray[np.float64]:
         """Distances of all voxels from one, in voxels."""
@@ -65,7 +82,21 @@ class Box:
         return self.step_mm * off
 
 
-def _trilinear(hu_zyx: NDArray[np.int16], ijk: NDArray[np.float64]) -> NDArray[np.float64]:
+def box_step_mm(volume: Volume) -> float:
+    """The cubic voxels of boxes in a CT."""
+    return float(np.clip(min(volume.spacing_mm), LEAST_STEP_MM, MOST_STEP_MM))
+
+
+def trilinear(hu_zyx: NDArray[Any], ijk: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values of an array between its voxels.
+
+    Parameters
+    ----------
+    hu_zyx
+        (nz, ny, nx)
+    ijk
+        (3, n), within the outer voxels' centres.
+    """
     low = np.minimum(ijk.astype(np.intp), (np.array(hu_zyx.shape[::-1]) - 2).clip(0)[:, None])
     part = ijk - low
     high = np.minimum(low + 1, (np.array(hu_zyx.shape[::-1]) - 1)[:, None])
@@ -134,6 +165,16 @@ def beside(mask: Mask) -> Mask:
         for shift in (-1, 1):
             found |= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
     return found
+
+
+def surface(mask: Mask) -> Mask:
+    """Voxels with a face to the outside."""
+    padded = np.pad(mask, 1)
+    deep = mask.copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            deep &= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
+    return mask & ~deep
 
 
 def uphill(values: Values, at: tuple[int, ...]) -> tuple[int, ...]:
