@@ -139,16 +139,15 @@ def _as_kept(case: PlanCase) -> PlanCase:
     return replace(case, airways=replace(found, tree=tree, **bare))
 
 
-def phantom_case(seed: int, *, num: int, spacing_mm: float = 0.9, generations: int = 6, **options: Any) -> PlanCase:
-    """A generated chest with nodules in its lungs; options as for `carina.phantom.generate_phantom`."""
-    made = generate_phantom(seed=seed, spacing_mm=spacing_mm, generations=generations, noise_hu=25.0, **options)
+def phantom_case(seed: int, *, num: int, spacing_mm: float = 1.1, generations: int = 6) -> PlanCase:
+    """A generated chest with nodules in its lungs; those of even seeds have a stenosis of a main airway too."""
+    made = generate_phantom(
+        seed=seed, spacing_mm=spacing_mm, generations=generations, noise_hu=25.0, stenosis=seed % 2 == 0
+    )
     truth = _phantom_truth(made.truth)
     rng = np.random.default_rng((seed, 11))
     targets = _places(made.volume, truth, num, rng)
     volume = _with_nodules(made.volume, made.lumen_zyx != 0, targets, rng)
-    own = made.truth["nodule"]
-    if own is not None:
-        targets = (Target(tuple(own["center_lps"]), float(own["radius_mm"])), *targets)
     return PlanCase(f"phantom-{seed}", volume, truth, targets)
 
 
