@@ -3,9 +3,11 @@
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
+from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 
 __all__ = [
@@ -17,20 +19,25 @@ __all__ = [
     "NeedleScene",
     "Nodule",
     "NoduleKind",
+    "OtherWay",
     "Outcome",
     "Plan",
     "PlannedRoute",
     "ScoreWeights",
     "Surroundings",
     "Tool",
+    "Turn",
+    "TurnList",
     "Verdict",
     "grow_nodule",
     "hit_share",
     "judge_scope",
     "judge_scopes",
     "last_leg",
+    "main_carina_ridge_mm",
     "plan_route",
     "surroundings",
     "tool",
     "tools",
+    "turn_list",
 ]

@@ -383,7 +383,7 @@ class _Places:
         carina_mm = self._carina_mm(branch)
         return PlannedRoute(
             branch_id=branch.id,
-            branch_name=_name(branch),
+            branch_name=branch_title(branch),
             along_mm=float(self.along_mm[n]),
             from_carina_mm=None if carina_mm is None else float(self.along_mm[n]) - carina_mm,
             forward=(float(self.forward[n][0]), float(self.forward[n][1]), float(self.forward[n][2])),
@@ -408,7 +408,7 @@ class _Places:
             if which.any():
                 n = int(near[which][np.argmin(gap[which])])
                 place = self.points[n]
-                name = _name(self._row[int(self.branch[n])])
+                name = branch_title(self._row[int(self.branch[n])])
                 return sign, name, (float(place[0]), float(place[1]), float(place[2]))  # type: ignore[return-value]
         return "none", None, None
 
@@ -424,7 +424,7 @@ class _Places:
         if not len(self.points):
             return "no route: the airway tree has no branches; find the airways first"
         gap = self._nodule.distance_mm(self.points[[int(np.argmin(self.distance))]])[0]
-        nearest = _name(self._row[int(self.branch[int(np.argmin(self.distance))])])
+        nearest = branch_title(self._row[int(self.branch[int(np.argmin(self.distance))])])
         if gap > tool.reach_mm:
             return (
                 f"no route: the nearest airway found is {nearest}, {gap:.0f} mm from the nodule; {tool.title} reaches "
@@ -448,15 +448,19 @@ class _Places:
         return None
 
     def _doubts(self, branch: Branch) -> tuple[str, ...]:
-        found = []
-        for one in self._tree.lineage(branch.id):
-            if one.kind == "bridge":
-                found.append(f"{_name(one)} is a bridge across an obstruction: the CT shows no airway there")
-            elif one.kind == "manual":
-                found.append(f"{_name(one)} was drawn by hand")
-            elif one.confidence is not None and one.confidence < DOUBTFUL:
-                found.append(f"{_name(one)} is doubtful: {100 * one.confidence:.0f} % confidence that it is an airway")
-        return tuple(found)
+        return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
+
+
+def branch_doubts(branch: Branch) -> tuple[str, ...]:
+    """What must be said of a branch wherever a route over it is shown."""
+    if branch.kind == "bridge":
+        return (f"{branch_title(branch)} is a bridge across an obstruction: the CT shows no airway there",)
+    if branch.kind == "manual":
+        return (f"{branch_title(branch)} was drawn by hand",)
+    if branch.confidence is not None and branch.confidence < DOUBTFUL:
+        sure = f"{100 * branch.confidence:.0f} % confidence that it is an airway"
+        return (f"{branch_title(branch)} is doubtful: {sure}",)
+    return ()
 
 
 def _on_the_way(tree: AirwayTree) -> tuple[dict[int, Points], dict[int, Points]]:
@@ -485,7 +489,7 @@ def _tangents(points: Points) -> Points:
     return found
 
 
-def _name(branch: Branch) -> str:
+def branch_title(branch: Branch) -> str:
     return branch.name or f"branch {branch.id}"
 
 
