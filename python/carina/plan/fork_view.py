@@ -79,7 +79,8 @@ def stand_mm(branch: Branch) -> float:
     As `carina.case.routes.lookouts_mm`; never so near that there is no line of sight.
     """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-    first_half = along <= 0.5 * along[-1]
+    # A point in the very middle counts, whichever way its place was rounded.
+    first_half = along <= 0.5 * along[-1] + 1e-9
     diameter = 2.0 * float(np.median(branch.radius[first_half]))
     return max(min(diameter, 0.5 * float(along[-1])), LEAST_STAND_MM)
 

@@ -121,12 +121,12 @@ def turn_list(
                 clock_head=taken.hours,
                 clock_facing=turned_hours(taken.hours),
                 angle_deg=_angle_deg(fork - eye, taken.place_lps - fork) if measured is None else measured,
-                diameter_mm=_enters_mm(last.daughter),
+                diameter_mm=_enters_mm(last.mother, last.daughter),
                 moves=doing,
                 doubts=tuple(words for one in group for words in branch_doubts(one.daughter)),
                 straight_ahead=taken.straight_ahead,
                 sides=() if taken.straight_ahead else _sides(fork - eye, taken.place_lps - fork),
-                others=_clockwise(taken, seen[1:]),
+                others=_clockwise(taken, seen[1:], by_id),
                 through=tuple(branch_title(one.daughter) for one in group[:-1]),
                 at_main_carina=axes_mm is not None and any(abs(one.at_mm - axes_mm) < SAME_PLACE_MM for one in group),
                 opening_lps=_point(taken.place_lps),
@@ -206,9 +206,11 @@ def _eye(way: Points, fork: _Fork, branches: Sequence[Branch]) -> Points:
     return found
 
 
-def _enters_mm(branch: Branch) -> float:
-    """Diameter of the largest ball that gets as far as the opening is looked for."""
-    return 2.0 * float(branch.wall_distance[: opening_index(branch) + 1].min())
+def _enters_mm(mother: Branch, branch: Branch) -> float:
+    """Diameter of the largest ball that gets a diameter into a branch, past the lumen of the one before."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
+    reach = float(np.median(mother.radius)) + 2.0 * float(np.median(branch.radius))
+    return 2.0 * float(branch.wall_distance[along <= reach].min())
 
 
 def _sides(forward: Points, into: Points) -> tuple[str, ...]:
@@ -220,14 +222,14 @@ def _sides(forward: Points, into: Points) -> tuple[str, ...]:
     return tuple(SIDES[letter] for letter in letters_of(across))
 
 
-def _clockwise(taken: Opening, others: Sequence[Opening]) -> tuple[OtherWay, ...]:
+def _clockwise(taken: Opening, others: Sequence[Opening], by_id: dict[int, Branch]) -> tuple[OtherWay, ...]:
     ordered = sorted(others, key=lambda one: ((one.hours - taken.hours) % 12.0, one.branch.id))
     return tuple(
         OtherWay(
             branch_title(one.branch),
             one.branch.id,
             None if one.straight_ahead else whole_hour(one.hours),
-            _enters_mm(one.branch),
+            _enters_mm(by_id[one.branch.parent], one.branch),
         )
         for one in ordered
     )

@@ -198,14 +198,16 @@ class TurnList:
 
     def words(self, operator: Operator) -> tuple[str, ...]:
         """The list as lines: each turn, then where to stop."""
-        lines = [
-            turn.words(operator, depth_mm=self.depth_mm(turn.from_carina_mm), first=n == 0)
-            for n, turn in enumerate(self.turns)
-        ]
+        lines = []
+        for n, turn in enumerate(self.turns):
+            # At the carina the scope shows what was set for it, whatever counts as zero.
+            depth = self.carina_depth_mm if turn.at_main_carina else self.depth_mm(turn.from_carina_mm)
+            lines.append(turn.words(operator, depth_mm=depth, first=n == 0))
         where = place_words(
             self.park_from_carina_mm, self.park_from_fork_mm, self.depth_mm(self.park_from_carina_mm), not self.turns
         )
-        beyond = f" ({self.park_from_fork_mm:.0f} mm past the last fork)" if self.turns else ""
+        counted = self.turns and self.park_from_carina_mm is not None
+        beyond = f", {self.park_from_fork_mm:.0f} mm past the last fork" if counted else ""
         doing = moves_words(self.park_moves or ())
         return (*lines, f"{where}{beyond}, stop" + (f": {doing}" if doing else ""))
 
