@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 import os
@@ -98,7 +99,7 @@ def test_millimetres_add_up_to_the_place_where_the_scope_stands(seed: int) -> No
         way = np.concatenate([branch.points for branch in tree.lineage(tip.id)])
         last = np.array(found.turns[-1].fork_lps)
         index = int(np.argmin(np.linalg.norm(way - last, axis=1)))
-        length = sum(math.dist(a, b) for a, b in zip(way[:index], way[1 : index + 1], strict=True))
+        length = sum(math.dist(a, b) for a, b in itertools.pairwise(way[: index + 1]))
         assert sum(turn.from_fork_mm for turn in found.turns) == pytest.approx(length, abs=1e-6)
 
 

@@ -126,7 +126,7 @@ def turn_list(
                 doubts=tuple(words for one in group for words in branch_doubts(one.daughter)),
                 straight_ahead=taken.straight_ahead,
                 sides=() if taken.straight_ahead else _sides(fork - eye, taken.place_lps - fork),
-                others=_clockwise(taken, seen[1:], by_id),
+                others=_clockwise(taken, seen[1:], {i: one.mother for one in group for i in one.mother.children}),
                 through=tuple(branch_title(one.daughter) for one in group[:-1]),
                 at_main_carina=axes_mm is not None and any(abs(one.at_mm - axes_mm) < SAME_PLACE_MM for one in group),
                 opening_lps=_point(taken.place_lps),
@@ -222,14 +222,14 @@ def _sides(forward: Points, into: Points) -> tuple[str, ...]:
     return tuple(SIDES[letter] for letter in letters_of(across))
 
 
-def _clockwise(taken: Opening, others: Sequence[Opening], by_id: dict[int, Branch]) -> tuple[OtherWay, ...]:
+def _clockwise(taken: Opening, others: Sequence[Opening], mothers: dict[int, Branch]) -> tuple[OtherWay, ...]:
     ordered = sorted(others, key=lambda one: ((one.hours - taken.hours) % 12.0, one.branch.id))
     return tuple(
         OtherWay(
             branch_title(one.branch),
             one.branch.id,
             None if one.straight_ahead else whole_hour(one.hours),
-            _enters_mm(by_id[one.branch.parent], one.branch),
+            _enters_mm(mothers[one.branch.id], one.branch),
         )
         for one in ordered
     )
