@@ -3,6 +3,7 @@
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
+from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
@@ -10,6 +11,7 @@ from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.target_files import target_from_file
 from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 from carina.plan.whereabouts import Whereabouts
 
@@ -22,6 +24,7 @@ __all__ = [
     "NeedleScene",
     "Nodule",
     "NoduleKind",
+    "OtherWay",
     "Outcome",
     "Plan",
     "PlanTarget",
@@ -30,6 +33,8 @@ __all__ = [
     "Surroundings",
     "TargetSource",
     "Tool",
+    "Turn",
+    "TurnList",
     "Verdict",
     "Whereabouts",
     "brushed",
@@ -39,6 +44,7 @@ __all__ = [
     "judge_scopes",
     "last_leg",
     "nodule_from_mask",
+    "main_carina_ridge_mm",
     "plan_route",
     "proposed_aims",
     "resized",
@@ -48,4 +54,5 @@ __all__ = [
     "target_from_mask",
     "tool",
     "tools",
+    "turn_list",
 ]

@@ -14,7 +14,7 @@ from carina.plan.score import Demands, Worst
 from carina.plan.tools import Tool
 from carina.track import AirwayTree, Branch, branch_side_and_lobe
 
-__all__ = ["BronchusSign", "NearestPlace", "Places", "branch_title"]
+__all__ = ["BronchusSign", "NearestPlace", "Places", "branch_doubts", "branch_title"]
 
 Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
@@ -182,16 +182,19 @@ class Places:
         return None
 
     def _doubts_of(self, branch: Branch) -> tuple[str, ...]:
-        found = []
-        for one in self._tree.lineage(branch.id):
-            name = branch_title(one)
-            if one.kind == "bridge":
-                found.append(f"{name} is a bridge across an obstruction: the CT shows no airway there")
-            elif one.kind == "manual":
-                found.append(f"{name} was drawn by hand")
-            elif one.confidence is not None and one.confidence < DOUBTFUL:
-                found.append(f"{name} is doubtful: {100 * one.confidence:.0f} % confidence that it is an airway")
-        return tuple(found)
+        return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
+
+
+def branch_doubts(branch: Branch) -> tuple[str, ...]:
+    """What must be said of a branch wherever a route over it is shown."""
+    if branch.kind == "bridge":
+        return (f"{branch_title(branch)} is a bridge across an obstruction: the CT shows no airway there",)
+    if branch.kind == "manual":
+        return (f"{branch_title(branch)} was drawn by hand",)
+    if branch.confidence is not None and branch.confidence < DOUBTFUL:
+        sure = f"{100 * branch.confidence:.0f} % confidence that it is an airway"
+        return (f"{branch_title(branch)} is doubtful: {sure}",)
+    return ()
 
 
 def branch_title(branch: Branch) -> str:

@@ -1,20 +1,57 @@
-"""The list of turns: fork by fork, where the opening is and what the hand does."""
+"""The list of turns: fork by fork, where the opening is and what the hand does (docs/decisions/0068)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
 
 from carina.display import one_line
+from carina.errors import NoResultError
+from carina.plan.fork_view import Operator, levelled, turned_hours, whole_hour
 from carina.plan.moves import Move
+from carina.plan.turn_words import hour_words, joined, moves_words, place_words, with_depth
+from carina.scopes import Pose
 
-__all__ = ["Turn", "TurnList"]
+__all__ = ["OtherWay", "Turn", "TurnList", "Zero"]
+
+Zero = Literal["ridge", "axes"]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class OtherWay:
+    """An opening at a turn that is not taken."""
+
+    name: str
+    branch_id: int
+    hour_head: int | None
+    """As the window tells it for an operator at the head; None where it lies straight ahead."""
+    opening_mm: float
+    """The largest ball that enters it."""
+
+    def hour(self, operator: Operator) -> int | None:
+        """For an operator there; None straight ahead."""
+        if self.hour_head is None or operator == "head":
+            return self.hour_head
+        return whole_hour(turned_hours(self.hour_head))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return {
+            "name": self.name,
+            "branch_id": self.branch_id,
+            "hour_head": self.hour("head"),
+            "hour_facing": self.hour("facing"),
+            "opening_mm": self.opening_mm,
+        }
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One fork of a route."""
+    """One fork of a route, or several that lie so close together that they are one turn."""
 
     from_branch: str
     to_branch: str
@@ -33,9 +70,79 @@ class Turn:
     diameter_mm: float
     """Of the opening: the largest ball that enters the branch."""
     moves: tuple[Move, ...] | None
-    """What the hand does from the fork before to here, in the verdict's drive; None where no drive is known."""
+    """What the hand does from the fork before until the tip is past this one, in the verdict's drive; None where no
+    drive is known."""
     doubts: tuple[str, ...]
     """What must be said of the branch that is entered."""
+    straight_ahead: bool = False
+    """The opening lies in the middle of the picture: its hours mean nothing and are not told."""
+    sides: tuple[str, ...] = ()
+    """The patient's side to which the opening lies, the dominant first; none straight ahead."""
+    others: tuple[OtherWay, ...] = ()
+    """The openings that are not taken, clockwise from the one that is."""
+    through: tuple[str, ...] = ()
+    """Branches so short that they are passed within this turn."""
+    at_main_carina: bool = False
+    opening_lps: tuple[float, float, float] | None = None
+    """The middle of the branch that is entered, about a diameter past the fork."""
+    seen_from_lps: tuple[float, float, float] | None = None
+    """Where the eye stands from which the hours are told: a diameter before the fork, looking at it."""
+
+    def hour(self, operator: Operator) -> int | None:
+        """The hour that the window tells, 1 to 12; None straight ahead."""
+        if self.straight_ahead:
+            return None
+        return whole_hour(self.clock_head if operator == "head" else self.clock_facing)
+
+    def camera(self, operator: Operator) -> Pose:
+        """The camera in whose picture the hours are read.
+
+        Raises
+        ------
+        NoResultError
+            If the turn does not say where it is seen from.
+        """
+        if self.seen_from_lps is None:
+            raise NoResultError(
+                f"the turn into {self.to_branch} does not say where it is seen from; make it with turn_list",
+                code="plan.turn-view",
+            )
+        eye = np.array(self.seen_from_lps)
+        return levelled(eye, np.array(self.fork_lps) - eye, operator)
+
+    def words(
+        self, operator: Operator, *, depth_mm: float | None = None, first: bool = False, moves: bool = True
+    ) -> str:
+        """One line as it is said at the bedside.
+
+        Parameters
+        ----------
+        operator
+            Whose picture the hours are read in.
+        depth_mm
+            At nose or mouth, to be told as an estimate.
+        first
+            It is the first turn of its route.
+        moves
+            Off leaves out what the hand does.
+        """
+        where = (
+            with_depth("At the main carina", depth_mm)
+            if self.at_main_carina
+            else place_words(self.from_carina_mm, self.from_fork_mm, depth_mm, first)
+        )
+        doing = "stay in" if self.to_branch == self.from_branch else "enter"
+        passed = f" just past {joined(self.through)}" if self.through else ""
+        sides = " and ".join(self.sides)
+        seen = [hour_words(self.hour(operator)), *([sides] if sides else [])]
+        seen += [f"{self.diameter_mm:.1f} mm", f"{self.angle_deg:.0f}\u00b0"]
+        line = f"{where}, {doing} {self.to_branch}{passed} ({', '.join(seen)})"
+        if self.others:
+            line += f", not {joined([f'{one.name} ({hour_words(one.hour(operator))})' for one in self.others])}"
+        does = moves_words(self.moves or ()) if moves else ""
+        if does:
+            line += f": {does}"
+        return f"{line}. Caution: {'; '.join(self.doubts)}" if self.doubts else line
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types."""
@@ -48,10 +155,20 @@ class Turn:
             "from_fork_mm": self.from_fork_mm,
             "clock_head": self.clock_head,
             "clock_facing": self.clock_facing,
+            "hour_head": self.hour("head"),
+            "hour_facing": self.hour("facing"),
+            "straight_ahead": self.straight_ahead,
+            "sides": list(self.sides),
             "angle_deg": self.angle_deg,
             "diameter_mm": self.diameter_mm,
+            "others": [other.to_json() for other in self.others],
+            "through": list(self.through),
+            "at_main_carina": self.at_main_carina,
+            "opening_lps": None if self.opening_lps is None else list(self.opening_lps),
+            "seen_from_lps": None if self.seen_from_lps is None else list(self.seen_from_lps),
             "moves": None if self.moves is None else [move.to_json() for move in self.moves],
             "doubts": list(self.doubts),
+            "words": {"head": self.words("head"), "facing": self.words("facing")},
         }
 
 
@@ -65,12 +182,47 @@ class TurnList:
     park_from_fork_mm: float
     carina_depth_mm: float | None
     """Depth of the main carina at nose or mouth, as the user set it (an estimate); None where nobody did."""
+    park_moves: tuple[Move, ...] | None = None
+    """What the hand does from the last fork to where the scope is parked; None where no drive is known."""
+    zero: Zero | None = None
+    """What counts as the main carina: the ridge that is seen, or where the axes of the main bronchi meet, which lies
+    about a radius of the trachea above it. None where the tree shows no main carina."""
+    notes: tuple[str, ...] = ()
+    """What must be said of the figures."""
+
+    def depth_mm(self, from_carina_mm: float | None) -> float | None:
+        """What is read on the scope at nose or mouth, an estimate; None where no depth of the carina was set."""
+        if self.carina_depth_mm is None or from_carina_mm is None:
+            return None
+        return self.carina_depth_mm + from_carina_mm
+
+    def words(self, operator: Operator) -> tuple[str, ...]:
+        """The list as lines: each turn, then where to stop."""
+        lines = []
+        for n, turn in enumerate(self.turns):
+            # At the carina the scope shows what was set for it, whatever counts as zero.
+            depth = self.carina_depth_mm if turn.at_main_carina else self.depth_mm(turn.from_carina_mm)
+            lines.append(turn.words(operator, depth_mm=depth, first=n == 0))
+        where = place_words(
+            self.park_from_carina_mm, self.park_from_fork_mm, self.depth_mm(self.park_from_carina_mm), not self.turns
+        )
+        counted = self.turns and self.park_from_carina_mm is not None
+        beyond = f", {self.park_from_fork_mm:.0f} mm past the last fork" if counted else ""
+        doing = moves_words(self.park_moves or ())
+        return (*lines, f"{where}{beyond}, stop" + (f": {doing}" if doing else ""))
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types."""
         return {
-            "turns": [turn.to_json() for turn in self.turns],
+            "turns": [
+                {**turn.to_json(), "depth_estimate_mm": self.depth_mm(turn.from_carina_mm)} for turn in self.turns
+            ],
             "park_from_carina_mm": self.park_from_carina_mm,
             "park_from_fork_mm": self.park_from_fork_mm,
+            "park_depth_estimate_mm": self.depth_mm(self.park_from_carina_mm),
+            "park_moves": None if self.park_moves is None else [move.to_json() for move in self.park_moves],
             "carina_depth_mm": self.carina_depth_mm,
+            "zero": self.zero,
+            "notes": list(self.notes),
+            "words": {"head": list(self.words("head")), "facing": list(self.words("facing"))},
         }

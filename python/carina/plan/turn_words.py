@@ -1,0 +1,72 @@
+"""The words of a turn: hours, places and what the hand does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from carina.plan.moves import Move
+
+__all__ = ["hour_words", "joined", "moves_words", "place_words", "with_depth"]
+
+STILL_DEG = 0.5
+STILL_MM = 0.5
+"""What would read 0 is left out."""
+
+
+def hour_words(hour: int | None) -> str:
+    """An hour as the window tells it."""
+    return "straight ahead" if hour is None else f"{hour} o\u2019clock"
+
+
+def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: float | None, first: bool) -> str:
+    """How far along the route, as the beginning of a line."""
+    if from_carina_mm is None:
+        since = "from the start of the route" if first else "past the previous fork"
+        return f"At {from_fork_mm:.0f} mm {since}"
+    side = "past" if from_carina_mm >= 0.0 else "above"
+    return with_depth(f"At {abs(from_carina_mm):.0f} mm {side} the main carina", depth_mm)
+
+
+def with_depth(where: str, depth_mm: float | None) -> str:
+    """A place with its depth at nose or mouth, where one is known."""
+    return where if depth_mm is None else f"{where} (about {depth_mm / 10.0:.0f} cm on the scope, an estimate)"
+
+
+def moves_words(moves: Sequence[Move]) -> str:
+    """What the hand does; advances under one roll and flexion are told together."""
+    steps: list[Move] = []
+    for move in moves:
+        held = (
+            bool(steps) and abs(move.turn_deg) < STILL_DEG and abs(move.flexion_deg - steps[-1].flexion_deg) < STILL_DEG
+        )
+        if held:
+            last = steps[-1]
+            steps[-1] = Move(last.turn_deg + move.turn_deg, last.flexion_deg, last.advance_mm + move.advance_mm)
+        else:
+            steps.append(move)
+    said = []
+    lever: float | None = None
+    for step in steps:
+        words = []
+        if abs(step.turn_deg) >= STILL_DEG:
+            way = "clockwise" if step.turn_deg > 0.0 else "counterclockwise"
+            words.append(f"rotate {abs(step.turn_deg):.0f}\u00b0 {way}")
+        if lever is None or abs(step.flexion_deg - lever) >= STILL_DEG:
+            words.append(_flexion_words(step.flexion_deg))
+        if abs(step.advance_mm) >= STILL_MM:
+            words.append(f"{'advance' if step.advance_mm > 0.0 else 'withdraw'} {abs(step.advance_mm):.0f} mm")
+        lever = step.flexion_deg
+        if words:
+            said.append(", ".join(words))
+    return "; then ".join(said)
+
+
+def _flexion_words(flexion_deg: float) -> str:
+    if abs(flexion_deg) < STILL_DEG:
+        return "tip straight"
+    return f"flex {'up' if flexion_deg > 0.0 else 'down'} {abs(flexion_deg):.0f}\u00b0"
+
+
+def joined(words: Sequence[str]) -> str:
+    """A list in a sentence."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

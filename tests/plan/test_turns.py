@@ -1,0 +1,469 @@
+"""The list of turns against geometry: hours, sides and millimetres, for random trees, poses and both operators."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fork_trees import bent, made_tree, moved, random_tree, route_in, unit
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from carina.case.routes import route_to_branch
+from carina.errors import UsageError
+from carina.navigate import Navigator
+from carina.plan import Turn, TurnList, main_carina_ridge_mm, turn_list
+from carina.plan.fork_view import levelled, openings_seen, stand_mm
+from carina.plan.moves import Move
+from carina.plan.turn_words import moves_words
+from carina.scopes import Pose
+from carina.track import AirwayTree, Branch
+from made import made_airways, made_phantom
+
+FILE = Path(__file__).resolve().parents[1] / "golden" / "fork-hours.json"
+SEEDS = st.integers(0, 10_000)
+quick = settings(max_examples=40, deadline=None)
+
+
+def lists(seed: int) -> list[tuple[AirwayTree, TurnList]]:
+    tree = random_tree(seed)
+    return [(tree, turn_list(tree, route_in(tree, tip.id))) for tip in tree.tips()[::4]]
+
+
+def hours_apart(one: float, other: float) -> float:
+    gap = abs(one - other) % 12.0
+    return min(gap, 12.0 - gap)
+
+
+def oracle_hours(turn: Turn) -> float:
+    """By the angle between two planes through the line of sight: that of anterior and that of the opening."""
+    eye, fork, place = (np.array(p) for p in (turn.seen_from_lps, turn.fork_lps, turn.opening_lps))
+    sight = unit(fork - eye)
+    up = np.array([0.0, -1.0, 0.0])
+    if abs(sight[1]) >= 0.99:
+        up = np.array([0.0, 0.0, 1.0])
+    of_up, of_place = unit(np.cross(sight, up)), unit(np.cross(sight, place - eye))
+    angle = math.acos(float(np.clip(of_up @ of_place, -1.0, 1.0)))
+    # Looking along the sight, a right-handed turn about it is clockwise.
+    if float(np.cross(of_up, of_place) @ sight) < 0.0:
+        angle = -angle
+    return (angle / math.tau * 12.0) % 12.0
+
+
+@quick
+@given(SEEDS)
+def test_hours_are_the_angle_between_two_planes_through_the_line_of_sight(seed: int) -> None:
+    for _, found in lists(seed):
+        for turn in found.turns:
+            assert 0.0 < turn.clock_head <= 12.0 and 0.0 < turn.clock_facing <= 12.0
+            assert hours_apart(turn.clock_head, oracle_hours(turn)) < 1e-6
+            assert hours_apart(turn.clock_facing, turn.clock_head + 6.0) < 1e-9
+
+
+@quick
+@given(SEEDS)
+def test_an_operator_who_faces_the_patient_reads_the_hour_in_the_picture_turned_by_half(seed: int) -> None:
+    for tree, found in lists(seed):
+        for turn in found.turns:
+            daughters = [tree.branch(turn.to_branch_id), *(tree.branch(one.branch_id) for one in turn.others)]
+            seen = openings_seen(turn.camera("facing"), daughters)
+            assert hours_apart(seen[0].hours, turn.clock_facing) < 1e-6
+            assert seen[0].straight_ahead == turn.straight_ahead
+            for other, one in zip(turn.others, seen[1:], strict=True):
+                assert (other.hour("facing") is None) == one.straight_ahead
+                assert hours_apart(one.hours, other.hour("facing") or one.hours) < 0.5 + 1e-6
+
+
+@quick
+@given(SEEDS)
+def test_millimetres_add_up_to_the_place_where_the_scope_stands(seed: int) -> None:
+    tree = random_tree(seed)
+    for tip in tree.tips()[::3]:
+        route = route_in(tree, tip.id)
+        found = turn_list(tree, route, carina_depth_mm=250.0)
+        total = sum(turn.from_fork_mm for turn in found.turns) + found.park_from_fork_mm
+        assert total == pytest.approx(route.along_mm, abs=1e-9)
+        assert found.park_from_carina_mm == pytest.approx(route.from_carina_mm, abs=1e-9)
+        assert found.turns[0].at_main_carina and found.turns[0].from_carina_mm == pytest.approx(0.0, abs=1e-9)
+        for before, turn in zip(found.turns, found.turns[1:], strict=False):
+            assert turn.from_carina_mm - before.from_carina_mm == pytest.approx(turn.from_fork_mm, abs=1e-9)
+            assert found.depth_mm(turn.from_carina_mm) == pytest.approx(250.0 + turn.from_carina_mm)
+        # The polyline itself, point by point.
+        way = np.concatenate([branch.points for branch in tree.lineage(tip.id)])
+        last = np.array(found.turns[-1].fork_lps)
+        index = int(np.argmin(np.linalg.norm(way - last, axis=1)))
+        length = sum(math.dist(a, b) for a, b in itertools.pairwise(way[: index + 1]))
+        assert sum(turn.from_fork_mm for turn in found.turns) == pytest.approx(length, abs=1e-6)
+
+
+@quick
+@given(SEEDS)
+def test_a_mirrored_patient_has_the_mirrored_hours_and_sides(seed: int) -> None:
+    swapped = {"right": "left", "left": "right"}
+    for tree, found in lists(seed):
+        mirror = moved(tree, np.diag([-1.0, 1.0, 1.0]), np.zeros(3))
+        other = turn_list(mirror, route_in(mirror, found.turns[-1].to_branch_id))
+        for one, two in zip(found.turns, other.turns, strict=True):
+            assert hours_apart(two.clock_head, 12.0 - one.clock_head) < 1e-6
+            assert hours_apart(two.clock_facing, 12.0 - one.clock_facing) < 1e-6
+            assert two.sides == tuple(swapped.get(side, side) for side in one.sides)
+            assert two.angle_deg == pytest.approx(one.angle_deg, abs=1e-6)
+
+
+@quick
+@given(SEEDS, st.floats(-math.pi, math.pi), st.floats(-200.0, 200.0))
+def test_hours_stay_when_the_patient_is_turned_about_the_anterior_axis_that_levels_the_picture(
+    seed: int, angle: float, shift: float
+) -> None:
+    c, s = math.cos(angle), math.sin(angle)
+    turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    for tree, found in lists(seed):
+        # Where the view runs along that axis, superior is up, and that turns with the patient.
+        sights = [unit(np.array(t.fork_lps) - np.array(t.seen_from_lps)) for t in found.turns]
+        assume(all(abs(sight[1]) < 0.98 for sight in sights))
+        there = moved(tree, turned, np.array([shift, -shift, 3.0]))
+        other = turn_list(there, route_in(there, found.turns[-1].to_branch_id))
+        for one, two in zip(found.turns, other.turns, strict=True):
+            assert hours_apart(one.clock_head, two.clock_head) < 1e-6
+            assert two.from_fork_mm == pytest.approx(one.from_fork_mm, abs=1e-9)
+            assert two.diameter_mm == one.diameter_mm
+
+
+@quick
+@given(SEEDS, st.integers(0, 10_000))
+def test_hours_follow_the_roll_that_levelling_takes_out_of_any_pose(seed: int, other: int) -> None:
+    """Turned in space by anything: the hour is that of the opening less the roll to the new up."""
+    rng = np.random.default_rng(other)
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    q *= np.sign(np.linalg.det(q))
+    tree, found = lists(seed)[0]
+    there = moved(tree, q, np.zeros(3))
+    turned = turn_list(there, route_in(there, found.turns[-1].to_branch_id))
+    for one, two in zip(found.turns, turned.turns, strict=True):
+        # The old picture carried along with the patient, against the one levelled there.
+        carried, level = q @ one.camera("head").lps_from_camera[:3, :3], two.camera("head").lps_from_camera[:3, :3]
+        roll = math.atan2(float(carried[:, 0] @ -level[:, 1]), float(carried[:, 0] @ level[:, 0]))
+        assert hours_apart(two.clock_head, one.clock_head - roll / math.tau * 12.0) < 1e-6
+        assert hours_apart(two.clock_head, oracle_hours(two)) < 1e-6
+
+
+@quick
+@given(SEEDS)
+def test_the_side_in_words_is_where_the_opening_lies_in_the_patient(seed: int) -> None:
+    axis = {"right": (0, -1), "left": (0, 1), "anterior": (1, -1), "posterior": (1, 1), "inferior": (2, -1)}
+    axis["superior"] = (2, 1)
+    for _, found in lists(seed):
+        for turn in found.turns:
+            eye, fork, place = (np.array(p) for p in (turn.seen_from_lps, turn.fork_lps, turn.opening_lps))
+            sight = unit(fork - eye)
+            off = place - fork
+            across = unit(off - float(off @ sight) * sight)
+            assert bool(turn.sides) != turn.straight_ahead
+            sizes = [across[axis[side][0]] * axis[side][1] for side in turn.sides]
+            assert all(size >= 0.199 for size in sizes)
+            assert not sizes or sizes[0] == pytest.approx(np.abs(across).max())
+
+
+@quick
+@given(SEEDS)
+def test_the_eye_stands_on_the_way_where_a_flight_stops_to_look(seed: int) -> None:
+    tree = random_tree(seed, lengths_mm=(60.0, 30.0, 20.0, 15.0))
+    tip = tree.tips()[seed % len(tree.tips())]
+    found = turn_list(tree, route_in(tree, tip.id))
+    flown = route_to_branch(tree, tip.id)
+    for turn, stop, fork in zip(found.turns, flown.lookouts_mm, flown.forks_mm, strict=True):
+        stand = [np.interp(stop, flown.cumulative_mm, flown.points_lps[:, axis]) for axis in range(3)]
+        # In a route the first radius of a branch is that of the branch before: half a point in the median.
+        assert np.linalg.norm(np.array(turn.seen_from_lps) - stand) < max(0.08 * (fork - stop), 0.3)
+
+
+def test_the_picture_is_the_one_that_the_window_levels() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        eye, look = rng.normal(size=3), unit(rng.normal(size=3))
+        tip = Navigator(Pose.looking(eye, look, rng.normal(size=3)))
+        tip.level_horizon()
+        assert np.allclose(tip.pose.lps_from_camera, levelled(eye, look, "head").lps_from_camera, atol=1e-9)
+        tip.set_operator("facing")
+        tip.level_horizon()
+        assert np.allclose(tip.pose.lps_from_camera, levelled(eye, look, "facing").lps_from_camera, atol=1e-9)
+
+
+def from_head() -> tuple[Pose, list[Branch]]:
+    """The case of the window's own test (web/src/state/route.test.ts)."""
+    rows = [
+        {"id": 0, "parent": None, "children": [1, 2], "points": np.array([[0.0, 0, 0], [0, 0, -30]])},
+        {"id": 1, "parent": 0, "children": [], "points": np.array([[0.0, 0, -30], [-10, 0, -40]])},
+        {"id": 2, "parent": 0, "children": [], "points": np.array([[0.0, 0, -30], [10, 0, -30]])},
+    ]
+    radius = {0: 9.0, 1: 7.0, 2: 6.0}
+    tree = made_tree([{**row, "radius": np.full(2, radius[row["id"]])} for row in rows])
+    return Pose.looking([0, 0, 0], [0, 0, -1]), [tree.branch(1), tree.branch(2)]
+
+
+def test_hours_are_the_windows() -> None:
+    camera, ways = from_head()
+    assert [one.hours for one in openings_seen(camera, ways)] == pytest.approx([3.0, 9.0])
+    into = np.eye(4)
+    into[:3, :3] = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]).T
+    into[:3, 3] = [-20, 0, -31]
+    seen = openings_seen(Pose(into), ways)
+    assert [one.straight_ahead for one in seen] == [False, True]
+    assert seen[0].hours == pytest.approx(3.0)
+
+
+def golden_cases() -> list[dict[str, Any]]:
+    """Turns of random trees for both operators, as the window must tell them from the same camera."""
+    made = []
+    for seed in range(8):
+        tree = random_tree(seed, num_children=(2, 3 if seed % 2 else 2), lengths_mm=(40.0, 15.0, 6.0))
+        found = turn_list(tree, route_in(tree, tree.tips()[seed % 3].id))
+        for turn in found.turns:
+            daughter = tree.branch(turn.to_branch_id)
+            mother = tree.branch(daughter.parent or 0)
+            shown = [mother, *(tree.branch(child) for child in mother.children)]
+            rows = [
+                {
+                    "id": branch.id,
+                    "points": branch.points.round(4).tolist(),
+                    "radius": branch.radius.round(4).tolist(),
+                    "parent": None if branch is mother else mother.id,
+                    "children": list(mother.children) if branch is mother else [],
+                }
+                for branch in shown
+            ]
+            for operator in ("head", "facing"):
+                hours = {str(one.branch_id): one.hour(operator) for one in turn.others}
+                made.append(
+                    {
+                        "name": f"tree {seed}, into {daughter.id}, {operator}",
+                        "lps_from_camera": turn.camera(operator).lps_from_camera.ravel().tolist(),
+                        "branches": rows,
+                        "hours": {str(turn.to_branch_id): turn.hour(operator), **hours},
+                    }
+                )
+    return made
+
+
+def test_golden_hours_are_what_python_tells() -> None:
+    """``web/src/state/fork-hours.test.ts`` reads the same file. ``make golden`` alone writes it anew."""
+    made = json.loads(json.dumps(golden_cases()))
+    if os.environ.get("CARINA_GOLDEN") == "rewrite":
+        FILE.write_text(json.dumps(made) + "\n", encoding="utf-8")
+    kept = json.loads(FILE.read_text(encoding="utf-8"))
+    assert [case["name"] for case in kept] == [case["name"] for case in made]
+    for found, expected in zip(made, kept, strict=True):
+        assert found["hours"] == expected["hours"]
+        assert found["lps_from_camera"] == pytest.approx(expected["lps_from_camera"], abs=1e-9)
+    told = [hour for case in kept for hour in case["hours"].values()]
+    assert None in told and len(set(told)) == 13, "all hours and straight ahead are among them"
+
+
+def straight(number: int, parent: int | None, children: list[int], a: Any, b: Any, **more: Any) -> dict[str, Any]:
+    points = np.linspace(np.asarray(a, dtype=float), np.asarray(b, dtype=float), 9)
+    return {
+        "id": number,
+        "parent": parent,
+        "children": children,
+        "points": points,
+        "radius": np.full(9, 2.0),
+        **more,
+    }
+
+
+def test_forks_two_millimetres_apart_are_one_turn_that_names_what_is_passed() -> None:
+    tree = made_tree(
+        [
+            straight(0, None, [1, 2], [0, 0, 0], [0, 0, -40], name="RMB"),
+            straight(1, 0, [3, 4], [0, 0, -40], [0, 0, -41.5], name="RUL"),
+            straight(2, 0, [], [0, 0, -40], [10, 0, -50], name="BI"),
+            straight(3, 1, [], [0, 0, -41.5], [-10, 0, -50], name="RB3"),
+            straight(4, 1, [], [0, 0, -41.5], [0, -10, -50], name="RB1"),
+        ]
+    )
+    found = turn_list(tree, route_in(tree, 3, carina=False))
+    (turn,) = found.turns
+    assert (turn.from_branch, turn.to_branch, turn.through) == ("RMB", "RB3", ("RUL",))
+    assert turn.hour("head") == 3 and turn.sides == ("right",)
+    assert {one.name: one.hour("head") for one in turn.others} == {"BI": 9, "RB1": 12}
+    assert [one.name for one in turn.others] == ["BI", "RB1"], "clockwise from the one that is taken"
+    assert turn.from_fork_mm == pytest.approx(40.0)
+    assert turn.words("head").startswith(
+        "At 40 mm past the previous fork, enter RB3 just past RUL (3 o\u2019clock, right, 4.0 mm, "
+    )
+    # A little farther apart, they are two.
+    rows = [straight(1, 0, [3, 4], [0, 0, -40], [0, 0, -43.0], name="RUL")]
+    apart = {branch.id: branch for branch in tree.branches}
+    shifted = [
+        straight(n, 1, [], apart[n].points[0] - [0, 0, 1.5], apart[n].points[-1] - [0, 0, 1.5], name=apart[n].name)
+        for n in (3, 4)
+    ]
+    rows = [
+        straight(0, None, [1, 2], [0, 0, 0], [0, 0, -40], name="RMB"),
+        *rows,
+        straight(2, 0, [], [0, 0, -40], [10, 0, -50], name="BI"),
+        *shifted,
+    ]
+    assert len(turn_list(made_tree(rows), route_in(made_tree(rows), 3, carina=False)).turns) == 2
+
+
+def test_a_tree_without_a_main_carina_counts_from_fork_to_fork_and_says_so() -> None:
+    tree = random_tree(3)
+    bare = dataclasses.replace(tree, branches=tuple(dataclasses.replace(b, name=None) for b in tree.branches))
+    found = turn_list(bare, route_in(bare, bare.tips()[0].id, carina=False), carina_depth_mm=250.0)
+    assert found.zero is None and found.park_from_carina_mm is None
+    assert all(turn.from_carina_mm is None and not turn.at_main_carina for turn in found.turns)
+    assert "no main carina" in found.notes[0] and "no depth" in found.notes[0]
+    lines = found.words("head")
+    assert "from the start of the route, enter branch" in lines[0]
+    assert all("past the previous fork" in line for line in lines[1:])
+    assert not any("estimate" in line for line in lines)
+
+
+def test_a_route_that_ends_before_the_first_fork_has_no_turns() -> None:
+    tree = random_tree(1)
+    found = turn_list(tree, route_in(tree, 0))
+    assert found.turns == () and found.park_from_fork_mm == pytest.approx(0.58 * tree.root.length_mm, rel=0.1)
+    (line,) = found.words("facing")
+    assert line.endswith("from the start of the route, stop")
+
+
+def test_one_branch_that_goes_on_alone_is_no_fork() -> None:
+    tree = made_tree(
+        [
+            straight(0, None, [1], [0, 0, 0], [0, 0, -40]),
+            straight(1, 0, [2, 3], [0, 0, -40], [0, 0, -60]),
+            straight(2, 1, [], [0, 0, -60], [-10, 0, -70]),
+            straight(3, 1, [], [0, 0, -60], [10, 0, -70]),
+        ]
+    )
+    (turn,) = turn_list(tree, route_in(tree, 2, carina=False)).turns
+    assert turn.from_fork_mm == pytest.approx(60.0) and turn.from_branch == "branch 1"
+
+
+def test_doubts_and_depths_stand_in_the_line() -> None:
+    tree = random_tree(2)
+    tip = tree.tips()[0]
+    drawn = dataclasses.replace(
+        tree,
+        branches=tuple(
+            dataclasses.replace(b, kind="manual", name=None) if b.id == tip.id else b for b in tree.branches
+        ),
+    )
+    found = turn_list(drawn, route_in(drawn, tip.id), carina_ridge_mm=9.0, carina_depth_mm=270.0)
+    lines = found.words("head")
+    assert lines[-2].endswith(f"Caution: branch {tip.id} was drawn by hand")
+    assert lines[0].startswith("At the main carina (about 27 cm on the scope, an estimate), enter RMB")
+    assert found.zero == "ridge" and found.turns[0].from_carina_mm == pytest.approx(-9.0)
+    assert "estimate" in lines[-1] and "estimates" in found.notes[-1]
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_the_opening_is_measured_past_the_lumen_of_the_branch_before() -> None:
+    tree = made_tree(
+        [
+            straight(0, None, [1, 2], [0, 0, 0], [0, 0, -40]),
+            straight(1, 0, [], [0, 0, -40], [-20, 0, -40]),
+            straight(2, 0, [], [0, 0, -40], [0, 0, -70]),
+        ]
+    )
+    narrow = dataclasses.replace(tree.branch(1), radius=np.array([6.0, 6.0, 3.0, 1.7, 1.6, 1.6, 1.6, 1.6, 1.6]))
+    wide = dataclasses.replace(tree.branch(0), radius=np.full(9, 6.0))
+    made = dataclasses.replace(tree, branches=(wide, narrow, tree.branch(2)))
+    (turn,) = turn_list(made, route_in(made, 1, carina=False)).turns
+    assert turn.diameter_mm == pytest.approx(3.4, abs=0.21)
+    assert turn.angle_deg == pytest.approx(90.0)
+
+
+@quick
+@given(SEEDS, st.lists(st.floats(-3.0, 15.0), min_size=0, max_size=30))
+def test_each_move_of_a_drive_is_told_once_and_in_order(seed: int, advances: list[float]) -> None:
+    tree = random_tree(seed)
+    route = route_in(tree, tree.tips()[0].id)
+    moves = [Move(float(n), 1.0, mm) for n, mm in enumerate(advances)]
+    ends = list(np.cumsum(advances)) if advances else []
+    found = turn_list(tree, route, moves=moves, insertion_mm=ends)
+    told = [move for turn in found.turns for move in turn.moves or ()]
+    assert [*told, *(found.park_moves or ())] == moves
+    # A move that begins before a fork belongs to it.
+    places = np.cumsum([turn.from_fork_mm for turn in found.turns])
+    for turn, place, before in zip(found.turns, places, [-1.0, *places], strict=False):
+        for move in turn.moves or ():
+            furthest = max([0.0, *ends[: int(move.turn_deg)]])
+            assert before - 1e-6 <= furthest < place
+    assert turn_list(tree, route).turns[0].moves is None
+
+
+def test_moves_are_said_as_they_are_made() -> None:
+    moves = [Move(40.2, 35.0, 12.0), Move(0.0, 35.0, 3.0), Move(-90.0, 0.0, 0.0), Move(0.0, -20.0, -4.0)]
+    assert moves_words(moves) == (
+        "rotate 40° clockwise, flex up 35°, advance 15 mm; then rotate 90° counterclockwise, tip straight; "
+        "then flex down 20°, withdraw 4 mm"
+    )
+    assert moves_words([]) == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"carina_depth_mm": -1.0}, "plan.range"),
+        ({"carina_depth_mm": math.nan}, "plan.range"),
+        ({"carina_ridge_mm": 100.0}, "plan.range"),
+        ({"moves": [Move(0.0, 0.0, 1.0)]}, "plan.moves"),
+        ({"moves": [Move(0.0, 0.0, 1.0)], "insertion_mm": [1.0, 2.0]}, "plan.moves"),
+        ({"moves": [Move(0.0, 0.0, 1.0)], "insertion_mm": [math.inf]}, "plan.moves"),
+    ],
+)
+def test_what_makes_no_list_is_refused(change: dict[str, Any], code: str) -> None:
+    tree = random_tree(0)
+    with pytest.raises(UsageError) as refused:
+        turn_list(tree, route_in(tree, tree.tips()[0].id), **change)
+    assert refused.value.code == code
+
+
+def test_forks_without_length_are_told_without_a_fault() -> None:
+    tree = made_tree(
+        [
+            {**straight(0, None, [1, 2], [0, 0, 0], [0, 0, 0])},
+            straight(1, 0, [3, 4], [0, 0, 0], [-5, 0, -5]),
+            straight(2, 0, [], [0, 0, 0], [5, 0, -5]),
+            {**straight(3, 1, [], [-5, 0, -5], [-5, 0, -5])},
+            straight(4, 1, [], [-5, 0, -5], [-9, 0, -5]),
+        ]
+    )
+    found = turn_list(tree, route_in(tree, 3, carina=False))
+    assert found.turns[0].hour("head") == 3
+    assert all(math.isfinite(turn.angle_deg) for turn in found.turns)
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_the_main_carina_is_the_ridge_that_is_seen() -> None:
+    options: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
+    airways, volume = made_airways(**options), made_phantom(**options).volume
+    right = airways.tree.named("RMB")
+    assert right is not None
+    planned = route_in(airways.tree, right.id)
+    ridge = main_carina_ridge_mm(volume, airways, planned)
+    assert ridge is not None
+    # Straight down the trachea from where the axes meet the air ends at the ridge, within a voxel or so of it.
+    trachea = airways.tree.root
+    ahead = unit(trachea.points[-1] - trachea.points[-8])
+    steps = trachea.points[-1] + np.arange(0.0, 30.0, 0.2)[:, None] * ahead
+    i, j, k = np.rint(volume.to_ijk(steps)).astype(int).T
+    ends_mm = 0.2 * int(np.argmax(airways.lumen_zyx[k, j, i] == 0))
+    assert ridge == pytest.approx(ends_mm, abs=3.0)
+    assert main_carina_ridge_mm(volume, airways, dataclasses.replace(planned, from_carina_mm=None)) is None
+
+
+def test_the_stand_is_never_so_near_that_there_is_no_line_of_sight() -> None:
+    short = made_tree([straight(0, None, [], [0, 0, 0], [0, 0, -2])]).root
+    assert stand_mm(short) == 3.0
+    long = dataclasses.replace(short, points=bent(np.zeros(3), unit(np.ones(3)), unit(np.ones(3)), 60.0, 8))
+    assert stand_mm(long) == pytest.approx(4.0)

@@ -1,0 +1,36 @@
+import { readFileSync } from "node:fs";
+import { fileURLToPath } from "node:url";
+import { describe, expect, it } from "vitest";
+import type { TreeBranch } from "../wire/messages";
+import { buildTree, waysOn } from "./airways";
+import { testBranch } from "./branches.testing";
+import { cameraFromMatrix } from "./vec";
+
+interface Case {
+  name: string;
+  lps_from_camera: number[];
+  branches: Pick<TreeBranch, "id" | "parent" | "children" | "points" | "radius">[];
+  hours: Record<string, number | null>;
+}
+
+describe("the list of turns", () => {
+  const file = fileURLToPath(new URL("../../../tests/golden/fork-hours.json", import.meta.url));
+  const cases = JSON.parse(readFileSync(file, "utf-8")) as Case[];
+
+  it.each(cases.map((made) => [made.name, made] as const))(
+    "tells the hours that the window tells: %s",
+    (_name, made) => {
+      const tree = buildTree({
+        format: "carina-tree",
+        version: 1,
+        space: "LPS",
+        unit: "mm",
+        root: made.branches[0]?.id ?? -1,
+        branches: made.branches.map((one) => testBranch(one.id, one.parent, [...one.children], one)),
+      });
+      if (tree === null) throw new Error("the tree has a root");
+      const ways = waysOn(tree.root, cameraFromMatrix(made.lps_from_camera), null);
+      expect(Object.fromEntries(ways.map((way) => [`${way.node.branch.id}`, way.hour]))).toEqual(made.hours);
+    },
+  );
+});
