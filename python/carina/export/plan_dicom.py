@@ -12,7 +12,7 @@ from __future__ import annotations
 import datetime
 import io
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -24,6 +24,8 @@ from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 from pydicom.valuerep import DSfloat
 
 from carina.errors import UsageError, VolumeImportError, check_type
+from carina.export.plan_content import ONE_TARGET
+from carina.plan import Nodule
 from carina.version import VERSION
 from carina.volume import Volume, same_geometry
 from carina.volume.dicom import FoundSeries, choose_series
@@ -34,7 +36,17 @@ from carina.volume.digest import Geometry
 from carina.volume.opening import find_in, guarded, place_name
 from carina.volume.watch import Watch
 
-__all__ = ["CtImages", "Identity", "check_text", "code_item", "ct_images", "decimals", "new_object", "packed"]
+__all__ = [
+    "CtImages",
+    "Identity",
+    "check_text",
+    "code_item",
+    "ct_images",
+    "decimals",
+    "named_nodules",
+    "new_object",
+    "packed",
+]
 
 Identity = Literal["from the CT", "none"]
 """Whose a file is: name, number, birth date and study as the CT says, or nothing of it."""
@@ -276,6 +288,23 @@ def check_text(text: str, what: str) -> str:
             code="plan.name",
         )
     return text
+
+
+def named_nodules(targets: Nodule | Mapping[str, Nodule], doing: str) -> dict[str, Nodule]:
+    """Nodules by name; one alone is called "Target".
+
+    Raises
+    ------
+    UsageError
+        If there is none, or a name is no text for DICOM.
+    """
+    named = {ONE_TARGET: targets} if isinstance(targets, Nodule) else dict(targets)
+    if not named:
+        raise UsageError(f"{doing}: there is no target; mark one first", code="plan.no-target")
+    for name, nodule in named.items():
+        check_text(name, "the name of a target")
+        check_type(doing, name, nodule, Nodule, "get it from carina.grow_nodule")
+    return named
 
 
 def packed(data: Dataset) -> bytes:

@@ -21,14 +21,14 @@ from pydicom.tag import Tag
 from pydicom.uid import SegmentationStorage, generate_uid
 
 from carina.disk import write_whole
-from carina.errors import NoResultError, UsageError, check_type
+from carina.errors import NoResultError, UsageError
 from carina.export.plan_dicom import (
     CtImages,
     Identity,
-    check_text,
     code_item,
     ct_images,
     decimals,
+    named_nodules,
     new_object,
     packed,
 )
@@ -98,12 +98,7 @@ def write_target_seg(
             f"saving a DICOM segmentation: expected a file name that ends in {TARGET_SEG_SUFFIX}; found "
             f"{Path(path).name!r}"
         )
-    named = {"Target": targets} if isinstance(targets, Nodule) else dict(targets)
-    if not named:
-        raise UsageError("saving a DICOM segmentation: there is no target; mark one first", code="plan.no-target")
-    for name, nodule in named.items():
-        check_text(name, "the name of a target")
-        check_type("saving a DICOM segmentation", name, nodule, Nodule, "get it from carina.grow_nodule")
+    named = named_nodules(targets, "saving a DICOM segmentation")
     images = ct_images(ct, volume, series=series, cancel=cancel)
     inside = [inside_on_grid(nodule, volume) for nodule in named.values()]
     for name, mask in zip(named, inside, strict=True):
