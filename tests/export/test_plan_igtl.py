@@ -14,6 +14,7 @@ from written_plans import DOUBT, a_plan, a_tree
 
 from carina.errors import CarinaError, UsageError
 from carina.export.plan_igtl import MAX_PEERS, PlanServer, plan_messages, send_plan
+from carina.export.plan_surface import nodule_surface
 
 pyigtl = pytest.importorskip("pyigtl", reason="pyigtl, the independent peer, is not installed")
 
@@ -78,7 +79,7 @@ def read_trajectories(message: bytes):
 def test_the_names_are_those_a_user_of_slicer_sees_and_no_two_are_alike(messages):
     names = [fields_of(one)["device_name"] for one in messages]
     assert names == [
-        *("CarinaRoute1", "CarinaNeedle1", "CarinaRoute2", "CarinaNeedle2"),
+        *("CarinaTarget1", "CarinaRoute1", "CarinaNeedle1", "CarinaRoute2", "CarinaNeedle2"),
         *("CarinaTargets", "CarinaNeedles", "CarinaPlan"),
     ]
     assert {fields_of(one)["timestamp"] for one in messages} == {12.5}
@@ -94,6 +95,21 @@ def test_routes_and_needles_are_lines_in_ras_where_the_plan_has_them(messages):
         assert np.abs(way[-1] - route.leg.tip_lps).max() < 1e-4
         whole = tree.route_to(route.branch_id).points_lps
         assert max(np.linalg.norm(whole - point, axis=1).min() for point in way) < 1e-4
+
+
+def test_the_targets_surface_is_triangles_round_its_centre_in_ras(messages):
+    nodule, content = a_plan().nodule, content_of(by_name(messages, "CarinaTarget1"))
+    counts = struct.unpack_from(">10I", content)
+    assert [counts[n] for n in (1, 2, 3, 4, 7, 8, 9)] == [0] * 7
+    points = np.frombuffer(content, ">f4", 3 * counts[0], 40).reshape(-1, 3).astype(float) * RAS
+    cells = np.frombuffer(content, ">u4", counts[6] // 4, 40 + 12 * counts[0]).reshape(-1, 4)
+    assert 40 + 12 * counts[0] + counts[6] == len(content)
+    assert len(cells) == counts[5]
+    assert (cells[:, 0] == 3).all()
+    surface = nodule_surface(nodule)
+    assert np.array_equal(cells[:, 1:], surface.triangles)
+    assert np.abs(points - surface.vertices_lps).max() < 1e-4
+    assert np.abs(points.mean(axis=0) - nodule.centre_lps).max() < 0.01
 
 
 def test_pyigtl_reads_the_targets(messages):
@@ -134,7 +150,7 @@ def test_several_targets_count_on_and_long_or_foreign_names_fit():
     plans = {"Nodule Ö " + "x" * 80: a_plan(), "B": a_plan(doubts=())}
     messages = plan_messages(plans, a_tree())
     names = [fields_of(one)["device_name"] for one in messages]
-    assert len(set(names)) == len(names) == 2 * 4 + 3
+    assert len(set(names)) == len(names) == 2 * 5 + 3
     found = read_by_pyigtl(by_name(messages, "CarinaTargets"))
     assert found.names[0].startswith("Nodule ? xxx")
     assert len(found.names[0]) == 63
@@ -144,7 +160,7 @@ def test_several_targets_count_on_and_long_or_foreign_names_fit():
 def test_a_plan_without_a_route_is_a_target_and_a_reason():
     plan = dataclasses.replace(a_plan(), routes=(), why="no route: the nearest airway found is LB3, 40 mm away")
     messages = plan_messages(plan, a_tree())
-    assert [fields_of(one)["message_type"] for one in messages] == ["POINT", "STRING"]
+    assert [fields_of(one)["message_type"] for one in messages] == ["POLYDATA", "POINT", "STRING"]
     assert "40 mm away" in read_by_pyigtl(messages[-1]).string
 
 
@@ -173,7 +189,7 @@ def test_a_server_such_as_slicers_gets_the_whole_plan():
         num = send_plan(a_plan(), a_tree(), port=server.getsockname()[1])
         thread.join()
     messages = split(b"".join(heard))
-    assert num == len(messages) == 7
+    assert num == len(messages) == 8
     assert [content_of(one) for one in messages] == [content_of(one) for one in plan_messages(a_plan(), a_tree())]
 
 
@@ -210,18 +226,18 @@ def test_whoever_connects_gets_the_plan_and_again_what_is_asked_for():
     with PlanServer(a_plan(), a_tree(), port=0) as server:
         for _ in range(2):
             with socket.create_connection((server.host, server.port)) as peer:
-                first = received(peer, 7)
+                first = received(peer, 8)
                 assert [content_of(one) for one in first] == [
                     content_of(one) for one in plan_messages(a_plan(), a_tree())
                 ]
                 request = pyigtl.messages.MessageBase(device_name="CarinaNeedle2")
                 request._message_type = "GET_POLYDATA"
                 peer.sendall(request.pack())
-                assert received(peer, 1) == [first[3]]
+                assert received(peer, 1) == [first[4]]
                 request.device_name = ""
                 request._message_type = "GET_TRAJ"
                 peer.sendall(request.pack())
-                assert received(peer, 1) == [first[5]]
+                assert received(peer, 1) == [first[6]]
 
 
 def test_pyigtls_client_reads_points_and_words_from_our_server():
@@ -236,19 +252,19 @@ def test_pyigtls_client_reads_points_and_words_from_our_server():
 
 def test_a_peer_that_speaks_something_else_is_left_and_others_are_served():
     with PlanServer(a_plan(), a_tree(), port=0) as server, socket.create_connection((server.host, server.port)) as bad:
-        received(bad, 7)
+        received(bad, 8)
         bad.sendall(b"GET / HTTP/1.1\r\n" + b"x" * 100)
         bad.settimeout(60.0)
         assert bad.recv(10) == b""
         with socket.create_connection((server.host, server.port)) as good:
-            assert len(received(good, 7)) == 7
+            assert len(received(good, 8)) == 8
 
 
 def test_a_server_ends_with_its_peers_and_frees_its_port():
     server = PlanServer(a_plan(), a_tree(), port=0)
     server.start()
     peer = socket.create_connection((server.host, server.port))
-    received(peer, 7)
+    received(peer, 8)
     assert server.num_peers == 1
     with pytest.raises(CarinaError, match="choose another port") as caught:
         PlanServer(a_plan(), a_tree(), port=server.port)
@@ -263,7 +279,7 @@ def test_a_server_ends_with_its_peers_and_frees_its_port():
 def test_too_many_peers_are_turned_away():
     with PlanServer(a_plan(), a_tree(), port=0) as server, contextlib.ExitStack() as stack:
         for _ in range(MAX_PEERS):
-            received(stack.enter_context(socket.create_connection((server.host, server.port))), 7)
+            received(stack.enter_context(socket.create_connection((server.host, server.port))), 8)
         more = stack.enter_context(socket.create_connection((server.host, server.port)))
         more.settimeout(60.0)
         assert more.recv(10) == b""

@@ -184,6 +184,15 @@ def test_highdicom_reads_the_segmentation_image_by_image(ct, volume, tmp_path):
     assert np.abs(places.mean(axis=0) - expected.mean(axis=0)).max() < 0.01
 
 
+def test_simpleitk_reads_the_segmentation_where_the_nodule_is(ct, volume, tmp_path):
+    image = sitk.ReadImage(str(write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct)))
+    at = np.argwhere(sitk.GetArrayFromImage(image))[:, ::-1]
+    found = np.array([image.TransformContinuousIndexToPhysicalPoint([float(v) for v in one]) for one in at])
+    k, j, i = np.nonzero(inside_on_grid(nodule(), volume))
+    expected = volume.to_lps(np.stack([i, j, k], axis=1))
+    assert np.abs(found - expected).max() < 0.01
+
+
 def test_another_ct_a_newer_ct_and_a_file_that_is_no_dicom_are_refused(ct, volume, tmp_path):
     out = tmp_path / "out"
     out.mkdir()

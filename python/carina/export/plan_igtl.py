@@ -1,8 +1,8 @@
 """A plan over OpenIGTLink: to a server such as 3D Slicer's, or to whoever connects.
 
 3D Slicer takes POLYDATA as models and STRING as text, and places models in RAS; it passes POINT and TRAJ over, which
-other navigation software reads. So each route and needle is sent as a line, and targets and needles again as points and
-trajectories.
+other navigation software reads. So targets are sent as surfaces, routes and needles as lines, and targets and needles
+again as points and trajectories.
 
 References
 ----------
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.export.plan_content import DrawnRoute, DrawnTarget, drawn_plans
+from carina.export.plan_surface import nodule_surface
 from carina.navigate.devices.igtl import IgtlRequest, IgtlStream, pack_message
 from carina.plan import Plan
 from carina.track import AirwayTree
@@ -66,9 +67,10 @@ def plan_messages(
 ) -> list[bytes]:
     """A plan as OpenIGTLink messages.
 
-    In order: for each route POLYDATA ``CarinaRouteN`` (a line from the trachea to the scope's tip) and
-    ``CarinaNeedleN`` (from there to the aim); POINT ``CarinaTargets``; TRAJ ``CarinaNeedles`` (from the scope's tip to
-    the aim); STRING ``CarinaPlan`` with all words. With several targets the numbers go on from one to the next.
+    In order: for each target POLYDATA ``CarinaTargetN`` (its surface); for each route POLYDATA ``CarinaRouteN`` (a line
+    from the trachea to the scope's tip) and ``CarinaNeedleN`` (from there to the aim); POINT ``CarinaTargets``; TRAJ
+    ``CarinaNeedles`` (from the scope's tip to the aim); STRING ``CarinaPlan`` with all words. With several targets the
+    numbers of routes go on from one to the next.
 
     Parameters
     ----------
@@ -104,7 +106,9 @@ def plan_messages(
     def message(kind: str, name: str, content: bytes) -> bytes:
         return pack_message(kind, name, content, time_s=time_s, version=version)
 
-    found = []
+    found = [
+        message("POLYDATA", f"CarinaTarget{number}", _surface(target, turn)) for number, target in enumerate(targets, 1)
+    ]
     for number, (_, route) in enumerate(drawn, 1):
         leg = route.route.leg
         needle = np.array([leg.tip_lps, leg.aim_lps])
@@ -337,6 +341,15 @@ def _line(points: Points) -> bytes:
     return head + points.astype(">f4").tobytes() + indices
 
 
+def _surface(target: DrawnTarget, turn: Points) -> bytes:
+    """POLYDATA of triangles. LPS and RAS differ by half a turn, which does not turn them over."""
+    mesh = nodule_surface(target.plan.nodule)
+    num = len(mesh.triangles)
+    cells = np.concatenate([np.full((num, 1), 3), mesh.triangles], axis=1).astype(">u4").tobytes()
+    head = struct.pack(">10I", len(mesh.vertices_lps), 0, 0, 0, 0, num, len(cells), 0, 0, 0)
+    return head + (mesh.vertices_lps * turn).astype(">f4").tobytes() + cells
+
+
 def _point(target: DrawnTarget, turn: Points) -> bytes:
     nodule = target.plan.nodule
     place = np.array(nodule.centre_lps) * turn
@@ -366,8 +379,8 @@ def _text(text: str, num: int) -> bytes:
 
 def _words(targets: Sequence[DrawnTarget]) -> str:
     lines, number = [], 0
-    for target in targets:
-        lines.append(f"{target.name}: {target.words}")
+    for n, target in enumerate(targets, 1):
+        lines.append(f"CarinaTarget{n}: {target.name}: {target.words}")
         for route in target.routes:
             number += 1
             lines.append(f"CarinaRoute{number}, CarinaNeedle{number}: {route.title} to {target.name}. {route.words}")
