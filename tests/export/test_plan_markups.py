@@ -142,7 +142,9 @@ def test_a_tip_between_two_points_of_the_smooth_route_is_its_end_and_nothing_tur
 
 def test_doubts_stand_in_the_name_the_colour_and_at_each_place(written):
     sure, doubtful = named(written, "Route 1: LB3"), named(written, "Route 2: branch 9 (DOUBTFUL)")
-    assert sure["display"]["color"] != doubtful["display"]["color"]
+    red, green, blue = doubtful["display"]["color"]
+    assert red > 3.0 * max(green, blue)
+    assert sure["display"]["color"][0] < sure["display"]["color"][1]
     assert doubtful["controlPoints"][-1]["description"].startswith(f"DOUBTFUL: {DOUBT}")
     assert DOUBT not in sure["controlPoints"][-1]["description"]
     for name in ("Scope positions", "Needle entries"):
@@ -150,6 +152,15 @@ def test_doubts_stand_in_the_name_the_colour_and_at_each_place(written):
         assert DOUBT in second["description"]
         assert "DOUBTFUL" in second["label"]
         assert "DOUBTFUL" not in first["label"] + first["description"]
+
+
+def test_the_best_route_is_red_too_where_it_is_doubtful(tmp_path):
+    plan = a_plan()
+    turned = dataclasses.replace(plan, routes=plan.routes[::-1])
+    document = json.loads(write_plan_markups(tmp_path / "p.mrk.json", turned, a_tree()).read_text())
+    for name in ("Route 1: branch 9 (DOUBTFUL)", "Needle, Route 1: branch 9 (DOUBTFUL)"):
+        red, green, blue = named(document, name)["display"]["color"]
+        assert red > 3.0 * max(green, blue)
 
 
 def test_a_target_says_its_size_its_error_and_that_it_may_move(written):
@@ -167,6 +178,10 @@ def test_several_targets_are_told_apart_by_name_and_badges_are_kept(tmp_path):
     points = named(document, "Targets")["controlPoints"]
     assert [point["label"] for point in points] == list(plans)
     assert all("import.lossy" in point["description"] for point in points)
+    # Not twice where the plan says it.
+    noted = dataclasses.replace(a_plan(), notes=(badge.words,))
+    again = json.loads(write_plan_markups(tmp_path / "q.mrk.json", noted, a_tree(), badges=[badge]).read_text())
+    assert json.dumps(named(again, "Targets")).count("compressed with loss") == 1
     assert named(document, "Route 2: branch 9 to Nodule B")["type"] == "Curve"
     assert len({markup["name"] for markup in document["markups"]}) == len(document["markups"])
 

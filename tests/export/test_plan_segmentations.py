@@ -18,7 +18,9 @@ from carina.errors import DiskError, NoResultError, UsageError, VolumeImportErro
 from carina.export.plan_dicom_seg import inside_on_grid, write_target_seg
 from carina.export.plan_nrrd import write_target_nrrd
 from carina.navigate.rotation import rotation_from_vector
+from carina.track import lumen_mask
 from carina.volume import Volume, open_mask, open_volume, write_grid
+from made import SMALL_CHEST, made_airways, made_phantom
 
 TURN = rotation_from_vector(np.array([0.31, -0.22, 0.47]))
 FIRST_LPS = np.array([-40.125, 17.5, -203.25])
@@ -170,6 +172,31 @@ def test_two_targets_are_two_segments_that_may_overlap(ct, volume, tmp_path):
         assert frames[np.array(numbers) == number].sum() == inside_on_grid(one, volume).sum()
 
 
+def test_the_lumen_of_the_airways_can_be_a_segment_beside_the_target(tmp_path):
+    made, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
+    # As a DICOM series of the same chest.
+    nz = made.volume.shape_zyx[0]
+
+    def placed(dataset, index):
+        step = made.volume.lps_from_ijk
+        dataset.PixelSpacing = [step[1, 1], step[0, 0]]
+        dataset.ImagePositionPatient = [f"{v:.8f}" for v in step[:3, 3] + index * step[:3, 2]]
+
+    ct = series(tmp_path / "ct", placed, hu=np.clip(made.volume.hu_zyx, -1024, 3000))
+    volume = open_volume(ct)
+    assert volume.shape_zyx[0] == nz
+    middle = volume.centre_lps
+    near = ellipsoid([5.0, 5.0, 5.0], middle)
+    path = write_target_seg(tmp_path / "t.dcm", near, volume, ct, airways=airways)
+    segments = pydicom.dcmread(path).SegmentSequence
+    assert [s.SegmentLabel for s in segments] == ["Target", "Airway lumen"]
+    assert segments[1].SegmentedPropertyTypeCodeSequence[0].CodeMeaning == "Airway structure"
+    inside = open_mask(path, volume, label=2).inside_zyx
+    assert np.array_equal(inside, lumen_mask(volume, airways))
+    with pytest.raises(UsageError, match="rename it"):
+        write_target_seg(tmp_path / "u.dcm", {"Airway lumen": near}, volume, ct, airways=airways)
+
+
 def test_highdicom_reads_the_segmentation_image_by_image(ct, volume, tmp_path):
     highdicom = pytest.importorskip("highdicom", reason="highdicom, the independent reader, is not installed")
     found = highdicom.seg.segread(write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct))
@@ -248,7 +275,12 @@ def test_what_cannot_be_referred_to_or_written_is_refused_in_words(ct, volume, t
 
 
 def test_the_segmentation_for_slicer_lies_where_the_nodule_is_to_the_voxel(tmp_path):
-    path = write_target_nrrd(tmp_path / "Nodule.seg.nrrd", nodule(), name="Nodule, right")
+    # In a box that is cut off differently on each axis.
+    rows = np.pad(nodule().inside_zyx, ((2, 0), (5, 0), (9, 0)))
+    shifted = nodule().lps_from_ijk.copy()
+    shifted[:3, 3] += shifted[:3, :3] @ [-9.0, -5.0, -2.0]
+    wide = dataclasses.replace(nodule(), inside_zyx=rows, lps_from_ijk=shifted)
+    path = write_target_nrrd(tmp_path / "Nodule.seg.nrrd", wide, name="Nodule, right")
     image = sitk.ReadImage(str(path))
     inside = sitk.GetArrayFromImage(image)
     found = [image.TransformContinuousIndexToPhysicalPoint([float(v) for v in at[::-1]]) for at in np.argwhere(inside)]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +22,7 @@ from pydicom.tag import Tag
 from pydicom.uid import SegmentationStorage, generate_uid
 
 from carina.disk import write_whole
-from carina.errors import NoResultError, UsageError
+from carina.errors import NoResultError, UsageError, check_type
 from carina.export.plan_dicom import (
     CtImages,
     Identity,
@@ -33,6 +34,7 @@ from carina.export.plan_dicom import (
     packed,
 )
 from carina.plan import Nodule
+from carina.track import Airways, drawn_tree, lumen_mask
 from carina.version import VERSION
 from carina.volume import Volume
 
@@ -40,10 +42,12 @@ __all__ = ["TARGET_SEG_SUFFIX", "inside_on_grid", "write_target_seg"]
 
 TARGET_SEG_SUFFIX: Final = ".dcm"
 _HALF = 0.5
-_LAB_YELLOW = (58111, 30069, 51143)
+LUMEN_NAME: Final = "Airway lumen"
+_LAB_YELLOW, _LAB_BLUE = (58111, 30069, 51143), (47000, 29000, 24500)
 """Of a recommended display value, CIELab scaled to 16 bits (PS3.3 C.10.7.1.1)."""
 
 Mask = NDArray[np.bool_]
+_Concept = tuple[str, str, str]
 
 
 def write_target_seg(
@@ -52,6 +56,7 @@ def write_target_seg(
     volume: Volume,
     ct: Path | str,
     *,
+    airways: Airways | None = None,
     identity: Identity = "none",
     series: str | None = None,
     now: datetime.datetime | None = None,
@@ -72,6 +77,8 @@ def write_target_seg(
         The CT that they were marked in.
     ct
         Its DICOM folder, or one of its files.
+    airways
+        Their lumen up to the walls becomes a last segment, "Airway lumen".
     identity
         ``"none"`` writes no name, number, date or institution; the UIDs of the CT stay, since the segmentation refers
         to its images. ``"from the CT"`` copies name, number, birth date, sex and the study's numbers, for an archive.
@@ -100,14 +107,15 @@ def write_target_seg(
         )
     named = named_nodules(targets, "saving a DICOM segmentation")
     images = ct_images(ct, volume, series=series, cancel=cancel)
-    inside = [inside_on_grid(nodule, volume) for nodule in named.values()]
-    for name, mask in zip(named, inside, strict=True):
-        if not mask.any():
-            raise NoResultError(
-                f"saving a DICOM segmentation: {name} does not fill half of any voxel of the CT; save it as .seg.nrrd, "
-                "which keeps its shape",
-                code="plan.too-small",
+    parts = [_nodule_part(name, nodule, volume) for name, nodule in named.items()]
+    if airways is not None:
+        check_type("saving a DICOM segmentation", "airways", airways, Airways, "get it from carina.find_airways")
+        if LUMEN_NAME in named:
+            raise UsageError(
+                f"saving a DICOM segmentation: a target is called {LUMEN_NAME!r}, as the airways are; rename it",
+                code="plan.name",
             )
+        parts.append(_lumen_part(airways, volume))
     data = new_object(
         SegmentationStorage,
         images,
@@ -117,7 +125,7 @@ def write_target_seg(
         series_words="Carina: targets of a bronchoscopy plan",
         now=now,
     )
-    _fill(data, list(named.items()), inside, images, volume)
+    _fill(data, parts, images, volume)
     return write_whole(path, packed(data), what="the segmentation")
 
 
@@ -151,13 +159,62 @@ def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
     return found
 
 
-def _fill(
-    data: Dataset,
-    targets: Sequence[tuple[str, Nodule]],
-    inside: Sequence[Mask],
-    images: CtImages,
-    volume: Volume,
-) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """What becomes a segment."""
+
+    label: str
+    inside: Mask
+    description: str
+    algorithm: tuple[str, str]
+    """Its type and name."""
+    codes: tuple[_Concept, _Concept]
+    """Category and type of what is segmented."""
+    region: _Concept | None
+    """Where it lies, if its type does not say so."""
+    cielab: tuple[int, int, int]
+
+
+def _nodule_part(name: str, nodule: Nodule, volume: Volume) -> _Part:
+    inside = inside_on_grid(nodule, volume)
+    if not inside.any():
+        raise NoResultError(
+            f"saving a DICOM segmentation: {name} does not fill half of any voxel of the CT; save it as .seg.nrrd, "
+            "which keeps its shape",
+            code="plan.too-small",
+        )
+    return _Part(
+        name,
+        inside,
+        f"{nodule.words} as measured (90 % within {nodule.volume_error_mm3 / 1000.0:.2f} ml); the voxels of this "
+        f"segment hold {_ml(inside, volume):.2f} ml",
+        ("SEMIAUTOMATIC", f"Carina {VERSION}, grown from a click"),
+        (("49755003", "SCT", "Morphologically Abnormal Structure"), ("27925004", "SCT", "Nodule")),
+        ("39607008", "SCT", "Lung"),
+        _LAB_YELLOW,
+    )
+
+
+def _lumen_part(airways: Airways, volume: Volume) -> _Part:
+    inside = lumen_mask(volume, airways) != 0
+    drawn = drawn_tree(airways.tree).words
+    said = f"the lumen of the airways found, {_ml(inside, volume):.1f} ml"
+    return _Part(
+        LUMEN_NAME,
+        inside,
+        said if drawn is None else f"{said}; {drawn}: not from the CT",
+        ("AUTOMATIC" if drawn is None else "SEMIAUTOMATIC", f"Carina {VERSION}"),
+        (("123037004", "SCT", "Anatomical Structure"), ("89187006", "SCT", "Airway structure")),
+        None,
+        _LAB_BLUE,
+    )
+
+
+def _ml(inside: Mask, volume: Volume) -> float:
+    return float(np.count_nonzero(inside)) * float(np.prod(volume.spacing_mm)) / 1000.0
+
+
+def _fill(data: Dataset, parts: Sequence[_Part], images: CtImages, volume: Volume) -> None:
     data.FrameOfReferenceUID = images.frame_of_reference_uid
     data.PositionReferenceIndicator = ""
     data.ImageType = ["DERIVED", "PRIMARY"]
@@ -173,14 +230,11 @@ def _fill(
         for keyword in ("LossyImageCompressionRatio", "LossyImageCompressionMethod"):
             if images.first.get(keyword):
                 setattr(data, keyword, images.first.get(keyword))
-    data.SegmentSequence = Items(
-        _segment(number, name, nodule, mask, volume)
-        for number, ((name, nodule), mask) in enumerate(zip(targets, inside, strict=True), 1)
-    )
+    data.SegmentSequence = Items(_segment(number, part) for number, part in enumerate(parts, 1))
     # Of each segment the slices from its first to its last.
     frames: list[tuple[int, int]] = []
-    for number, mask in enumerate(inside, 1):
-        slices = np.flatnonzero(mask.any(axis=(1, 2)))
+    for number, part in enumerate(parts, 1):
+        slices = np.flatnonzero(part.inside.any(axis=(1, 2)))
         frames += [(number, int(k)) for k in range(slices[0], slices[-1] + 1)]
     data.NumberOfFrames = len(frames)
     used = sorted({k for _, k in frames})
@@ -189,28 +243,23 @@ def _fill(
     data.SharedFunctionalGroupsSequence = Items([_shared(images, volume)])
     places = {k: n for n, k in enumerate(used, 1)}
     data.PerFrameFunctionalGroupsSequence = Items(_frame(images, number, k, places[k]) for number, k in frames)
-    bits = np.concatenate([inside[number - 1][k].reshape(-1) for number, k in frames])
+    bits = np.concatenate([parts[number - 1].inside[k].reshape(-1) for number, k in frames])
     content = np.packbits(bits, bitorder="little").tobytes()
     data.PixelData = content + b"\0" * (len(content) % 2)
     data["PixelData"].VR = "OB"
 
 
-def _segment(number: int, name: str, nodule: Nodule, mask: Mask, volume: Volume) -> Dataset:
+def _segment(number: int, part: _Part) -> Dataset:
     item = Dataset()
-    item.SegmentNumber, item.SegmentLabel = number, name
-    voxels_ml = float(mask.sum()) * float(np.prod(volume.spacing_mm)) / 1000.0
-    item.SegmentDescription = (
-        f"{nodule.words} as measured (90 % within {nodule.volume_error_mm3 / 1000.0:.2f} ml); the voxels of this "
-        f"segment hold {voxels_ml:.2f} ml"
-    )
-    item.SegmentAlgorithmType, item.SegmentAlgorithmName = "SEMIAUTOMATIC", f"Carina {VERSION}, grown from a click"
-    item.SegmentedPropertyCategoryCodeSequence = Items(
-        [code_item("49755003", "SCT", "Morphologically Abnormal Structure")]
-    )
-    item.SegmentedPropertyTypeCodeSequence = Items([code_item("27925004", "SCT", "Nodule")])
-    item.AnatomicRegionSequence = Items([code_item("39607008", "SCT", "Lung")])
-    item.TrackingID, item.TrackingUID = name, generate_uid(prefix=None)
-    item.RecommendedDisplayCIELabValue = list(_LAB_YELLOW)
+    item.SegmentNumber, item.SegmentLabel, item.SegmentDescription = number, part.label, part.description
+    item.SegmentAlgorithmType, item.SegmentAlgorithmName = part.algorithm
+    category, kind = part.codes
+    item.SegmentedPropertyCategoryCodeSequence = Items([code_item(*category)])
+    item.SegmentedPropertyTypeCodeSequence = Items([code_item(*kind)])
+    if part.region is not None:
+        item.AnatomicRegionSequence = Items([code_item(*part.region)])
+    item.TrackingID, item.TrackingUID = part.label, generate_uid(prefix=None)
+    item.RecommendedDisplayCIELabValue = list(part.cielab)
     return item
 
 

@@ -12,7 +12,7 @@ from carina.export.plan_content import named_plans
 from carina.export.plan_markups import PLAN_MARKUPS_SUFFIX, write_plan_markups
 from carina.export.plan_nrrd import TARGET_NRRD_SUFFIX, write_target_nrrd
 from carina.plan import Plan
-from carina.track import AirwayTree
+from carina.track import Airways, AirwayTree
 from carina.volume import Note, Volume
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def export_plan(
     volume: Volume | None = None,
     ct: Path | str | None = None,
     series: str | None = None,
+    airways: Airways | None = None,
     segmentation: Path | str | None = None,
     identity: Identity = "none",
     badges: Sequence[Note] = (),
@@ -64,6 +65,8 @@ def export_plan(
         The CT that it was made on and its DICOM folder; for DICOM.
     series
         Key of the CT's series, where it is not to be found by its pixels.
+    airways
+        For ``.seg.dcm``: their lumen becomes a segment of its own.
     segmentation
         A ``.seg.dcm`` of the same targets that a ``.sr.dcm`` refers to.
     identity
@@ -127,7 +130,9 @@ def export_plan(
 
     nodules = {title: one.nodule for title, one in plans.items()}
     if suffix == _SEG:
-        return write_target_seg(path, nodules, volume, ct, identity=identity, series=series, now=now, cancel=cancel)
+        return write_target_seg(
+            path, nodules, volume, ct, airways=airways, identity=identity, series=series, now=now, cancel=cancel
+        )
     return write_target_report(
         path,
         nodules,

@@ -77,7 +77,7 @@ def write_plan_markups(
             f"{Path(path).name!r}"
         )
     targets = drawn_plans(plan, tree)
-    notes = badge_lines(lasting(tree, badges))
+    notes = lasting(tree, badges)
     several = len(targets) > 1
     markups = [_target_list(targets, notes)]
     for target in targets:
@@ -90,13 +90,18 @@ def write_plan_markups(
     return write_whole(path, (json.dumps(document, allow_nan=False) + "\n").encode(), what="the plan")
 
 
-def _target_list(targets: Sequence[DrawnTarget], notes: Sequence[str]) -> dict[str, Any]:
-    said = [" ".join([target.words, *(f"{note}." for note in notes)]) for target in targets]
+def _target_list(targets: Sequence[DrawnTarget], notes: Sequence[Note]) -> dict[str, Any]:
     points = [
-        _point(n, target.plan.nodule.centre_lps, target.name, words)
-        for n, (target, words) in enumerate(zip(targets, said, strict=True), 1)
+        _point(n, target.plan.nodule.centre_lps, target.name, _with_notes(target, notes))
+        for n, target in enumerate(targets, 1)
     ]
     return _markup("Fiducial", "Targets", points, _TARGET_RGB, glyph_mm=6.0, has_labels=True)
+
+
+def _with_notes(target: DrawnTarget, notes: Sequence[Note]) -> str:
+    """What is said of a target, with the case's notes that its plan does not say already."""
+    more = badge_lines([note for note in notes if note.words not in target.plan.notes])
+    return " ".join([target.words, *(f"{line}." for line in more)])
 
 
 def _tip_list(target: DrawnTarget, of: str) -> dict[str, Any]:
