@@ -1,5 +1,6 @@
 """Planning: from a nodule in the lung to a way there."""
 
+from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
@@ -10,8 +11,10 @@ from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scop
 
 __all__ = [
     "DEFAULT_TOOL",
+    "EBUS_LIMITS",
     "Check",
     "Crossed",
+    "Landmark",
     "LastLeg",
     "NeedleErrors",
     "NeedleScene",
@@ -24,6 +27,8 @@ __all__ = [
     "Surroundings",
     "Tool",
     "Verdict",
+    "clock_hours",
+    "ebus_landmarks",
     "grow_nodule",
     "hit_share",
     "judge_scope",
