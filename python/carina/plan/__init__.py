@@ -1,5 +1,6 @@
 """Planning: from a nodule in the lung to a way there."""
 
+from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
@@ -17,8 +18,10 @@ from carina.plan.whereabouts import Whereabouts
 
 __all__ = [
     "DEFAULT_TOOL",
+    "EBUS_LIMITS",
     "Check",
     "Crossed",
+    "Landmark",
     "LastLeg",
     "NeedleErrors",
     "NeedleScene",
@@ -38,13 +41,15 @@ __all__ = [
     "Verdict",
     "Whereabouts",
     "brushed",
+    "clock_hours",
+    "ebus_landmarks",
     "grow_nodule",
     "hit_share",
     "judge_scope",
     "judge_scopes",
     "last_leg",
-    "nodule_from_mask",
     "main_carina_ridge_mm",
+    "nodule_from_mask",
     "plan_route",
     "proposed_aims",
     "resized",
