@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carina
+from carina.case import CaseFileError
 from carina.case.document import Lesion
 from carina.case.lesions import lesion_facts, made_lesion
 from carina.commands import (
@@ -25,6 +26,7 @@ from carina.commands import (
 )
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
+from carina.plan import PlanTarget
 from carina.scopes import scope_presets
 from carina.session.plan_values import nodule_surface
 
@@ -80,7 +82,7 @@ def test_a_planned_route_ends_where_the_scope_stands_and_knows_the_needle(case: 
     route = case.state.document.route
     assert route.target_id == target.target_id
     assert np.linalg.norm(route.points_lps[-1] - np.array(plan.routes[0].leg.tip_lps)) < 2.0
-    assert route.needle.aim_lps == pytest.approx(plan.routes[0].leg.aim_lps)
+    assert route.needle.ends_lps[1] == pytest.approx(plan.routes[0].leg.aim_lps)
     assert route.drawn.drawn_mm == 0.0
     # Verdicts of the whole library follow, that of the planned instrument first.
     assert len(info.verdicts) == len(scope_presets())
@@ -100,7 +102,7 @@ def test_options_plan_anew_and_words_are_kept(case: carina.Case, chest: Phantom)
     assert second is not first
     with pytest.raises(CarinaError, match="no tool is called"):
         case.do(SetPlanOptions(target_id=target.target_id, tool="spoon"))
-    case.do(DescribeTarget(target.target_id, "Nodule, right upper lobe", "growing", 2))
+    case.do(DescribeTarget(target_id=target.target_id, called="Nodule, right upper lobe", remark="growing", rank=2))
     (named,) = case.state.document.targets
     assert (named.name, named.note, named.priority) == ("Nodule, right upper lobe", "growing", 2)
     # A name changes no plan.
@@ -128,7 +130,7 @@ def test_the_case_file_keeps_targets_routes_and_what_was_said(chest: Phantom, tm
     case.do(AddTarget(centre_of(chest)))
     (target,) = case.state.document.targets
     case.do(SetPlanOptions(target_id=target.target_id, vessel_margin_mm=4.5))
-    case.do(DescribeTarget(target.target_id, "Left", "second opinion", 3))
+    case.do(DescribeTarget(target_id=target.target_id, called="Left", remark="second opinion", rank=3))
     case.do(ChoosePlannedRoute(target.target_id, 1))
     case.do(SetMode("path"))
     (target,) = case.state.document.targets
@@ -149,16 +151,13 @@ def test_the_case_file_keeps_targets_routes_and_what_was_said(chest: Phantom, tm
 
 def test_a_damaged_boundary_is_refused(chest: Phantom) -> None:
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
-    facts = lesion_facts(Lesion(nodule))
+    target = PlanTarget("target-1", "Target 1", nodule, centre_of(chest), "click", "lung")
+    facts = lesion_facts(Lesion(target))
     assert made_lesion(facts).nodule.to_json() == nodule.to_json()
-    for wrong in (
-        {"inside": "!!"},
-        {"inside": facts.inside[: len(facts.inside) // 2 // 4 * 4]},
-        {"kind": "square"},
-        {"shape_zyx": (4096, 4096, 4096)},
-    ):
-        with pytest.raises(CarinaError):
-            made_lesion(msgspec.structs.replace(facts, **wrong))
+    record = facts.record
+    for wrong in ({}, record | {"version": 99}, record | {"nodule": record["nodule"] | {"kind": "square"}}):
+        with pytest.raises(CaseFileError):
+            made_lesion(msgspec.structs.replace(facts, record=wrong))
 
 
 def test_the_surface_that_is_drawn_lies_on_the_nodule(chest: Phantom) -> None:

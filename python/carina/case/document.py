@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from carina.commands import KeyFrameFlying
@@ -14,7 +14,7 @@ from carina.scopes import Pose
 
 if TYPE_CHECKING:
     from carina.case.routes import ChosenRoute
-    from carina.plan import Nodule
+    from carina.plan import Nodule, PlanTarget
     from carina.render import TransferFunction
     from carina.track import Airways
 
@@ -28,8 +28,14 @@ Point = tuple[float, float, float]
 class Lesion:
     """A target with a size, and how the way to it is planned."""
 
-    nodule: Nodule
+    target: PlanTarget
+    """With the words of the target that it belongs to (:meth:`Target.described`)."""
     options: PlanOptions = field(default_factory=PlanOptions)
+
+    @property
+    def nodule(self) -> Nodule:
+        """What is to be reached."""
+        return self.target.nodule
 
 
 @one_line
@@ -61,6 +67,15 @@ class Target:
     """What a person says about it."""
     priority: int = 1
     """1 comes first."""
+
+    def described(self, name: str, note: str, priority: int) -> Target:
+        """The same target with other words, its route's and its lesion's among them."""
+        lesion = self.lesion
+        if lesion is not None:
+            told = replace(lesion.target, name=name, note=note, priority=priority)
+            lesion = replace(lesion, target=told)
+        route = None if self.route is None else replace(self.route, title=name)
+        return replace(self, name=name, note=note, priority=priority, lesion=lesion, route=route)
 
 
 @one_line

@@ -11,10 +11,11 @@ from msgspec import Meta
 
 from carina.case.lesions import LesionFacts
 from carina.case.packing import from_json
+from carina.case.routes import NeedleLine
 from carina.commands import Command, KeyFrameFlying, all_commands
 from carina.commands.fields import BranchId, Count, Identifier, Matrix4, Part, PointLps
 from carina.commands.look import Look
-from carina.commands.plan import TargetNote
+from carina.commands.plan import TargetNote, TargetRank
 from carina.commands.tree import AskedPath
 from carina.commands.value import LocalCommand
 from carina.render import Sight
@@ -192,8 +193,7 @@ class RouteFacts(_Facts, frozen=True):
     path_lookouts_mm: Numbers
     max_deviation_mm: Mm
     lumen_known: bool = True
-    needle: tuple[PointLps, PointLps, Mm] | None = None
-    """Tip, aim, and the way from the tip to the target's edge."""
+    needle: NeedleLine | None = None
 
 
 class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
@@ -211,7 +211,7 @@ class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
     value_range: tuple[int, int] | None = None
     lesion: LesionFacts | None = None
     note: TargetNote = ""
-    priority: Annotated[int, Meta(ge=1, le=9)] = 1
+    priority: TargetRank = 1
 
 
 class KeyFrameFacts(_Facts, frozen=True):

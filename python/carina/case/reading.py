@@ -19,7 +19,7 @@ from carina.case.lesions import made_lesion
 from carina.case.measures import branch_from, fork_from
 from carina.case.moment import Moment
 from carina.case.packing import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
-from carina.case.routes import ChosenRoute, NeedleLine, RouteSpan
+from carina.case.routes import ChosenRoute, RouteSpan
 from carina.case.source import Turn
 from carina.case.tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.trouble import damaged
@@ -285,7 +285,7 @@ class CaseReader:
             branch_id=facts.branch_id,
             drawn=DrawnPart(*facts.drawn),
             lumen_known=facts.lumen_known,
-            needle=None if facts.needle is None else NeedleLine(*facts.needle),
+            needle=facts.needle,
         )
         self._routes[row] = made
         self._know("route", made, row)

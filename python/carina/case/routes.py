@@ -16,6 +16,7 @@ from carina.navigate.moves import PathFork, PathWay, SetPath
 from carina.scopes import PathFrames
 from carina.track import Airways, AirwayTree, Branch, DrawnPart, Route, TrackedPath, drawn_part
 from carina.track.targets.paper import along_branches
+from carina.value import FrozenValue, PointLps
 
 __all__ = [
     "AirwayIndex",
@@ -53,13 +54,11 @@ class RouteSpan:
     """As in :class:`carina.track.Branch`: what a person drew is named so wherever the route is shown."""
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class NeedleLine:
+class NeedleLine(FrozenValue, frozen=True):
     """The last leg of a planned route: straight from the scope's tip into the target."""
 
-    tip_lps: tuple[float, float, float]
-    aim_lps: tuple[float, float, float]
+    ends_lps: tuple[PointLps, PointLps]
+    """The tip, and what it aims at."""
     to_target_mm: float
     """From the tip to the target's edge."""
 
@@ -200,7 +199,7 @@ def route_to_parking(tree: AirwayTree, needle: NeedleLine, target_id: str, name:
     NoResultError
         If no airway is there any more.
     """
-    way = route_to_point(tree, np.asarray(needle.tip_lps, dtype=np.float64), snap_mm=PARKED_MM)
+    way = route_to_point(tree, np.asarray(needle.ends_lps[0], dtype=np.float64), snap_mm=PARKED_MM)
     return replace(way, route_id=target_id, title=name, target_id=target_id, needle=needle)
 
 

@@ -217,7 +217,7 @@ class CaseWriter:
             return known
         path = route.path
         made = path.made_from()
-        drawn, needle = route.drawn, route.needle
+        drawn = route.drawn
         facts = f.RouteFacts(
             route_id=route.route_id,
             title=route.title,
@@ -234,7 +234,7 @@ class CaseWriter:
             path_lookouts_mm=made["lookouts_mm"],
             max_deviation_mm=made["max_deviation_mm"],
             lumen_known=route.lumen_known,
-            needle=None if needle is None else (needle.tip_lps, needle.aim_lps, needle.to_target_mm),
+            needle=route.needle,
         )
         names = ("points_lps", "cumulative_mm", "radius_mm", "wall_mm", "generation", "branch_ids")
         values: dict[str, Any] = {

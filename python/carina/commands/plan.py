@@ -12,6 +12,8 @@ from carina.value import TEXT
 
 TargetNote = Annotated[str, Meta(max_length=2000, pattern=TEXT)]
 
+TargetRank = Annotated[int, Meta(ge=1, le=9)]
+
 
 class PlanOptions(FrozenValue, frozen=True):
     """With what a target is to be reached, and what counts against a route."""
@@ -34,12 +36,12 @@ class SetPlanOptions(PlanOptions, Command, frozen=True, kw_only=True):
 
 
 class DescribeTarget(Command, frozen=True):
-    """What a person calls a target and says about it."""
+    """Name a target, and say something about it."""
 
     target_id: Identifier
-    name: OwnName
-    note: TargetNote = ""
-    priority: Annotated[int, Meta(ge=1, le=9)] = 1
+    called: OwnName
+    remark: TargetNote = ""
+    rank: TargetRank = 1
     """1 comes first."""
 
 

@@ -14,11 +14,12 @@ from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
 from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
-from carina.plan.whereabouts import Whereabouts
+from carina.plan.whereabouts import WHERE_WORDS, Whereabouts, whereabouts
 
 __all__ = [
     "DEFAULT_TOOL",
     "EBUS_LIMITS",
+    "WHERE_WORDS",
     "Check",
     "Crossed",
     "Landmark",
@@ -60,4 +61,5 @@ __all__ = [
     "tool",
     "tools",
     "turn_list",
+    "whereabouts",
 ]

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from carina.case.routes import NeedleLine
 from carina.commands.fields import (
     BranchId,
     Count,
@@ -22,7 +23,7 @@ from carina.commands.fields import (
     Words,
 )
 from carina.commands.look import Look
-from carina.commands.plan import TargetNote
+from carina.commands.plan import TargetNote, TargetRank
 from carina.commands.tree import AskedPath
 from carina.render import ClusterState, Processor, Sight
 from carina.scopes import ScopeHold
@@ -179,7 +180,7 @@ class Target(AskedPath, frozen=True):
     value_range: tuple[VoxelValue, VoxelValue] | None = None
     """Least and greatest value along that path, in the scan's own numbers."""
     note: TargetNote = ""
-    priority: Annotated[int, Meta(ge=1, le=9)] = 1
+    priority: TargetRank = 1
     """1 comes first."""
     has_size: bool = False
     """It lies outside the airways: ``plans`` has its boundary and the routes to it."""
@@ -270,15 +271,6 @@ class History(ServerMessage, frozen=True):
     steps: tuple[HistoryStep, ...]
     step: int
     """How many of them hold; those after are taken back and can be done again. ``go_to_step`` changes it."""
-
-
-class NeedleLine(FrozenValue, frozen=True):
-    """The last leg of a planned route: straight from the scope's tip into the target."""
-
-    tip_lps: PointLps
-    aim_lps: PointLps
-    to_target_mm: float
-    """From the tip to the target's edge."""
 
 
 class RouteInfo(DrawnPart, frozen=True, kw_only=True):

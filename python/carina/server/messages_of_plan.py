@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from carina.case.routes import NeedleLine
 from carina.commands.fields import BranchId, Count, Identifier, Part, PointLps, PointsLps, Words
 from carina.commands.plan import PlanOptions
 from carina.server.wire_codec import ServerMessage
@@ -22,26 +23,11 @@ class TargetSurface(FrozenValue, frozen=True):
     """Three places in the vertices each, counterclockwise seen from outside."""
 
 
-class TargetSize(FrozenValue, frozen=True):
-    """What was measured of a target. Errors are half-widths of the interval that holds nine of ten."""
-
-    centre_lps: PointLps
-    kind: Words
-    """solid, part-solid, ground-glass"""
-    volume_mm3: float
-    volume_error_mm3: float
-    long_mm: float
-    short_mm: float
-    diameter_error_mm: float
-    touches: tuple[Words, ...]
-
-
 class NeedleTissue(FrozenValue, frozen=True):
     """A stretch of one tissue on a needle's way, from the scope's tip."""
 
     tissue: Words
-    from_mm: float
-    to_mm: float
+    ends_mm: tuple[float, float]
 
 
 class RouteOffer(FrozenValue, frozen=True):
@@ -51,11 +37,11 @@ class RouteOffer(FrozenValue, frozen=True):
     branch_name: Words
     from_carina_mm: float | None
     narrowest_mm: float
-    fits: bool
-    """The planned scope, with its margin, is no wider than that."""
-    tip_lps: PointLps
-    aim_lps: PointLps
-    to_target_mm: float
+    outlook: Words
+    """What diameter, bend and doubts say of the planned scope, before its drive is simulated."""
+    limits: tuple[Words, ...]
+    """What stands against it, or may."""
+    needle: NeedleLine
     angle_deg: float
     in_target_mm: float
     vessel_mm: float | None
@@ -97,7 +83,10 @@ class TargetPlan(FrozenValue, frozen=True):
     """A target with a size, and the routes to it."""
 
     target_id: Identifier
-    size: TargetSize
+    centre_lps: PointLps
+    size: Words
+    """Solid nodule, 12.3 x 10.1 mm, 0.74 ml, with the errors that hold nine of ten."""
+    where: Words | None
     surface: TargetSurface
     options: PlanOptions
     moved_mm: float | None
@@ -111,13 +100,6 @@ class TargetPlan(FrozenValue, frozen=True):
     """Which route is flown, from 1."""
 
 
-class PlanTool(FrozenValue, frozen=True):
-    """A tool of the library."""
-
-    name: Identifier
-    title: Words
-
-
 class Plans(ServerMessage, frozen=True):
     """The plans, when they changed."""
 
@@ -126,4 +108,5 @@ class Plans(ServerMessage, frozen=True):
     verdicts: tuple[ScopeVerdict, ...]
     """On the route that is chosen, as far as they are made."""
     verdicts_standing: Making
-    tools: tuple[PlanTool, ...]
+    tools: tuple[tuple[Identifier, Words], ...]
+    """Names and titles of the library."""

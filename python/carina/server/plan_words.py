@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carina.plan import tools
+from carina.case.routes import NeedleLine
+from carina.plan import WHERE_WORDS, tools
 from carina.server import messages as wire
 from carina.session import PlannedTarget, PlanningInfo, chosen_number, nodule_surface
 
@@ -23,7 +24,7 @@ def plans_message(info: PlanningInfo) -> wire.Plans:
         standing=info.standing,
         verdicts=tuple(_verdict(verdict) for verdict in info.verdicts),
         verdicts_standing=info.verdicts_standing,
-        tools=tuple(wire.PlanTool(one.name, one.title) for one in tools()),
+        tools=tuple((one.name, one.title) for one in tools()),
     )
 
 
@@ -36,7 +37,9 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
     mine = route is not None and route.target_id == one.target.target_id
     return wire.TargetPlan(
         target_id=one.target.target_id,
+        centre_lps=_point(lesion.nodule.centre_lps),
         size=_size(lesion.nodule),
+        where=WHERE_WORDS[lesion.target.where],
         surface=_surface(lesion.nodule),
         options=lesion.options,
         moved_mm=None if plan is None else plan.moved_mm,
@@ -48,17 +51,11 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
     )
 
 
-def _size(nodule: Nodule) -> wire.TargetSize:
-    return wire.TargetSize(
-        centre_lps=_point(nodule.centre_lps),
-        kind=nodule.kind,
-        volume_mm3=float(nodule.volume_mm3),
-        volume_error_mm3=float(nodule.volume_error_mm3),
-        long_mm=float(nodule.long_mm),
-        short_mm=float(nodule.short_mm),
-        diameter_error_mm=float(nodule.diameter_error_mm),
-        touches=tuple(nodule.touches),
-    )
+def _size(nodule: Nodule) -> str:
+    ml, error = nodule.volume_mm3 / 1000.0, nodule.volume_error_mm3 / 1000.0
+    digits = 2 if ml >= 0.1 else 3
+    across = f"{nodule.long_mm:.1f} \u00d7 {nodule.short_mm:.1f} mm (\u00b1 {nodule.diameter_error_mm:.1f})"
+    return f"{nodule.kind} nodule, {across}, {ml:.{digits}f} ml (\u00b1 {error:.{digits}f})"
 
 
 def _surface(nodule: Nodule) -> wire.TargetSurface:
@@ -74,16 +71,15 @@ def _route(route: PlannedRoute) -> wire.RouteOffer:
         branch_name=route.branch_name,
         from_carina_mm=route.from_carina_mm,
         narrowest_mm=route.narrowest_mm,
-        fits=route.fits,
-        tip_lps=_point(leg.tip_lps),
-        aim_lps=_point(leg.aim_lps),
-        to_target_mm=leg.to_target_mm,
+        outlook=route.outlook,
+        limits=tuple(route.limits),
+        needle=NeedleLine((_point(leg.tip_lps), _point(leg.aim_lps)), float(leg.to_target_mm)),
         angle_deg=leg.angle_deg,
         in_target_mm=leg.in_target_mm,
         vessel_mm=leg.vessel_mm,
         hit_share=leg.hit_share,
         hit_share_moved=leg.hit_share_moved,
-        crossed=tuple(wire.NeedleTissue(one.tissue, one.start_mm, one.end_mm) for one in leg.crossed),
+        crossed=tuple(wire.NeedleTissue(one.tissue, (one.start_mm, one.end_mm)) for one in leg.crossed),
         score=route.score,
         doubts=tuple(route.doubts),
     )

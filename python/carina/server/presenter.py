@@ -225,7 +225,6 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
     """The route with its parallel lists."""
     if route is None:
         return wire.Route(None)
-    needle = route.needle
     info = wire.RouteInfo(
         route_id=route.route_id,
         title=route.title,
@@ -246,7 +245,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         drawn_mm=round(route.drawn.drawn_mm, 2),
         bridge_mm=round(route.drawn.bridge_mm, 2),
         lumen_known=route.lumen_known,
-        needle=None if needle is None else wire.NeedleLine(needle.tip_lps, needle.aim_lps, needle.to_target_mm),
+        needle=route.needle,
     )
     return wire.Route(info)
 

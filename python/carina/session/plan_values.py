@@ -216,6 +216,7 @@ class CasePlanning:
                     tool=options.tool,
                     vessel_margin_mm=options.vessel_margin_mm,
                     moved_mm=options.moved_mm,
+                    aims=lesion.target.aims,
                     wall=wall,
                     progress=say,
                     cancel=attempt.cancel,
@@ -265,8 +266,8 @@ def chosen_number(document: Document, plan: Plan) -> int | None:
     if needle is None:
         return None
     for number, route in enumerate(plan.routes, 1):
-        away = np.subtract(route.leg.tip_lps, needle.tip_lps), np.subtract(route.leg.aim_lps, needle.aim_lps)
-        if all(float(np.linalg.norm(one)) < SAME_PLACE_MM for one in away):
+        away = np.subtract((route.leg.tip_lps, route.leg.aim_lps), needle.ends_lps)
+        if float(np.abs(away).max()) < SAME_PLACE_MM:
             return number
     return None
 

@@ -56,16 +56,15 @@ class Planning(Subject):
         case = self.core.needed_case()
         with self.core.lock:
             document, target = case.document, needed_target(case.document, command.target_id)
-            route = None if target.route is None else replace(target.route, title=command.name)
-            changed = replace(target, name=command.name, note=command.note, priority=command.priority, route=route)
-            if (target.name, target.note, target.priority) == (command.name, command.note, command.priority):
+            changed = target.described(command.called, command.remark, command.rank)
+            if (target.name, target.note, target.priority) == (command.called, command.remark, command.rank):
                 return
             chosen = document.route
             if chosen is not None and chosen.target_id == target.target_id:
-                chosen = route if chosen is target.route else replace(chosen, title=command.name)
+                chosen = changed.route if chosen is target.route else replace(chosen, title=command.called)
             self.core.change(
                 case,
-                f"describe {command.name}",
+                f"describe {command.called}",
                 replace(_with_target(document, changed), route=chosen),
                 gesture=("describe", target.target_id),
             )
@@ -90,7 +89,7 @@ class Planning(Subject):
                     code="plan.no-route",
                 )
             leg = routes[command.number - 1].leg
-            needle = NeedleLine(as_point(leg.tip_lps), as_point(leg.aim_lps), float(leg.to_target_mm))
+            needle = NeedleLine((as_point(leg.tip_lps), as_point(leg.aim_lps)), float(leg.to_target_mm))
             route = route_to_parking(document.airways.tree, needle, target.target_id, target.name)
             self.core.change(case, f"route {command.number} to {target.name}", replace(document, route=route))
 

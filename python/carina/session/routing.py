@@ -10,6 +10,7 @@ from carina import commands as c
 from carina.case.document import Lesion, Target
 from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
+from carina.plan import PlanTarget, whereabouts
 from carina.session.case import OpenCase
 from carina.session.inside import in_lumen
 from carina.session.jobs import Job
@@ -54,7 +55,7 @@ class Routing(Subject):
             )
 
         def work(job: Job) -> None:
-            lesion, why_none = self._lesion(case, command.lps)
+            lesion, why_none = self._lesion(case, target)
             if lesion is not None:
                 with self.core.lock:
                     job.check()
@@ -86,13 +87,15 @@ class Routing(Subject):
 
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
 
-    def _lesion(self, case: OpenCase, lps: tuple[float, float, float]) -> tuple[Lesion | None, str | None]:
+    def _lesion(self, case: OpenCase, target: Target) -> tuple[Lesion | None, str | None]:
         """What lies outside the airways there, or why nothing was found; neither for a place in a lumen."""
-        volume, airways = case.info.volume, case.document.airways
+        volume, airways, lps = case.info.volume, case.document.airways, target.lps
         if not volume.is_hu or (airways is not None and in_lumen(volume, airways.lumen_zyx, np.asarray(lps))):
             return None, None
         try:
-            return Lesion(self.core.parts.grow_nodule(volume, lps)), None
+            nodule = self.core.parts.grow_nodule(volume, lps)
+            where = whereabouts(volume, nodule)
+            return Lesion(PlanTarget(target.target_id, target.name, nodule, lps, "click", where)), None
         except NoResultError as trouble:
             return None, str(trouble)
 

@@ -6,18 +6,6 @@ import { fixed, mm } from "./format";
 export const planOf = (plans: PlansMessage | null, targetId: string | null): TargetPlan | null =>
   plans?.targets.find((target) => target.target_id === targetId) ?? null;
 
-/** `solid, 12.4 × 10.1 mm (± 0.5)`. */
-export function sizeWords({ size }: TargetPlan): string {
-  const across = `${fixed(size.long_mm, 1)} \u00d7 ${mm(size.short_mm)}`;
-  return `${size.kind}, ${across} (\u00b1 ${fixed(size.diameter_error_mm, 1)})`;
-}
-
-/** `0.92 ml (± 0.04)`. */
-export function volumeWords({ size }: TargetPlan): string {
-  const digits = size.volume_mm3 >= 100 ? 2 : 3;
-  return `${fixed(size.volume_mm3 / 1000, digits)}\u202fml (\u00b1 ${fixed(size.volume_error_mm3 / 1000, digits)})`;
-}
-
 const SIGNS: Readonly<Record<string, string>> = {
   into: "an airway leads into it",
   beside: "an airway lies against it",
@@ -39,9 +27,13 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
   {
     title: "Narrowest",
     words: "Smallest lumen diameter on the way",
-    of: (route) => (route.fits ? mm(route.narrowest_mm) : `${mm(route.narrowest_mm)} !`),
+    of: (route) => mm(route.narrowest_mm),
   },
-  { title: "Needle", words: "From the scope's tip to the target's edge", of: (route) => mm(route.to_target_mm, 0) },
+  {
+    title: "Needle",
+    words: "From the scope's tip to the target's edge",
+    of: (route) => mm(route.needle.to_target_mm, 0),
+  },
   { title: "Angle", words: "Between needle and airway", of: (route) => `${fixed(route.angle_deg)}\u00b0` },
   { title: "In target", words: "Needle path inside the target", of: (route) => mm(route.in_target_mm, 0) },
   {

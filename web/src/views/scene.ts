@@ -104,7 +104,7 @@ function lesionsOf(state: AppState): SceneLesion[] {
       (state.plans?.targets ?? []).map((target) => [
         target.target_id,
         {
-          centre: asVec3(target.size.centre_lps),
+          centre: asVec3(target.centre_lps),
           surface: { vertices: target.surface.vertices_lps.map(asVec3), triangles: target.surface.triangles },
         },
       ]),
@@ -123,8 +123,8 @@ function needleOf(state: AppState): Scene["needle"] {
   if (needle === null || state.route === null) return null;
   const at = pathMm(state);
   return {
-    tip: asVec3(needle.tip_lps),
-    aim: asVec3(needle.aim_lps),
+    tip: asVec3(needle.ends_lps[0]),
+    aim: asVec3(needle.ends_lps[1]),
     toGoMm: at === null ? null : state.route.length_mm - at,
   };
 }

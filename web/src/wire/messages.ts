@@ -569,13 +569,13 @@ export interface SetPlanOptionsMessage {
   readonly target_id: string;
 }
 
-/** What a person calls a target and says about it. */
+/** Name a target, and say something about it. */
 export interface DescribeTargetMessage {
   readonly type: "describe_target";
   readonly target_id: string;
-  readonly name: string;
-  readonly note?: string;
-  readonly priority?: number;
+  readonly called: string;
+  readonly remark?: string;
+  readonly rank?: number;
 }
 
 /** Take one of the routes that were planned to a target: the flight leads to where the scope stands there. */
@@ -1120,8 +1120,7 @@ export interface RouteSpan {
 
 /** The last leg of a planned route: straight from the scope's tip into the target. */
 export interface NeedleLine {
-  readonly tip_lps: readonly [number, number, number];
-  readonly aim_lps: readonly [number, number, number];
+  readonly ends_lps: readonly [readonly [number, number, number], readonly [number, number, number]];
   readonly to_target_mm: number;
 }
 
@@ -1360,18 +1359,6 @@ export interface KeyFramesMessage {
   readonly problem: string | null;
 }
 
-/** What was measured of a target. Errors are half-widths of the interval that holds nine of ten. */
-export interface TargetSize {
-  readonly centre_lps: readonly [number, number, number];
-  readonly kind: string;
-  readonly volume_mm3: number;
-  readonly volume_error_mm3: number;
-  readonly long_mm: number;
-  readonly short_mm: number;
-  readonly diameter_error_mm: number;
-  readonly touches: readonly string[];
-}
-
 /** The boundary of a target, for drawing. */
 export interface TargetSurface {
   readonly vertices_lps: readonly (readonly [number, number, number])[];
@@ -1390,8 +1377,7 @@ export interface PlanOptions {
 /** A stretch of one tissue on a needle's way, from the scope's tip. */
 export interface NeedleTissue {
   readonly tissue: string;
-  readonly from_mm: number;
-  readonly to_mm: number;
+  readonly ends_mm: readonly [number, number];
 }
 
 /** A planned route. */
@@ -1400,10 +1386,9 @@ export interface RouteOffer {
   readonly branch_name: string;
   readonly from_carina_mm: number | null;
   readonly narrowest_mm: number;
-  readonly fits: boolean;
-  readonly tip_lps: readonly [number, number, number];
-  readonly aim_lps: readonly [number, number, number];
-  readonly to_target_mm: number;
+  readonly outlook: string;
+  readonly limits: readonly string[];
+  readonly needle: NeedleLine;
   readonly angle_deg: number;
   readonly in_target_mm: number;
   readonly vessel_mm: number | null;
@@ -1417,7 +1402,9 @@ export interface RouteOffer {
 /** A target with a size, and the routes to it. */
 export interface TargetPlan {
   readonly target_id: string;
-  readonly size: TargetSize;
+  readonly centre_lps: readonly [number, number, number];
+  readonly size: string;
+  readonly where: string | null;
   readonly surface: TargetSurface;
   readonly options: PlanOptions;
   readonly moved_mm: number | null;
@@ -1447,12 +1434,6 @@ export interface ScopeVerdict {
   readonly checks: readonly ScopeCheck[];
 }
 
-/** A tool of the library. */
-export interface PlanTool {
-  readonly name: string;
-  readonly title: string;
-}
-
 /** The plans, when they changed. */
 export interface PlansMessage {
   readonly type: "plans";
@@ -1460,7 +1441,7 @@ export interface PlansMessage {
   readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
   readonly verdicts: readonly ScopeVerdict[];
   readonly verdicts_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
-  readonly tools: readonly PlanTool[];
+  readonly tools: readonly (readonly [string, string])[];
 }
 
 /** A branch of a `carina-tree` document. */

@@ -3,7 +3,7 @@
 import { useId, useState } from "react";
 import { Input, Label, TextArea, TextField } from "react-aria-components";
 import { sentence } from "../../state/format";
-import { planOf, signWords, sizeWords, volumeWords } from "../../state/plan";
+import { planOf, signWords } from "../../state/plan";
 import { asVec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
@@ -39,10 +39,8 @@ export function LesionCard({ target }: { target: Target }) {
         )}
         {plan === null ? null : (
           <span className="quiet numbers" data-testid="lesion-size">
-            {sentence(sizeWords(plan))}
-            <br />
-            {volumeWords(plan)}
-            {plan.size.touches.length === 0 ? "" : `; touches ${plan.size.touches.join(", ")}`}
+            {sentence(plan.size)}
+            {plan.where === null ? "" : `, ${plan.where}`}
           </span>
         )}
         {target.note === "" || editing ? null : <span className="quiet lesion-note">{target.note}</span>}
@@ -78,7 +76,7 @@ export function LesionCard({ target }: { target: Target }) {
             kind="quiet"
             label="Show"
             words="Move the crosshair to this target"
-            onPress={() => station.send({ type: "set_crosshair", lps: asVec3(plan?.size.centre_lps ?? target.lps) })}
+            onPress={() => station.send({ type: "set_crosshair", lps: asVec3(plan?.centre_lps ?? target.lps) })}
           />
           <Act
             kind="quiet"
@@ -104,9 +102,9 @@ function Describe({ target, onDone }: { target: Target; onDone: () => void }) {
       station.send({
         type: "describe_target",
         target_id: target.target_id,
-        name: name.trim(),
-        note: note.trim(),
-        priority,
+        called: name.trim(),
+        remark: note.trim(),
+        rank: priority,
       });
     }
     done();

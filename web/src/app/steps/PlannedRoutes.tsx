@@ -27,12 +27,17 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           <Icon name="warning" /> {sentence(doubt)}
         </p>
       ))}
+      {(chosen?.limits ?? []).map((limit) => (
+        <p key={limit} className="warning-text">
+          <Icon name="warning" /> {sentence(limit)}
+        </p>
+      ))}
       {chosen === null ? null : (
         <p className="quiet">
           Needle through{" "}
           {chosen.crossed
             .filter((one) => one.tissue !== "lumen")
-            .map((one) => `${one.tissue} ${(one.to_mm - one.from_mm).toFixed(0)}\u202fmm`)
+            .map((one) => `${one.tissue} ${(one.ends_mm[1] - one.ends_mm[0]).toFixed(0)}\u202fmm`)
             .join(", ")}
           .
         </p>
@@ -68,7 +73,7 @@ function RouteTable({ target, plan }: { target: Target; plan: TargetPlan }) {
           <tr>
             <th scope="col">Route</th>
             {plan.routes.map((route, index) => (
-              <th scope="col" key={`${route.branch_id} ${route.tip_lps.join(" ")}`}>
+              <th scope="col" key={`${route.branch_id} ${route.needle.ends_lps.join(" ")}`}>
                 <Act
                   kind={plan.chosen === index + 1 ? "primary" : "plain"}
                   label={`${index + 1}`}
@@ -88,7 +93,7 @@ function RouteTable({ target, plan }: { target: Target; plan: TargetPlan }) {
               </th>
               {plan.routes.map((route, index) => (
                 <td
-                  key={`${route.branch_id} ${route.tip_lps.join(" ")}`}
+                  key={`${route.branch_id} ${route.needle.ends_lps.join(" ")}`}
                   className={plan.chosen === index + 1 ? "chosen" : undefined}
                 >
                   {of(route)}
@@ -130,9 +135,9 @@ function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
       <label>
         Tool
         <select value={plan.options.tool} onChange={(event) => change({ tool: event.target.value })}>
-          {(tools ?? []).map((tool) => (
-            <option key={tool.name} value={tool.name}>
-              {tool.title}
+          {(tools ?? []).map(([name, title]) => (
+            <option key={name} value={name}>
+              {title}
             </option>
           ))}
         </select>
