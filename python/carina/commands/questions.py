@@ -51,7 +51,7 @@ class PlanningOf(Question[Any], frozen=True):
 
 
 class PlanToTakeAway(Question[Any], frozen=True):
-    """The plan of a target as a ``carina-plan`` document, with the verdicts on the route that is chosen."""
+    """What the report of a target's plan is made from: a :class:`carina.plan.report.PlanMaterials`."""
 
     target_id: Identifier
 

@@ -114,7 +114,7 @@ class CasePlanning:
 
     def of(self, lesion: Lesion) -> TargetPlan | None:
         """The plan of a target of the document, if it is there."""
-        made = self._made()
+        made = self.made
         return None if made is None else made.of(lesion)
 
     def standing(self) -> Standing:
@@ -173,11 +173,13 @@ class CasePlanning:
         lesions = tuple(target.lesion for target in document.targets if target.lesion is not None)
         return (document.airways, *lesions) if lesions else None
 
-    def _made(self) -> MadePlans | None:
+    @property
+    def made(self) -> MadePlans | None:
+        """The plans of the document, once they are there."""
         return self._plans.of(self._inputs(self._document))
 
     def _verdict_inputs(self) -> VerdictInputs | None:
-        document, made = self._document, self._made()
+        document, made = self._document, self.made
         if document is None or made is None or document.route is None:
             return None
         target = next((t for t in document.targets if t.target_id == document.route.target_id), None)
@@ -231,7 +233,7 @@ class CasePlanning:
     def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
         plan, number, wall, lesion = inputs
         with self._lock:
-            made = self._made()
+            made = self.made
         if made is None:
             raise CancelledError("the airways have changed")
         found: list[Verdict] = []

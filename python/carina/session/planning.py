@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from carina import commands as c
 from carina.case.document import Document, Target
 from carina.case.routes import NeedleLine, route_to_parking
 from carina.errors import NoResultError, UsageError
 from carina.plan import tool
+from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
 from carina.session.case import OpenCase, as_point
-from carina.session.plan_values import PlannedTarget, PlanningInfo
+from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number
 from carina.session.subject import Subject, answers, does
 from carina.session.targets import needed_target
 
@@ -112,17 +112,28 @@ class Planning(Subject):
             )
 
     @answers(c.PlanToTakeAway)
-    def plan_to_take_away(self, question: c.PlanToTakeAway) -> dict[str, Any]:
-        """The same document as ``carina plan`` writes."""
-        info = self.planning_of(c.PlanningOf())
-        for one in info.targets:
-            if one.target.target_id == question.target_id:
-                if one.planned is None or one.planned.plan is None:
-                    raise NoResultError(f"{one.target.name} has no plan yet", code="plan.no-plan")
-                mine = info.document.route is not None and info.document.route.target_id == question.target_id
-                verdicts = [verdict.to_json() for verdict in info.verdicts] if mine else []
-                return one.planned.plan.to_json() | {"verdicts": verdicts}
-        raise UsageError("this target has been removed", code="session.target")
+    def plan_to_take_away(self, question: c.PlanToTakeAway) -> PlanMaterials:
+        """Of the route that is chosen, else of the best."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            document, target = case.document, needed_target(case.document, question.target_id)
+            lesion = target.lesion
+            made, planned = case.planning.made, None if lesion is None else case.planning.of(lesion)
+            if lesion is None or made is None or planned is None or planned.plan is None:
+                why = "" if planned is None or planned.problem is None else f": {planned.problem}"
+                raise NoResultError(f"{target.name} has no plan yet{why}", code="plan.no-plan")
+            mine = document.route is not None and document.route.target_id == target.target_id
+            number = chosen_number(document, planned.plan) if mine else None
+            return PlanMaterials(
+                volume=case.info.volume,
+                airways=made.airways,
+                wall=made.wall,
+                plan=planned.plan,
+                route_number=number or 1,
+                verdicts=case.planning.verdicts() if number is not None else (),
+                operator=document.look.operator,
+                notes=tuple(note for note in (target.name, target.note) if note),
+            )
 
 
 def _with_target(document: Document, changed: Target) -> Document:

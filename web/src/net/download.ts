@@ -15,7 +15,13 @@ export function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ nam
   return fetchFile(`airways${suffix}`, signal);
 }
 
-/** The plan of a target as a report with this suffix (".html"). */
+/** Where the report of a target's plan is shown, ready to be printed. */
+export function planAddress(targetId: string, suffix: ".html", kind: "report" | "tracing"): string {
+  const asked = kind === "tracing" ? "?kind=tracing" : "";
+  return `./api/plans/${encodeURIComponent(targetId)}${suffix}${asked}#print`;
+}
+
+/** The plan of a target as a report with this suffix (".pdf"). */
 export function fetchPlan(
   targetId: string,
   suffix: string,

@@ -278,16 +278,34 @@ function Print({ target }: { target: Target }) {
   const station = useStation();
   const making = useApp((state) => state.ui.making);
   return (
-    <div className="row">
+    <>
       <Act
         kind="primary"
         icon="file"
-        label={making === "plan" ? "Preparing\u2026" : "Print the plan"}
-        words="Make the report and open it for printing"
-        disabled={making !== null}
+        label="Print the plan"
+        words="Make the report, and open it in a new tab to be printed"
         testId="print-plan"
-        onPress={() => void station.printPlan(target.target_id)}
+        onPress={() => station.printPlan(target.target_id, "report")}
       />
-    </div>
+      <div className="row">
+        <Act
+          kind="quiet"
+          label="Tracing sheet"
+          words="One page for the theatre: every turn with its clock hour"
+          onPress={() => station.printPlan(target.target_id, "tracing")}
+        />
+        {([".pdf", ".json"] as const).map((suffix) => (
+          <Act
+            key={suffix}
+            kind="quiet"
+            label={making === `plan${suffix}` ? "Preparing\u2026" : suffix.slice(1).toUpperCase()}
+            words={suffix === ".pdf" ? "Save the report as a PDF" : "Save the plan as JSON, for other programs"}
+            disabled={making !== null}
+            testId={`take-plan${suffix}`}
+            onPress={() => void station.takePlan(target.target_id, suffix)}
+          />
+        ))}
+      </div>
+    </>
   );
 }
