@@ -159,6 +159,18 @@ def test_the_identity_of_the_ct_is_copied_where_it_is_asked_for(ct, volume, tmp_
     assert b"Secret Hospital" not in (tmp_path / "t.dcm").read_bytes()
 
 
+def test_a_ct_that_was_stripped_of_its_identity_stays_so_in_what_refers_to_it(tmp_path):
+    def stripped(dataset, index):
+        oblique(dataset, index)
+        dataset.PatientName = dataset.PatientID = "CASE-12"
+        dataset.PatientIdentityRemoved, dataset.DeidentificationMethod = "YES", ["Basic profile", "Dates kept"]
+
+    folder = series(tmp_path / "ct", stripped)
+    data = written(folder, open_volume(folder), tmp_path / "t.dcm", identity="from the CT")
+    assert (data.PatientID, data.PatientIdentityRemoved) == ("CASE-12", "YES")
+    assert list(data.DeidentificationMethod) == ["Basic profile", "Dates kept"]
+
+
 def test_two_targets_are_two_segments_that_may_overlap(ct, volume, tmp_path):
     other = ellipsoid([4.0, 4.0, 4.0], nodule().centre_lps + TURN @ np.array([4.0, 0.0, 3.0]), step_mm=0.4)
     path = write_target_seg(tmp_path / "t.dcm", {"Nodule A": nodule(), "Knoten Ö": other}, volume, ct)
