@@ -18,7 +18,7 @@ from carina.export.plan_dicom_sr import write_target_report
 from carina.volume import Volume, open_volume
 
 NOW = datetime.datetime(2026, 3, 4, 15, 30, 5, tzinfo=datetime.UTC)
-PDF = b"%PDF-1.7\n1 0 obj\n<< /Type /Catalog >>\nendobj\ntrailer << /Root 1 0 R >>\n%%EOF\n"
+PDF = b"%PDF-1.7\n1 0 obj\n<< /Type /Page >>\nendobj\ntrailer << /Root 1 0 R >>\n%%EOF\n"
 CENTRE = (-1.7125, -3.0625, 22.8125)
 
 

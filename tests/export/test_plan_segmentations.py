@@ -14,8 +14,9 @@ import SimpleITK as sitk
 from dicom_writer import chest, series
 from nodules import ellipsoid
 
-from carina.errors import DiskError, NoResultError, UsageError, VolumeImportError
+from carina.errors import CancelledError, DiskError, NoResultError, UsageError, VolumeImportError
 from carina.export.plan_dicom_seg import inside_on_grid, write_target_seg
+from carina.export.plan_dicom_sr import write_target_report
 from carina.export.plan_nrrd import write_target_nrrd
 from carina.navigate.rotation import rotation_from_vector
 from carina.track import lumen_mask
@@ -101,6 +102,57 @@ def test_the_dicom_segmentation_lies_where_the_nodule_is(ct, volume, tmp_path, i
     assert np.linalg.norm(places.mean(axis=0) - nodule().centre_lps) < 0.3
 
 
+@pytest.mark.parametrize(
+    "axes",
+    [
+        [[1, 0, 0], [0, 0, -1]],  # coronal
+        [[0, 1, 0], [0, 0, -1]],  # sagittal
+        [[-1, 0, 0], [0, 1, 0]],  # axial, mirrored: the stack runs towards the feet
+        [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0]],
+    ],
+)
+def test_it_lies_there_however_the_slices_were_cut(axes, tmp_path):
+    row, column = np.array(axes, dtype=float)
+    normal = np.cross(row, column)
+
+    def cut(dataset, index):
+        dataset.ImageOrientationPatient = [float(v) for v in (*row, *column)]
+        # Files in the order of their names, against the normal.
+        dataset.ImagePositionPatient = [f"{v:.8f}" for v in FIRST_LPS - index * STEP_MM[2] * normal]
+
+    ct = series(tmp_path / "ct", cut)
+    volume = open_volume(ct)
+    place = volume.to_lps(np.array([15.2, 16.7, 8.4]))
+    near = ellipsoid([5.0, 4.0, 6.0], place, step_mm=0.4)
+    path = write_target_seg(tmp_path / "t.dcm", near, volume, ct)
+    found, _ = frame_places(pydicom.dcmread(path))
+    k, j, i = np.nonzero(inside_on_grid(near, volume))
+    expected = volume.to_lps(np.stack([i, j, k], axis=1))
+    order = [np.lexsort(np.round(one, 2).T) for one in (found, expected)]
+    assert np.abs(found[order[0]] - expected[order[1]]).max() < 0.01
+    assert np.linalg.norm(found.mean(axis=0) - place) < 0.3
+    assert np.array_equal(open_mask(path, volume).inside_zyx, inside_on_grid(near, volume))
+    centre = write_target_report(tmp_path / "r.dcm", near, volume, ct)
+    assert np.abs(np.subtract(centre_of(pydicom.dcmread(centre)), place)).max() < 0.01
+
+
+def centre_of(data) -> list[float]:
+    """The only point of a report."""
+    waiting = list(data.ContentSequence)
+    while waiting:
+        one = waiting.pop()
+        if one.ValueType == "SCOORD3D":
+            return list(one.GraphicData)
+        waiting += one.get("ContentSequence", [])
+    raise AssertionError("no point")
+
+
+def test_stopped_is_stopped_and_leaves_nothing(ct, volume, tmp_path):
+    with pytest.raises(CancelledError):
+        write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct, cancel=lambda: True)
+    assert not list(tmp_path.iterdir())
+
+
 def test_our_own_reader_lays_it_on_the_same_voxels(ct, volume, tmp_path):
     path = write_target_seg(tmp_path / "t.dcm", nodule(), volume, ct)
     assert np.array_equal(open_mask(path, volume).inside_zyx, inside_on_grid(nodule(), volume))
@@ -157,6 +209,18 @@ def test_the_identity_of_the_ct_is_copied_where_it_is_asked_for(ct, volume, tmp_
     assert "PatientIdentityRemoved" not in data
     assert (data.ContentDate, data.ContentTime) == ("20260304", "153005")
     assert b"Secret Hospital" not in (tmp_path / "t.dcm").read_bytes()
+
+
+def test_a_ct_that_was_stripped_of_its_identity_stays_so_in_what_refers_to_it(tmp_path):
+    def stripped(dataset, index):
+        oblique(dataset, index)
+        dataset.PatientName = dataset.PatientID = "CASE-12"
+        dataset.PatientIdentityRemoved, dataset.DeidentificationMethod = "YES", ["Basic profile", "Dates kept"]
+
+    folder = series(tmp_path / "ct", stripped)
+    data = written(folder, open_volume(folder), tmp_path / "t.dcm", identity="from the CT")
+    assert (data.PatientID, data.PatientIdentityRemoved) == ("CASE-12", "YES")
+    assert list(data.DeidentificationMethod) == ["Basic profile", "Dates kept"]
 
 
 def test_two_targets_are_two_segments_that_may_overlap(ct, volume, tmp_path):

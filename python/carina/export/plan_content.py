@@ -30,6 +30,9 @@ Points = NDArray[np.float64]
 ONE_TARGET = "Target"
 """What a target is called that nobody gave a name."""
 NOT_A_DEVICE = "Not a medical device."
+CORNER_MM = 0.7
+VESSEL_MM = 0.25
+"""A vessel nearer to the needle than half a voxel is met."""
 OFF_ROUTE_MM = 3.0
 """A tip lies on the tree's own centreline, and smoothing moves a route by less than this."""
 
@@ -133,7 +136,8 @@ def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
     if 0 < nearest < len(whole) and _is_past(whole, nearest, tip):
         nearest -= 1
     before = whole[: nearest + 1]
-    if float(np.linalg.norm(before[-1] - tip)) < 1e-6:
+    # The tip lies beside the smooth line: a point next to it would make a corner there.
+    while len(before) > 1 and float(np.linalg.norm(before[-1] - tip)) < CORNER_MM:
         before = before[:-1]
     return np.concatenate([before, tip[None]])
 
@@ -193,11 +197,12 @@ def _route_words(route: PlannedRoute, plan: Plan) -> str:
         f"{plan.tool.title}: {leg.to_target_mm:.1f} mm from the tip to the target, {leg.angle_deg:.0f} degrees to the "
         f"airway, {leg.in_target_mm:.1f} mm in the target"
     )
-    said.append(
-        "no vessel seen near the needle"
-        if leg.vessel_mm is None
-        else f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle"
-    )
+    if leg.vessel_mm is None:
+        said.append("no vessel seen near the needle")
+    elif leg.vessel_mm < VESSEL_MM:
+        said.append("the needle crosses a vessel that the CT shows")
+    else:
+        said.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")
     hits = f"expected hits {100 * leg.hit_share:.0f} %"
     if leg.hit_share_moved is not None:
         hits += f", {100 * leg.hit_share_moved:.0f} % if the target has moved"

@@ -20,6 +20,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.multival import MultiValue
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 from pydicom.valuerep import DSfloat
 
@@ -53,6 +54,8 @@ Identity = Literal["from the CT", "none"]
 
 _WHOSE: Final = (
     *("PatientName", "PatientID", "IssuerOfPatientID", "PatientBirthDate", "PatientSex"),
+    # Of a CT that is without an identity already.
+    *("PatientIdentityRemoved", "DeidentificationMethod"),
     *("StudyDate", "StudyTime", "StudyID", "StudyDescription", "AccessionNumber", "ReferringPhysicianName"),
 )
 # Of these a standard object needs the element, though it may be empty (type 2).
@@ -246,7 +249,7 @@ def new_object(
         for keyword in _WHOSE:
             value = None if images is None or identity == "none" else images.first.get(keyword)
             if value not in (None, "") or keyword in _NEVER_LEFT_OUT:
-                setattr(data, keyword, "" if value is None else str(value))
+                setattr(data, keyword, _plain(value))
     if identity == "none":
         data.PatientIdentityRemoved = "YES"
         data.DeidentificationMethod = "Not written by Carina; UIDs of a CT referred to are kept"
@@ -260,6 +263,13 @@ def new_object(
     data.Manufacturer, data.ManufacturerModelName = "Carina", "Carina virtual bronchoscopy"
     data.DeviceSerialNumber, data.SoftwareVersions = "none", VERSION
     return data
+
+
+def _plain(value: Any) -> str | list[str]:
+    """Text, with the names' groups, or texts; never an object that knows the CT's character set."""
+    if isinstance(value, MultiValue):
+        return [str(one) for one in value]
+    return "" if value is None else str(value)
 
 
 def code_item(value: str, scheme: str, meaning: str) -> Dataset:

@@ -279,9 +279,9 @@ def _instance(images: CtImages, k: int) -> Dataset:
 def _dimensions(data: Dataset) -> None:
     """Frames are ordered by segment, then by place."""
     uid = generate_uid(prefix=None)
-    organization = Dataset()
-    organization.DimensionOrganizationUID = uid
-    data.DimensionOrganizationSequence = Items([organization])
+    organisation = Dataset()
+    organisation.DimensionOrganizationUID = uid
+    data.DimensionOrganizationSequence = Items([organisation])
     pointers: tuple[tuple[str, str, str], ...] = (
         ("ReferencedSegmentNumber", "SegmentIdentificationSequence", "Segment"),
         ("ImagePositionPatient", "PlanePositionSequence", "Place of the slice"),

@@ -65,8 +65,8 @@ _LONG: _Concept = ("103339001", "SCT", "Long Axis")
 _SHORT: _Concept = ("103340004", "SCT", "Short Axis")
 _CENTRE: _Concept = ("111010", "DCM", "Center")
 _COMMENT: _Concept = ("121106", "DCM", "Comment")
-_MM: _Concept = ("mm", "UCUM", "millimeter")
-_MM3: _Concept = ("mm3", "UCUM", "cubic millimeter")
+_MM: _Concept = ("mm", "UCUM", "mm")
+_MM3: _Concept = ("mm3", "UCUM", "mm3")
 
 
 def write_target_report(
