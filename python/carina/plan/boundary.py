@@ -12,7 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import NoResultError
-from carina.plan.box import Box, ball_distance, component_at, lung_median_hu, smoothed, surface, uphill
+from carina.plan.box import (
+    Box,
+    ball_distance,
+    component_at,
+    distance_from,
+    enclosed,
+    lung_median_hu,
+    smoothed,
+    surface,
+    uphill,
+)
 from carina.plan.chest_wall import SHALLOW_MM, cut_at_wall
 
 __all__ = ["HALVES_MM", "SMOOTH_MM", "SOLID_HU", "Boundary", "no_boundary"]
@@ -28,6 +38,15 @@ MEANT = 0.75
 LEVEL_MM = 2.0
 SOLID_HU = -250.0
 """Denser in its middle: solid. Ground glass is -750 to -300 HU."""
+GLASS_TOP_HU = -200.0
+"""What is denser than this behind its edge is soft tissue, however dense its core: lime."""
+DENSEST_HU = 100.0
+"""The edge of what is denser is soft tissue too: lime lies in it."""
+TISSUE_HU = 40.0
+CAVITY_WALL_MM = 4.0
+"""A cavity's wall is looked for this far outside of it."""
+CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
+"""Radius of the ball that a cavity has room for, and its volume: less is noise."""
 LEAST_RISE_HU = 110.0
 """A nodule stands out of the lung by this much."""
 HALVES_MM = (22.0, 36.0, 60.0)
@@ -54,7 +73,8 @@ core's rise is seen."""
 def no_boundary() -> NoResultError:
     return NoResultError(
         f"no boundary was found within {HALVES_MM[-1] - EDGE_MM:.0f} mm: this looks like consolidation, the chest "
-        "wall, the heart or the diaphragm rather than a nodule; click in the middle of the nodule",
+        "wall, the heart or the diaphragm rather than a nodule; click in the middle of the nodule, or set a sphere there "
+        "by hand",
         code="plan.no-boundary",
     )
 
@@ -69,24 +89,47 @@ class Boundary:
         self.smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
         very = smoothed(box.hu_zyx, SEED_SMOOTH_MM / box.step_mm)
         self.lung_hu = lung_median_hu(self.smooth)
+        self.seed, level = self._meant(very, point)
+        self._grow(min(level, DENSEST_HU))
+        glass = self._glass_hu()
+        self._grow(min(level, DENSEST_HU) if glass is None else glass)
+        self.has_glass = glass is not None
+        """Round a denser part."""
+
+    def _meant(self, very: NDArray[np.float32], point: NDArray[np.float64]) -> tuple[tuple[int, ...], float]:
+        """The voxel that a click means, and how dense the nodule is there.
+
+        The nearest place that is dense: the densest may lie in the chest wall behind it.
+        """
+        box = self.box
         off = box.offsets_mm(point)
         near = off <= CLICK_MM
-        # The nearest place that is dense: the densest may lie in the chest wall behind it.
         densest = float(very[near].max())
         if densest < self.lung_hu + LEAST_RISE_HU:
-            raise NoResultError(
-                f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} HU, "
-                f"and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
-                code="plan.no-nodule",
-            )
+            near = self._round_cavity(off)
+            if not near.any():
+                raise NoResultError(
+                    f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} "
+                    f"HU, and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
+                    code="plan.no-nodule",
+                )
+            densest = float(very[near].max())
         meant = near & (very >= self.lung_hu + MEANT * (densest - self.lung_hu))
-        self.seed = _first(np.where(meant, off, np.inf).argmin(), off.shape)
-        level = float(very[meant & (self.box.steps_from(self.seed) * box.step_mm <= LEVEL_MM)].max())
-        self.is_glass = False
-        self._grow(level)
-        glass = self._glass_hu()
-        self._grow(level if glass is None else glass)
-        self.is_glass = glass is not None or level <= SOLID_HU
+        seed = _first(np.where(meant, off, np.inf).argmin(), off.shape)
+        level = float(very[meant & (box.steps_from(seed) * box.step_mm <= LEVEL_MM)].max())
+        return seed, level
+
+    def _round_cavity(self, off: NDArray[np.float64]) -> Mask:
+        """The wall of the cavity that a click lies in; nothing where it lies in lung or in an airway that goes on."""
+        air = self.smooth <= 0.5 * (self.lung_hu + TISSUE_HU)
+        at = _first(off.argmin(), off.shape)
+        if not air[at]:
+            return np.zeros_like(air)
+        hollow = component_at(air, at)
+        if self.reaches_faces(hollow):
+            return np.zeros_like(air)
+        wall = distance_from(hollow, self.box.step_mm, CAVITY_WALL_MM)
+        return (wall <= CAVITY_WALL_MM) & ~hollow
 
     def _grow(self, level: float) -> None:
         """The part round the seed that is denser than half-way to ``level``, without what enters it."""
@@ -94,6 +137,8 @@ class Boundary:
         self.dense = self.smooth > self.bar_hu
         self.dense[self.seed] = True
         whole = component_at(self.dense, self.seed)
+        hollow = enclosed(whole)
+        whole |= hollow
         self.touches: list[str] = []
         self.wall = np.zeros_like(whole)
         if self.reaches_faces(whole):
@@ -114,11 +159,11 @@ class Boundary:
             whole_mm = float(off.max()) + share * radius
             if whole_mm <= TAIL * radius:
                 break
-        reach = ball_distance(~core, self.box.step_mm)
-        self.inside = whole & (reach <= share * radius + 0.5 * self.box.step_mm)
-        self.inside |= core
+        back_mm = share * radius + 0.5 * self.box.step_mm
+        self.inside = core | (whole & (distance_from(core, self.box.step_mm, back_mm) <= back_mm))
         self.cut, own = self._parted(whole)
         self.inside |= own
+        self.cavity = self._large_hollow(hollow & self.inside)
         self.others = self.dense & ~self.inside
         if (self.wall & self.rim(self.inside, 2.0 * self.box.step_mm)).sum() > 8:
             self.touches.append("pleura")
@@ -126,6 +171,13 @@ class Boundary:
             self.touches.append("edge of the CT")
         if self.cut.any():
             self.touches.append("vessel")
+
+    def _large_hollow(self, hollow: Mask) -> Mask:
+        """What of the hollows is a cavity: noise makes small ones, above all in ground glass."""
+        if float(hollow.sum()) * self.box.step_mm**3 < SMALLEST_CAVITY_MM3:
+            return np.zeros_like(hollow)
+        deep = ball_distance(hollow, self.box.step_mm)
+        return hollow if float(deep.max()) >= CAVITY_MM else np.zeros_like(hollow)
 
     def _leave_the_wall(self, cut: Mask) -> None:
         """The seed of a nodule that lies flat on the wall may fall into its edge."""
@@ -136,11 +188,11 @@ class Boundary:
 
     def _parted(self, whole: Mask) -> tuple[Mask, Mask]:
         """What the opening took away: vessels, and what is only the nodule's shape."""
-        away = ball_distance(~self.inside, self.box.step_mm)
+        away = distance_from(self.inside, self.box.step_mm, STUB_MM)
         left = whole & ~self.inside
         cut, own = np.zeros_like(left), np.zeros_like(left)
         # Along the wall, where it was cut off, a film of it is left and a fillet: neither of the two.
-        from_wall = ball_distance(~self.wall, self.box.step_mm) if self.wall.any() else np.full_like(away, np.inf)
+        from_wall = distance_from(self.wall, self.box.step_mm, FILLET_MM)
         own |= left & (from_wall > 1.5 * self.box.step_mm)
         left = own.copy()
         far = left & (away > STUB_MM)
@@ -153,7 +205,7 @@ class Boundary:
         return cut, own
 
     def rim(self, inside: Mask, mm: float) -> Mask:
-        return (ball_distance(~inside, self.box.step_mm) <= mm) & ~inside
+        return (distance_from(inside, self.box.step_mm, mm) <= mm) & ~inside
 
     def reaches_faces(self, mask: Mask) -> bool:
         return any(mask.take(end, axis=axis).any() for axis in range(3) for end in (0, -1))
@@ -168,7 +220,9 @@ class Boundary:
         if ring.sum() < 20:
             return None
         level = float(np.median(self.smooth[ring]))
-        densest = float(np.percentile(self.smooth[self.inside], 98.0))
+        if level > GLASS_TOP_HU:
+            return None
+        densest = min(float(np.percentile(self.smooth[self.inside], 98.0)), DENSEST_HU)
         if level - self.lung_hu > GLASS_SHARE * (densest - self.lung_hu):
             return None
         return level

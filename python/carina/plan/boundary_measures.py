@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.plan.boundary import RIM_MM, SOLID_HU, Boundary
-from carina.plan.box import Box, ball_distance, beside, surface
+from carina.plan.box import Box, ball_distance, beside, distance_from, surface
 from carina.plan.nodule_value import Nodule, NoduleKind
 
 __all__ = ["cut_out", "diameters", "measured"]
 
 Mask = NDArray[np.bool_]
 
+SHELL_MM = 4.0
+"""Lung that the nodule is compared with, beyond its rim."""
 MOUTH_MM = 2.5
 """How uncertain the place of a cut through a vessel is."""
 CORE_MM = 1.5
@@ -26,6 +28,10 @@ RING_MM, RING_SHOWS, ALIKE = (0.8, 1.6), 0.9, 0.8
 """At this depth a nodule that is alike throughout shows 0.84 to 0.93 of its rise over the lung; one with a denser core
 less."""
 MOST_SHARE = 1.5
+SMALL_MM, SMALL_OFF = 2.4, 0.2
+"""Radius of the largest ball in a small nodule, and how far its boundary may be off, in slices."""
+THIN_OFF = 0.25
+"""How far the boundary of a cavity's wall may be off, in slices."""
 SMALLEST_PART_MM3 = 15.0
 """A denser part smaller than this (3 mm across) may be a vessel's end."""
 
@@ -43,28 +49,34 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     step = grown.box.step_mm
     inside = grown.inside
     depth = ball_distance(inside, step)
-    away = ball_distance(~inside, step)
-    other = ball_distance(~(grown.others | grown.wall), step) if (grown.others | grown.wall).any() else None
-    free = np.ones_like(inside) if other is None else other > RIM_MM
-    shell = (away > RIM_MM) & (away <= RIM_MM + 4.0) & free & (grown.smooth < grown.bar_hu)
+    tissue_depth = np.minimum(depth, ball_distance(~grown.cavity, step)) if grown.cavity.any() else depth
+    away = distance_from(inside, step, RIM_MM + SHELL_MM)
+    free = distance_from(grown.others | grown.wall, step, RIM_MM) > RIM_MM
+    free &= ~(grown.others | grown.wall)
+    shell = (away > RIM_MM) & (away <= RIM_MM + SHELL_MM) & free & (grown.smooth < grown.bar_hu)
     lung_hu = float(grown.box.hu_zyx[shell].mean()) if shell.sum() > 50 else grown.lung_hu
-    core = depth > CORE_MM
+    core = (tissue_depth > CORE_MM) & ~grown.cavity
     if core.sum() < 20:
-        core = depth >= 0.6 * float(depth.max())
-    core_hu = float(grown.box.hu_zyx[core].mean())
+        core = (tissue_depth >= 0.6 * float(tissue_depth[~grown.cavity].max())) & ~grown.cavity
+    # A bubble or a grain of lime in it is not how dense it is.
+    core_hu = float(np.median(grown.box.hu_zyx[core]))
     solid_voxels = inside & (grown.smooth > SOLID_HU)
     kind: NoduleKind = "solid"
-    if grown.is_glass:
+    # Blur makes a small solid nodule look like ground glass where it was clicked; in its middle it is denser.
+    if grown.has_glass or core_hu <= SOLID_HU:
         is_part = solid_voxels.sum() * step**3 > SMALLEST_PART_MM3
         kind = "part-solid" if is_part else "ground-glass"
     counted = float(inside.sum()) * step**3
     # Beside a cut a voxel belongs to the nodule or not; elsewhere it does by its share.
-    rim_hu = _rim_hu(grown, depth, lung_hu, core_hu)
-    zone = (away <= RIM_MM) & free
+    rim_hu = _rim_hu(grown, tissue_depth, lung_hu, core_hu)
+    zone = (inside | (away <= RIM_MM)) & free
     share = (grown.box.hu_zyx - lung_hu) / ((core_hu if rim_hu is None else rim_hu) - lung_hu)
     if rim_hu is not None:
         # A denser core says nothing of where the edge is.
         share = np.where(depth > CORE_MM, 1.0, np.minimum(share, MOST_SHARE))
+    if grown.cavity.any():
+        # The nodule's volume is that of its outer surface.
+        share = np.where(distance_from(grown.cavity, step, RIM_MM) <= RIM_MM, 1.0, share)
     edge = surface(inside)
     # How much too far inside the boundary of the smoothed CT lies: seen where the nodule is free.
     open_air = ~(grown.dense | grown.wall)
@@ -86,24 +98,35 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
         coarsest_mm=coarsest_mm,
         is_alike=rim_hu is None,
     )
+    if float(depth.max()) < SMALL_MM:
+        # Blur reaches its middle: how dense it is, and so its share of each voxel, is not seen well.
+        error = float(np.hypot(error, SMALL_OFF * max(coarsest_mm, 0.8) * area_mm2))
+    if grown.cavity.any():
+        # In a thin wall the density of what is blurred on both sides is not seen.
+        error = float(np.hypot(error, THIN_OFF * coarsest_mm * area_mm2))
     if grown.cut.any():
         # How long a stump of a vessel is left on it, or how much of it went with the vessel.
-        mouth_mm2 = float((grown.cut & (ball_distance(~inside, step) <= step)).sum()) * step**2
+        mouth_mm2 = float((grown.cut & (away <= step)).sum()) * step**2
         error = float(np.hypot(error, MOUTH_MM * mouth_mm2))
     long_mm, short_mm = diameters(inside, step)
-    cropped, matrix, centre = cut_out(inside, grown.box.lps_from_ijk)
+    tissue = inside & ~grown.cavity
+    cavity_mm3 = float(grown.cavity.sum()) * step**3
+    # A needle finds tissue in the wall alone; where the nodule is, its outer surface says.
+    _, _, centre = cut_out(inside, grown.box.lps_from_ijk)
+    cropped, matrix, _ = cut_out(tissue, grown.box.lps_from_ijk)
     scale = (voxels_mm3 / max(counted, 1e-6)) ** (1.0 / 3.0)
     found = Nodule(
         centre_lps=centre,
         kind=kind,
         volume_mm3=voxels_mm3,
-        volume_error_mm3=error,
+        volume_error_mm3=min(error, voxels_mm3),
         long_mm=long_mm * min(max(scale, 0.8), 1.2),
         short_mm=short_mm * min(max(scale, 0.8), 1.2),
         diameter_error_mm=0.5 * step + error / max(area_mm2, 1e-6),
-        solid_mm3=voxels_mm3,
+        solid_mm3=max(voxels_mm3 - cavity_mm3, 0.0),
         density_hu=core_hu,
         touches=tuple(grown.touches),
+        notes=(f"with a cavity of {cavity_mm3 / 1000.0:.2g} ml",) if cavity_mm3 > 0.0 else (),
         inside_zyx=cropped,
         lps_from_ijk=matrix,
     )

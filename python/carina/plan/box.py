@@ -16,6 +16,10 @@ __all__ = [
     "beside",
     "box_step_mm",
     "component_at",
+    "distance_from",
+    "enclosed",
+    "extent",
+    "from_faces",
     "lung_median_hu",
     "smoothed",
     "surface",
@@ -40,13 +44,15 @@ class Box:
     lps_from_ijk: NDArray[np.float64]
 
     @classmethod
-    def around(cls, volume: Volume, centre_lps: NDArray[np.float64], half_mm: float) -> Box:
+    def around(
+        cls, volume: Volume, centre_lps: NDArray[np.float64], half_mm: float, *, least_step_mm: float = 0.0
+    ) -> Box:
         """Trilinear, the CT's edge repeated outside of it.
 
         Its voxels are as fine as the CT's finest spacing, 0.5 to 1 mm: where slices are thicker nothing is gained by
-        finer ones, and nothing lost by coarser ones.
+        finer ones, and nothing lost by coarser ones. ``least_step_mm`` makes them coarser than that.
         """
-        step = box_step_mm(volume)
+        step = max(box_step_mm(volume), least_step_mm)
         half = int(np.ceil(half_mm / step))
         num = 2 * half + 1
         matrix = np.diag([step, step, step, 1.0])
@@ -148,13 +154,62 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     """
     import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
 
-    if mask.all():
-        return np.full(mask.shape, np.inf, dtype=np.float32)
-    image: Any = sitk.GetImageFromArray((~mask).astype(np.uint8))
+    found = np.zeros(mask.shape, dtype=np.float32)
+    if not mask.any():
+        return found
+    # A voxel beyond the mask's own extent is all that its distances need.
+    part = extent(mask, 1)
+    inner = mask[part]
+    if inner.all():
+        found[part] = np.inf
+        return found
+    image: Any = sitk.GetImageFromArray((~inner).astype(np.uint8))
     image.SetSpacing([step_mm] * 3)
     far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=False, squaredDistance=False, useImageSpacing=True)
     away: NDArray[np.float32] = sitk.GetArrayFromImage(far)
-    return np.where(mask, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm), 0.0).astype(np.float32)
+    # Rounded, so that a distance of whole voxels does not depend on how the mask was cut out.
+    found[part] = np.where(inner, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm).round(3), 0.0)
+    return found
+
+
+def distance_from(mask: Mask, step_mm: float, reach_mm: float) -> NDArray[np.float32]:
+    """For each voxel outside a mask its distance from it as `ball_distance` counts it; infinite beyond ``reach_mm``."""
+    found = np.full(mask.shape, np.inf, dtype=np.float32)
+    if mask.any():
+        part = extent(mask, int(np.ceil(reach_mm / step_mm)) + 2)
+        away = ball_distance(~mask[part], step_mm)
+        found[part] = np.where(away <= reach_mm, away, np.inf)
+    return found
+
+
+def extent(mask: Mask, margin: int) -> tuple[slice, slice, slice]:
+    """The part of an array that holds all of a mask, and some voxels round it."""
+    found = []
+    for axis in range(3):
+        filled = np.flatnonzero(mask.any(axis=tuple(n for n in range(3) if n != axis)))
+        found.append(slice(max(int(filled[0]) - margin, 0), int(filled[-1]) + 1 + margin))
+    return found[0], found[1], found[2]
+
+
+def enclosed(mask: Mask) -> Mask:
+    """Voxels outside a mask that no way leads from to the box's faces: hollows."""
+    found = np.zeros_like(mask)
+    if mask.any():
+        part = extent(mask, 1)
+        outside = ~mask[part]
+        found[part] = outside & ~from_faces(outside)
+    return found
+
+
+def from_faces(mask: Mask) -> Mask:
+    """What is connected to the box's faces."""
+    import SimpleITK as sitk  # slow to load
+
+    padded = np.pad(mask, 1, constant_values=True)
+    image = sitk.GetImageFromArray(padded.astype(np.uint8))
+    found = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [(0, 0, 0)], 1, 1)) != 0
+    inner: Mask = found[1:-1, 1:-1, 1:-1] & mask
+    return inner
 
 
 def beside(mask: Mask) -> Mask:

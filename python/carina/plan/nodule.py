@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carina.errors import UsageError, check_type
+from carina.errors import NoResultError, UsageError, check_type
 from carina.plan.boundary import HALVES_MM, Boundary, no_boundary
 from carina.plan.boundary_measures import measured
 from carina.plan.box import Box
@@ -13,6 +13,9 @@ from carina.plan.nodule_value import Nodule, NoduleKind
 from carina.volume import Volume
 
 __all__ = ["Nodule", "NoduleKind", "grow_nodule"]
+
+MOST_STEPS = 60
+"""Voxels from the middle of a box to its side: a mass needs no finer ones."""
 
 
 def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
@@ -58,8 +61,17 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
     if not np.isfinite(point).all() or not volume.contains_lps(point):
         place = ", ".join(f"{v:g}" for v in point)
         raise UsageError(f"nodule: the point {place} lies outside the CT", code="plan.point")
+    coarsest_mm = max(volume.spacing_mm)
+    problem = no_boundary()
     for half_mm in HALVES_MM:
-        grown = Boundary(Box.around(volume, point, half_mm), point, max(volume.spacing_mm))
+        box = Box.around(volume, point, half_mm, least_step_mm=half_mm / MOST_STEPS)
+        try:
+            grown = Boundary(box, point, coarsest_mm)
+        except NoResultError as error:
+            # In a larger box a cavity ends, and a mass has lung round it.
+            problem = error
+            continue
         if not grown.is_near_faces:
-            return measured(grown, max(volume.spacing_mm))
-    raise no_boundary()
+            return measured(grown, coarsest_mm)
+        problem = no_boundary()
+    raise problem
