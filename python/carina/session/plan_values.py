@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carina.case.document import Document, Lesion, Target
+from carina.commands.plan import PlanOptions
 from carina.errors import CancelledError, CarinaError
 from carina.session.derived import Attempt, Derived, Standing
 from carina.session.jobs import JobRunner
@@ -28,11 +29,20 @@ MOST_SHOWN = 36
 SAME_PLACE_MM = 0.05
 
 
+PlanTask = tuple["Nodule", tuple[tuple[float, float, float], ...], PlanOptions]
+"""What a plan is made from beside the airways: nodule, aims and options. Words about a target change no plan."""
+
+
+def task_of(lesion: Lesion) -> PlanTask:
+    """Of a target."""
+    return lesion.nodule, lesion.target.aims, lesion.options
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetPlan:
     """What came of planning for one target."""
 
-    lesion: Lesion
+    task: PlanTask
     plan: Plan | None
     problem: str | None
     """Why there is no plan."""
@@ -46,9 +56,9 @@ class MadePlans:
     wall: Any
     plans: tuple[TargetPlan, ...]
 
-    def of(self, lesion: Lesion) -> TargetPlan | None:
+    def of(self, task: PlanTask) -> TargetPlan | None:
         """Its plan."""
-        return next((one for one in self.plans if one.lesion is lesion), None)
+        return next((one for one in self.plans if one.task == task), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +81,9 @@ class PlanningInfo:
 
 
 PlanInputs = tuple[Any, ...]
-"""Airways, then the lesions."""
+"""Airways, then the tasks."""
 VerdictInputs = tuple[Any, ...]
-"""A plan, the number of a route in it, and the airways' wall."""
+"""A plan, the number of a route in it, the airways' wall, and the options."""
 
 
 class CasePlanning:
@@ -101,10 +111,22 @@ class CasePlanning:
         self._lock = lock
         self._changed = changed
         self._plans: Derived[PlanInputs, MadePlans] = Derived(
-            jobs, lock, kind="plan", title="planning the routes", make=self._make_plans, settled=self._settled
+            jobs,
+            lock,
+            kind="plan",
+            title="planning the routes",
+            make=self._make_plans,
+            same=_same_inputs,
+            settled=self._settled,
         )
         self._verdicts: Derived[VerdictInputs, tuple[Verdict, ...]] = Derived(
-            jobs, lock, kind="verdicts", title="simulating the instruments", make=self._make_verdicts, settled=changed
+            jobs,
+            lock,
+            kind="verdicts",
+            title="simulating the instruments",
+            make=self._make_verdicts,
+            same=_same,
+            settled=changed,
         )
         self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
         """Verdicts that are there already while others are being made."""
@@ -115,7 +137,7 @@ class CasePlanning:
     def of(self, lesion: Lesion) -> TargetPlan | None:
         """The plan of a target of the document, if it is there."""
         made = self.made
-        return None if made is None else made.of(lesion)
+        return None if made is None else made.of(task_of(lesion))
 
     def standing(self) -> Standing:
         """What has become of the plans."""
@@ -170,8 +192,8 @@ class CasePlanning:
     def _inputs(self, document: Document | None) -> PlanInputs | None:
         if document is None or document.airways is None:
             return None
-        lesions = tuple(target.lesion for target in document.targets if target.lesion is not None)
-        return (document.airways, *lesions) if lesions else None
+        tasks = tuple(task_of(target.lesion) for target in document.targets if target.lesion is not None)
+        return (document.airways, *tasks) if tasks else None
 
     @property
     def made(self) -> MadePlans | None:
@@ -185,12 +207,12 @@ class CasePlanning:
         target = next((t for t in document.targets if t.target_id == document.route.target_id), None)
         if target is None or target.lesion is None:
             return None
-        planned = made.of(target.lesion)
+        planned = made.of(task_of(target.lesion))
         number = None if planned is None or planned.plan is None else chosen_number(document, planned.plan)
-        return None if number is None or planned is None else (planned.plan, number, made.wall, target.lesion)
+        return None if number is None or planned is None else (planned.plan, number, made.wall, target.lesion.options)
 
     def _make_plans(self, inputs: PlanInputs, attempt: Attempt[MadePlans]) -> MadePlans:
-        airways, *lesions = inputs
+        airways, *tasks = inputs
         before = attempt.before
         same = before is not None and before.airways.lumen_zyx is airways.lumen_zyx
         wall = before.wall if before is not None and same else None
@@ -198,40 +220,40 @@ class CasePlanning:
             attempt.progress("measuring the airway wall", None)
             wall = self._parts.wall_field(self._volume, airways, cancel=attempt.cancel)
         plans: list[TargetPlan] = []
-        for n, lesion in enumerate(lesions):
-            known = None if before is None or before.airways is not airways else before.of(lesion)
+        for n, task in enumerate(tasks):
+            known = None if before is None or before.airways is not airways else before.of(task)
             if known is not None:
                 plans.append(known)
                 continue
             what = "looking at every place from which the target can be reached"
 
             def say(share: float, n: int = n, what: str = what) -> None:
-                attempt.progress(what, (n + share) / len(lesions))
+                attempt.progress(what, (n + share) / len(tasks))
 
-            options = lesion.options
+            nodule, aims, options = task
             try:
                 plan = self._parts.plan_route(
                     self._volume,
                     airways,
-                    lesion.nodule,
+                    nodule,
                     scope=options.scope,
                     tool=options.tool,
                     vessel_margin_mm=options.vessel_margin_mm,
                     moved_mm=options.moved_mm,
-                    aims=lesion.target.aims,
+                    aims=aims,
                     wall=wall,
                     progress=say,
                     cancel=attempt.cancel,
                 )
-                plans.append(TargetPlan(lesion, plan, plan.why))
+                plans.append(TargetPlan(task, plan, plan.why))
             except CancelledError:
                 raise
             except CarinaError as trouble:
-                plans.append(TargetPlan(lesion, None, str(trouble)))
+                plans.append(TargetPlan(task, None, str(trouble)))
         return MadePlans(airways, wall, tuple(plans))
 
     def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
-        plan, number, wall, lesion = inputs
+        plan, number, wall, options = inputs
         with self._lock:
             made = self.made
         if made is None:
@@ -249,13 +271,17 @@ class CasePlanning:
                     preset,
                     route=plan.routes[number - 1],
                     spacing_mm=float(max(self._volume.spacing_mm)),
-                    entry_mm=lesion.options.entry_mm,
+                    entry_mm=options.entry_mm,
                 )
             )
             with self._lock:
                 self._early = (inputs, tuple(found))
                 self._changed()
         return tuple(found)
+
+
+def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:
+    return a[0] is b[0] and a[1:] == b[1:]
 
 
 def _same(a: VerdictInputs, b: VerdictInputs) -> bool:
