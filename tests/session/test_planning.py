@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -33,7 +34,7 @@ from carina.session.plan_values import nodule_surface
 
 @pytest.fixture(scope="module")
 def chest() -> Phantom:
-    return carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    return carina.generate_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +42,18 @@ def airways(chest: Phantom) -> carina.Airways:
     return carina.find_airways(chest.volume)
 
 
+@pytest.fixture(scope="module")
+def opened(chest: Phantom) -> Iterator[carina.Case]:
+    with carina.Case.open(chest.volume) as case:
+        yield case
+
+
 @pytest.fixture
-def case(chest: Phantom):
-    with carina.Case.open(chest.volume) as opened:
-        yield opened
+def case(opened: carina.Case) -> Iterator[carina.Case]:
+    """As it was opened, for every test."""
+    yield opened
+    while opened.history():
+        opened.undo()
 
 
 def centre_of(chest: Phantom) -> tuple[float, float, float]:
