@@ -7,6 +7,7 @@ from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 
@@ -28,6 +29,7 @@ __all__ = [
     "Tool",
     "Turn",
     "TurnList",
+    "TurnPicture",
     "Verdict",
     "grow_nodule",
     "hit_share",
@@ -40,4 +42,5 @@ __all__ = [
     "tool",
     "tools",
     "turn_list",
+    "turn_pictures",
 ]
