@@ -44,14 +44,12 @@ LEAST_SHARE = 2e-4
 ROUTE_RGB = (79, 211, 230)
 DOUBTFUL_RGB = (244, 180, 76)
 """Of an opening into a branch that the CT does not show for certain."""
-NEAR_MM = 45.0
+NEAR_MM = 80.0
 """Walls are told apart by the branches within this distance of the fork."""
 PLACES_MM = 0.7
 """Of a centreline, for distances to its tube."""
 COARSE = 2
 """Walls are told apart at every second pixel both ways: their edge is smoothed in any case."""
-MOUTH_RADII = 0.7
-"""Radii of the branch before, from the fork, within which a daughter is still in that branch's lumen."""
 BESIDE_MM = 4.0
 """A wall farther outside a tube than this is not the tube's."""
 
@@ -188,7 +186,7 @@ def _picture(
     coarse = replace(view, width=-(-size_px // COARSE), height=-(-size_px // COARSE))
     column, row = _seed(picture, turn)
     walls = renderer.surface(coarse).position_lps
-    ours = _connected(_belongs(tree, turn, walls), (column / COARSE, row / COARSE))
+    ours = _connected(*_belongs(tree, turn, walls), (column / COARSE, row / COARSE))
     fine = np.repeat(np.repeat(ours, COARSE, axis=0), COARSE, axis=1)[:size_px, :size_px]
     seen = _smoothed(fine.astype(np.float64), max(SMOOTH_PX * size_px / 512, 0.8 * COARSE))
     inside = seen > 0.5
@@ -203,10 +201,11 @@ def _picture(
     return TurnPicture(turn, operator, picture, in_view, inside & in_view)
 
 
-def _belongs(tree: AirwayTree, turn: Turn, walls_lps: Points) -> NDArray[np.bool_]:
-    """Which first walls (h, w, 3) are those of the branch that is entered, or of what lies beyond it.
+def _belongs(tree: AirwayTree, turn: Turn, walls_lps: Points) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which first walls (h, w, 3) are those of the branch that is entered or of what lies beyond it; and which others'.
 
-    A wall belongs to the tube whose surface is nearest: least distance from the centreline, less the radius.
+    A wall belongs to the tube whose surface is nearest: least distance from the centreline, less the radius. The branch
+    begins where its middle has left the lumen of all others: what is before that is the fork's.
     """
     below = {turn.to_branch_id}
     # Parents come first.
@@ -214,34 +213,39 @@ def _belongs(tree: AirwayTree, turn: Turn, walls_lps: Points) -> NDArray[np.bool
         if branch.parent in below:
             below.add(branch.id)
     fork = np.array(turn.fork_lps)
-    way = {branch.id for branch in tree.lineage(turn.to_branch_id)} - below
-    mother = min((branch for branch in tree.branches if branch.id in way), key=lambda b: _away(b.points[-1], fork))
-    inner = MOUTH_RADII * float(np.median(mother.radius))
-    shape = walls_lps.shape[:2]
+    ours: list[tuple[Points, Field]] = []
+    others: list[tuple[Points, Field]] = []
+    for branch in tree.branches:
+        line, radius = _places(branch)
+        near = np.linalg.norm(line - fork, axis=1) <= NEAR_MM
+        if near.any():
+            (ours if branch.id in below else others).append((line[near], radius[near]))
+    all_others = np.concatenate([line for line, _ in others]), np.concatenate([radius for _, radius in others])
+    for n, (line, radius) in enumerate(ours):
+        apart = _to_surface_mm(line, *all_others) >= 0.0
+        if not apart.all():
+            others.append((line[~apart], radius[~apart]))
+            ours[n] = line[apart], radius[apart]
     points = walls_lps.reshape(-1, 3)
     known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
     points = np.where(known[:, None], points, np.inf)
-    gaps = [np.full(len(points), np.inf), np.full(len(points), np.inf)]
-    for branch in tree.branches:
-        line, radius = _places(branch)
-        away = np.linalg.norm(line - fork, axis=1)
-        # In the lumen of the mother branch a daughter has no wall of its own.
-        kept = (away <= NEAR_MM) & ((branch.id in way) | (away >= inner))
-        if not kept.any():
+    gap, other_gap = (_least_gap_mm(points, tubes) for tubes in (ours, others))
+    shape = walls_lps.shape[:2]
+    return (known & (gap < other_gap)).reshape(shape), (known & (other_gap < gap)).reshape(shape)
+
+
+def _least_gap_mm(points: Points, tubes: list[tuple[Points, Field]]) -> Field:
+    """How far outside the nearest of some tubes points lie; infinite where that is more than :data:`BESIDE_MM`."""
+    found = np.full(len(points), np.inf)
+    for line, radius in tubes:
+        if not len(line):
             continue
-        line, radius = line[kept], radius[kept]
         reach = (radius + BESIDE_MM)[:, None]
         low, high = (line - reach).min(axis=0), (line + reach).max(axis=0)
         close = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         if close.size:
-            group = gaps[int(branch.id in below)]
-            group[close] = np.minimum(group[close], _to_surface_mm(points[close], line, radius))
-    found: NDArray[np.bool_] = (known & (gaps[1] < gaps[0])).reshape(shape)
-    return found
-
-
-def _away(one: Points, other: Points) -> float:
-    return float(np.linalg.norm(one - other))
+            found[close] = np.minimum(found[close], _to_surface_mm(points[close], line, radius))
+    return np.where(found <= BESIDE_MM, found, np.inf)
 
 
 def _places(branch: Branch) -> tuple[Points, Field]:
@@ -270,19 +274,37 @@ def _seed(picture: Picture, turn: Turn) -> tuple[float, float]:
     return min(max(at[0], 0.0), width - 1.0), min(max(at[1], 0.0), height - 1.0)
 
 
-def _connected(mask: NDArray[np.bool_], seed: tuple[float, float]) -> NDArray[np.bool_]:
-    """The patch of a mask that is nearest to a place (column, row), without its holes."""
+def _connected(mask: NDArray[np.bool_], others: NDArray[np.bool_], seed: tuple[float, float]) -> NDArray[np.bool_]:
+    """The patch of a mask that is nearest to a place (column, row), without holes that are nobody else's."""
     if not mask.any():
         return mask
-    rows, columns = np.nonzero(mask)
+    # Slips of its wall round a corner hang on by a few pixels and are no part of the opening.
+    core = _shrunk(mask)
+    core = core if core.any() else mask
+    rows, columns = np.nonzero(core)
     nearest = int(np.argmin((columns + 0.5 - seed[0]) ** 2 + (rows + 0.5 - seed[1]) ** 2))
     start = np.zeros_like(mask)
     start[rows[nearest], columns[nearest]] = True
-    patch = _filled_from(start, mask)
-    # What the border cannot reach from outside is a hole: another patch may have split it, and is no edge.
+    patch = _filled_from(start, core)
+    if core is not mask:
+        patch = ~_shrunk(~patch) & mask
+    # A hole cannot be reached from the border. Far down the lumen walls are no branch's.
     border = np.zeros_like(mask)
     border[[0, -1], :] = border[:, [0, -1]] = True
-    return ~_filled_from(border & ~patch, ~patch)
+    hole = ~patch & ~_filled_from(border & ~patch, ~patch)
+    return patch | (hole & ~others)
+
+
+def _shrunk(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask without what lies within two pixels of its edge; beyond the picture it goes on."""
+    found = mask
+    for step in range(2):
+        padded = np.pad(found, 1, mode="edge")
+        crossed = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:] & found
+        if step:
+            crossed &= padded[:-2, :-2] & padded[2:, 2:] & padded[:-2, 2:] & padded[2:, :-2]
+        found = crossed
+    return found
 
 
 def _filled_from(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
