@@ -12,6 +12,7 @@ from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.target_files import target_from_file
 from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 from carina.plan.whereabouts import WHERE_WORDS, Whereabouts, whereabouts
@@ -39,6 +40,7 @@ __all__ = [
     "Tool",
     "Turn",
     "TurnList",
+    "TurnPicture",
     "Verdict",
     "Whereabouts",
     "brushed",
@@ -61,5 +63,6 @@ __all__ = [
     "tool",
     "tools",
     "turn_list",
+    "turn_pictures",
     "whereabouts",
 ]

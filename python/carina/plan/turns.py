@@ -132,7 +132,8 @@ class Turn:
             else place_words(self.from_carina_mm, self.from_fork_mm, depth_mm, first)
         )
         doing = "stay in" if self.to_branch == self.from_branch else "enter"
-        passed = f" just past {joined(self.through)}" if self.through else ""
+        stems = [name for name in self.through if name not in {self.from_branch, self.to_branch}]
+        passed = f" just past {joined(stems)}" if stems else ""
         sides = " and ".join(self.sides)
         seen = [hour_words(self.hour(operator)), *([sides] if sides else [])]
         seen += [f"{self.diameter_mm:.1f} mm", f"{self.angle_deg:.0f}\u00b0"]

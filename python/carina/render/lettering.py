@@ -14,7 +14,7 @@ from carina.errors import UsageError
 from carina.render.view_table import VIEWS
 from carina.render.views import Picture, PictureLines
 
-__all__ = ["PathSpan", "letter_edges", "letters_of", "mark_path"]
+__all__ = ["PathSpan", "letter_edges", "letters_of", "mark_path", "write_on"]
 
 # Dots of a 5 x 8 letter: a byte for each column, its lowest bit at the top.
 _DOTS = {
@@ -102,7 +102,7 @@ def letter_edges(picture: Picture) -> Picture:
         (up, width // 2, inset + _HEIGHT * size // 2, 0.5),
         (down, width // 2, height - inset - _HEIGHT * size // 2, 0.5),
     ):
-        _write(rgb, letters_of(direction), column, row, align=align, size=size)
+        write_on(rgb, letters_of(direction), column, row, align=align, size=size)
     return dataclasses.replace(picture, rgb=rgb)
 
 
@@ -174,7 +174,7 @@ def mark_path(
         row = row_of(float(np.clip(place_mm, lines.path_mm[rows[0]], lines.path_mm[rows[-1]])))
         if row is not None:
             rgb[row : row + size, axis : axis + 5 * size] = _AXIS_RGB
-            _write(rgb, f"{place_mm:.0f} mm", axis + 7 * size, row, size=size)
+            write_on(rgb, f"{place_mm:.0f} mm", axis + 7 * size, row, size=size)
     taken = -height
     for span in spans:
         start = row_of(span.from_mm) if span.from_mm > lines.path_mm[rows[0]] else int(rows[0])
@@ -185,7 +185,7 @@ def mark_path(
         rgb[start : start + size, max(right - 5 * size, 0) : right] = _QUIET_RGB
         row = (start + end) // 2
         if row - taken > (_HEIGHT + 2) * size:
-            _write(rgb, span.name, right, row, align=1.0, size=size, rgb_of=_DRAWN_RGB if span.drawn else _TEXT_RGB)
+            write_on(rgb, span.name, right, row, align=1.0, size=size, rgb_of=_DRAWN_RGB if span.drawn else _TEXT_RGB)
             taken = row
     return dataclasses.replace(picture, rgb=rgb)
 
@@ -194,7 +194,7 @@ def _size(rgb: NDArray[np.uint8]) -> int:
     return 1 if min(rgb.shape[:2]) < 400 else 2
 
 
-def _write(
+def write_on(
     rgb: NDArray[np.uint8],
     text: str,
     column: int,
