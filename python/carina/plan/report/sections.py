@@ -1,0 +1,326 @@
+"""The sections of a report in the order in which a surgeon asks: target, route, turns, instruments, proof, doubts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.drawing import Drawing, Raster
+from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
+from carina.plan.report.png_size import png_size
+from carina.plan.report.sheet import PlanSheet
+from carina.plan.report.tracing import tracing_drawings
+from carina.plan.report.wording import (
+    SIGNS,
+    carina_words,
+    clock,
+    move_words,
+    per_cent,
+)
+from carina.plan.routes import PlannedRoute, ScoreWeights
+from carina.plan.verdict import Verdict
+
+__all__ = ["sections", "tracing_sections"]
+
+PART_WORDS = {
+    "misses": "needle passes that miss",
+    "way": "distance outside the lumen",
+    "angle": "angle to the airway",
+    "narrow": "narrowest place",
+    "vessels": "vessel within the margin",
+    "shallow": "short length in the target",
+}
+CHECKS = ("diameter", "bend", "length", "channel", "pointing")
+ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "not known"}
+
+
+def sections(sheet: PlanSheet) -> tuple[Section, ...]:
+    """All of a report."""
+    found = [_target(sheet), *_route(sheet), *_sign(sheet)]
+    found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet), _slices(sheet)]
+    found += [*_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), *_figures_behind(sheet)]
+    return (*found, _provenance(sheet), *tracing_sections(sheet))
+
+
+def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
+    """The sheet for the theatre alone."""
+    drawings = tracing_drawings(sheet)
+    several = len(drawings) > 1
+    return tuple(
+        Section(
+            "tracing" if n == 0 else f"tracing-{n + 1}",
+            "Tracing sheet" + (f", {n + 1} of {len(drawings)}" if several else ""),
+            (*_red(sheet), Figure(drawing)),
+            starts_page=True,
+        )
+        for n, drawing in enumerate(drawings)
+    )
+
+
+def _red(sheet: PlanSheet) -> tuple[Block, ...]:
+    """What must be said of a route wherever it is shown."""
+    route = sheet.route
+    if route is None or not route.doubts:
+        return ()
+    return (Words("Route over doubtful airway: " + "; ".join(route.doubts) + ".", "warning"),)
+
+
+def _target(sheet: PlanSheet) -> Section:
+    nodule, place = sheet.plan.nodule, sheet.place
+    ml = nodule.volume_mm3 / 1000.0
+    digits = 2 if ml >= 0.1 else 3
+    diameters = f"{nodule.long_mm:.1f} \u00d7 {nodule.short_mm:.1f} mm, each \u00b1 {nodule.diameter_error_mm:.1f} mm"
+    rows = [
+        ("Kind", f"{nodule.kind} nodule, {nodule.density_hu:.0f} HU"),
+        ("Volume", f"{ml:.{digits}f} \u00b1 {nodule.volume_error_mm3 / 1000.0:.{digits}f} ml"),
+        ("Diameters (axial)", diameters),
+        ("Lobe", place.lobe or "not known"),
+        ("Nearest airway", place.nearest_branch or "an unnamed branch"),
+        ("To pleura or mediastinum", place.pleura_words),
+        ("Bronchus sign", SIGNS[sheet.plan.bronchus_sign] + (f" ({sheet.plan.sign_branch})" if sheet.plan.sign_branch else "")),
+        ("Centre (LPS)", ", ".join(f"{v:.1f}" for v in nodule.centre_lps) + " mm"),
+    ]
+    if nodule.kind == "part-solid":
+        rows.insert(2, ("Of which solid", f"{nodule.solid_mm3 / 1000.0:.{digits}f} ml"))
+    figures = tuple(Figure(slice_drawing(one)) for one in sheet.slices)
+    return Section("target", "Target", (Facts(tuple(rows)), Figures(figures, 3)))
+
+
+def _route(sheet: PlanSheet) -> list[Section]:
+    plan, route = sheet.plan, sheet.route
+    if route is None:
+        why = (plan.why or "No route was found.").capitalize() if plan.why is None else plan.why
+        text = why[0].upper() + why[1:] + ("" if why.endswith(".") else ".")
+        return [Section("route", "No route", (Words(text, "warning"), _tree_figures(sheet)))]
+    leg = route.leg
+    fits = f"{route.narrowest_mm:.1f} mm; {plan.scope.title} needs {plan.scope.fit_mm:.1f} mm"
+    least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
+    vessel = "none seen nearby" if leg.vessel_mm is None else f"{leg.vessel_mm:.1f} mm from the needle's line"
+    beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
+    rows = (
+        ("Tip of the scope", f"in {route.branch_name}"),
+        ("Beyond the main carina", carina_words(route.from_carina_mm)),
+        ("Narrowest place", fits),
+        ("Tool", plan.tool.title),
+        ("To the target's edge", f"{leg.to_target_mm:.1f} mm, of which {leg.outside_mm:.1f} mm outside the lumen"),
+        ("Angle to the airway", f"{leg.angle_deg:.0f}\u00b0"),
+        ("Length in the target", least),
+        ("Beyond the target", f"{beyond} to pleura or mediastinum"),
+        ("Nearest vessel", vessel),
+        ("Needle passes that hit", f"{per_cent(leg.hit_share)} where the CT shows the target"),
+        ("If the target has moved", f"{per_cent(leg.hit_share_moved)}, anywhere within {plan.moved_mm:.0f} mm"),
+    )
+    first = "First route" if sheet.route_number == 1 else f"Route {sheet.route_number}"
+    title = f"{first} at a glance"
+    blocks: list[Block] = [*_red(sheet)]
+    if not route.fits:
+        text = f"The narrowest place on the way is {fits}: this scope may not pass. See the instruments below."
+        blocks.append(Words(text, "warning"))
+    blocks += [Facts(rows), Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way, in order, in mm.")]
+    blocks.append(_tree_figures(sheet))
+    return [Section("route", title, tuple(blocks), starts_page=True)]
+
+
+def _tree_figures(sheet: PlanSheet) -> Figures:
+    sides = (("front", "From the front"), ("left", "From the patient's left"))
+    drawn = [
+        Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=250.0), words) for side, words in sides
+    ]
+    return Figures(tuple(drawn), 2)
+
+
+def _sign(sheet: PlanSheet) -> list[Section]:
+    if not sheet.sign_slices:
+        return []
+    text = f"Bronchus sign {SIGNS[sheet.plan.bronchus_sign]} ({sheet.plan.sign_branch}). The cross marks where it shows."
+    figures = tuple(Figure(slice_drawing(one)) for one in sheet.sign_slices)
+    return [Section("bronchus-sign", "Bronchus sign", (Words(text), Figures(figures, 3)))]
+
+
+def _turns(sheet: PlanSheet) -> list[Section]:
+    if sheet.turns is None or sheet.route is None:
+        return []
+    at_head = sheet.operator == "head"
+    rows, warned = [], []
+    for number, turn in enumerate(sheet.turns.turns, 1):
+        mine, other = (turn.clock_head, turn.clock_facing) if at_head else (turn.clock_facing, turn.clock_head)
+        doubts = f" ({'; '.join(turn.doubts)})" if turn.doubts else ""
+        if turn.doubts:
+            warned.append(number - 1)
+        rows.append(
+            (
+                str(number),
+                f"{turn.to_branch}{doubts}",
+                clock(mine),
+                clock(other),
+                "not known" if turn.from_carina_mm is None else f"{turn.from_carina_mm:.0f}",
+                f"{turn.from_fork_mm:.0f}",
+                f"{turn.diameter_mm:.1f}",
+                f"{turn.angle_deg:.0f}\u00b0",
+                move_words(turn.moves),
+            )
+        )
+    park = "not known" if sheet.turns.park_from_carina_mm is None else f"{sheet.turns.park_from_carina_mm:.0f}"
+    rows.append(
+        ("", "stop: tip of the scope", "", "", park, f"{sheet.turns.park_from_fork_mm:.0f}", "", "", "advance the tool")
+    )
+    first, second = ("Head", "Facing") if at_head else ("Facing", "Head")
+    head = ("", "Enter", first, second, "From carina, mm", "From last fork, mm", "Opening, mm", "Turn", "Hand")
+    shares = (0.04, 0.18, 0.075, 0.075, 0.09, 0.095, 0.09, 0.065, 0.29)
+    said = "Clock hours as seen by an operator at the patient's head, and facing the patient. Distances along the route."
+    blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), Grid(head, tuple(rows), shares, tuple(warned))]
+    if sheet.turns.carina_depth_mm is not None:
+        depth = f"Main carina at {sheet.turns.carina_depth_mm:.0f} mm from nose or mouth (estimate)."
+        blocks.append(Words(depth, "quiet"))
+    if sheet.turn_pictures:
+        stills = tuple(
+            Figure(_still(png), f"{n}. {turn.to_branch}, {clock(turn.clock_head if at_head else turn.clock_facing)}")
+            for n, (turn, png) in enumerate(zip(sheet.turns.turns, sheet.turn_pictures, strict=True), 1)
+        )
+        blocks.append(Figures(stills, 4))
+    return [Section("turns", "Turns", tuple(blocks), starts_page=True)]
+
+
+def _still(png: bytes) -> Drawing:
+    width, height = png_size(png)
+    return Drawing(width, height, (Raster((0.0, 0.0), (width, height), png),), "View at the fork")
+
+
+def _verdicts(sheet: PlanSheet) -> list[Section]:
+    if not sheet.verdicts:
+        return []
+    order = {"reaches": 0, "may reach": 1, "cannot say": 2, "does not reach": 3}
+    ranked = sorted(sheet.verdicts, key=lambda one: (order[one.outcome], -(one.share or 0.0)))
+    rows = []
+    for one in ranked:
+        answers = {check.name: ANSWERS[check.answer] for check in one.checks}
+        rows.append(
+            (
+                one.scope.title,
+                one.outcome,
+                "" if one.share is None else per_cent(one.share),
+                *(answers.get(name, "") for name in CHECKS),
+                _why(one),
+            )
+        )
+    head = ("Instrument", "Verdict", "Chance", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
+    shares = (0.19, 0.10, 0.075, 0.075, 0.075, 0.075, 0.08, 0.075, 0.255)
+    said = f"On this route, with {sheet.plan.tool.title}. The figures behind each answer are listed at the end."
+    return [Section("instruments", "Instruments", (Words(said, "quiet"), Grid(head, tuple(rows), shares)))]
+
+
+def _why(one: Verdict) -> str:
+    words = one.words.removeprefix(f"{one.outcome}: ")
+    return words if one.would is None else f"{words}; {one.would}"
+
+
+def _others(sheet: PlanSheet) -> list[Section]:
+    routes = sheet.plan.routes
+    if not routes:
+        return []
+    head = ("", *(f"Route {n}" + (" (this report)" if n == sheet.route_number else "") for n in range(1, len(routes) + 1)))
+    rows = [(name, *(tell(sheet, route) for route in routes)) for name, tell in _COMPARED]
+    doubts = [
+        f"Route {n}: {doubt}." for n, route in enumerate(routes, 1) for doubt in route.doubts
+    ]
+    share = 0.76 / len(routes)
+    blocks: list[Block] = [Grid(head, tuple(rows), (0.24, *(share,) * len(routes)))]
+    if doubts:
+        blocks.append(Bullets(tuple(doubts), "warning"))
+    return [Section("routes", "Routes side by side", tuple(blocks))]
+
+
+_COMPARED = (
+    ("Tip of the scope in", lambda _, r: r.branch_name),
+    ("Beyond the carina", lambda _, r: carina_words(r.from_carina_mm)),
+    ("Narrowest place", lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})")),
+    ("To the target's edge", lambda _, r: f"{r.leg.to_target_mm:.1f} mm"),
+    ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
+    ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),
+    ("Nearest vessel", lambda _, r: "none seen" if r.leg.vessel_mm is None else f"{r.leg.vessel_mm:.1f} mm"),
+    ("Needle passes that hit", lambda _, r: per_cent(r.leg.hit_share)),
+    ("If the target has moved", lambda _, r: per_cent(r.leg.hit_share_moved)),
+    ("Tissue on the way", lambda _, r: _crossed_words(r)),
+    ("Score (1 is best)", lambda _, r: f"{r.score:.2f}"),
+)
+
+
+def _crossed_words(route: PlannedRoute) -> str:
+    names = []
+    for one in route.leg.crossed:
+        names.append(one.tissue)
+        if one.tissue == "target":
+            break
+    return ", ".join(names)
+
+
+def _slices(sheet: PlanSheet) -> Section:
+    legend = "Yellow: outline of the target. Orange: last leg, dotted where it lies outside the slice. Blue: airway lumen."
+    window = "Lung window: width 1500, level \u2212600 HU. Patient's right on the left of axial and coronal slices."
+    blocks: list[Block] = [Words(f"{legend} {window}", "quiet")]
+    if sheet.needle_slice is not None:
+        along = slice_drawing(sheet.needle_slice)
+        blocks.append(Figures((Figure(along, "The plane of the needle; the airway enters from the upper left."),), 1))
+    blocks.append(Figures(tuple(Figure(slice_drawing(one)) for one in sheet.slices), 3))
+    return Section("slices", "Slices", tuple(blocks))
+
+
+def _by_hand(sheet: PlanSheet) -> list[Section]:
+    if not sheet.by_hand:
+        return [Section("by-hand", "Drawn by hand", (Words("Nothing: every airway of this report was found in the CT."),))]
+    return [Section("by-hand", "Drawn by hand", (Bullets(sheet.by_hand, "warning"),))]
+
+
+def _uncertain(sheet: PlanSheet) -> Section:
+    return Section("uncertain", "What is uncertain", (Bullets(sheet.uncertain),))
+
+
+def _notes(sheet: PlanSheet) -> list[Section]:
+    return [Section("notes", "Notes", (Bullets(sheet.notes),))] if sheet.notes else []
+
+
+def _score(sheet: PlanSheet) -> list[Section]:
+    if sheet.route is None:
+        return []
+    weights = sheet.weights
+    total = sum(getattr(weights, field.name) for field in dataclasses.fields(ScoreWeights))
+    rows = []
+    for name, part in sheet.route.parts.items():
+        weight = getattr(weights, name) / total
+        rows.append((PART_WORDS.get(name, name), f"{part:.2f}", f"{100 * weight:.0f} %", f"{weight * part:.3f}"))
+    rows.append(("score: 1 less the sum", "", "", f"{sheet.route.score:.2f}"))
+    said = (
+        "Each part is 0 at its best and 1 at its worst. The weights are a choice, not fitted to outcomes; they can be "
+        "changed when planning."
+    )
+    grid = Grid(("Part", "Value", "Weight", "Costs"), tuple(rows), (0.49, 0.17, 0.17, 0.17))
+    return [Section("score", "How the route was scored", (Words(said, "quiet"), grid))]
+
+
+def _figures_behind(sheet: PlanSheet) -> list[Section]:
+    if not sheet.verdicts:
+        return []
+    rows = [
+        (one.scope.title if n == 0 else "", check.name, ANSWERS[check.answer], check.words, check.basis)
+        for one in sheet.verdicts
+        for n, check in enumerate(one.checks)
+    ]
+    said = "Basis of a figure: s, read in a published source; k, common knowledge that was not checked with the maker."
+    head = ("Instrument", "Check", "Answer", "What was found", "Rests on")
+    grid = Grid(head, tuple(rows), (0.17, 0.09, 0.09, 0.36, 0.29))
+    return [Section("figures", "Figures behind the verdicts", (Words(said, "quiet"), grid))]
+
+
+def _provenance(sheet: PlanSheet) -> Section:
+    made, plan = sheet.provenance, sheet.plan
+    (nz, ny, nx), (sx, sy, sz) = made.shape_zyx, made.spacing_mm
+    rows = [
+        ("Made by", f"Carina {made.version}, {made.made_on}"),
+        ("Scan", f"{made.scan_format}" + (f", {made.series}" if made.series else "")),
+        ("Voxels", f"{nx} \u00d7 {ny} \u00d7 {nz} of {sx:.2f} \u00d7 {sy:.2f} \u00d7 {sz:.2f} mm"),
+        ("Digest of the voxels", made.ct_digest),
+        ("Planned for", f"{plan.scope.title} ({plan.scope.basis}), {plan.tool.title} ({plan.tool.basis})"),
+        ("Space", "LPS, mm: x to the patient's left, y to the back, z to the head"),
+    ]
+    return Section("provenance", "How this report was made", (Facts(tuple(rows)),))
+
