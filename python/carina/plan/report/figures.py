@@ -96,19 +96,17 @@ def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
             shapes.append(Stroke(((middle, top), (middle, base + 2.0)), Pen(QUIET, 0.5)))
         shapes.append(_bar_label(one, middle, base, left, width))
     reach = left + tool.reach_mm * scale
-    shapes.append(Stroke(((reach, top - 3), (reach, top + bar + 18)), Pen(ACCENT, 1.6)))
-    anchor = "end" if reach > 0.5 * width else "start"
-    nudge = -4.0 if anchor == "end" else 4.0
-    words = f"reach of the needle, {tool.reach_mm:g} mm"
-    shapes.append(Label((reach + nudge, top + bar + 29), words, 8.0, ACCENT, anchor))  # type: ignore[arg-type]
+    shapes.append(Stroke(((reach, top - 3), (reach, top + bar + 3)), Pen(ACCENT, 1.8)))
+    words = f"the needle reaches {tool.reach_mm:g} mm"
+    half = 0.5 * text_width(words, 8.0)
+    shapes.append(Label((min(reach, width - half), top + bar + 26), words, 8.0, ACCENT, "middle"))
     step = 5 if total <= 50 else 10
     for mm in range(0, int(total) + 1, step):
         x = left + mm * scale
         shapes.append(Stroke(((x, top + bar), (x, top + bar + 4)), Pen(INK, 0.7)))
         shapes.append(Label((x, top + bar + 13), f"{mm}", 8.0, QUIET, "middle"))
-    shapes.append(Label((left, top + bar + 29), "mm from the scope's tip", 8.0, QUIET))
     said = ", ".join(f"{one.tissue} {one.length_mm:.1f} mm" for one in leg.crossed)
-    return Drawing(width, top + bar + 34.0, tuple(shapes), f"Needle path from the tip: {said}")
+    return Drawing(width, top + bar + 31.0, tuple(shapes), f"Needle path from the tip: {said}")
 
 
 def _bar_label(one: Crossed, middle: float, base: float, left: float, width: float) -> Label:

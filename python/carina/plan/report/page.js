@@ -66,11 +66,6 @@
         pieces.push({ depth: (placed[n][2] + placed[n - 1][2]) / 2, kind: "tube", from: placed[n - 1], to: placed[n], wide, colour });
       }
     }
-    for (let n = 1; n < data.route.length; n++) {
-      const [from, to] = [place(data.route[n - 1]), place(data.route[n])];
-      // The line of the route is seen through the wall, faintly: it never hides what lies in front of it.
-      pieces.push({ depth: (from[2] + to[2]) / 2 + 0.5, kind: "line", from, to, wide: 2, colour: "#ffffff" });
-    }
     const vertices = data.vertices.map(place);
     for (const quad of data.quads) {
       const corners = quad.map((index) => vertices[index]);

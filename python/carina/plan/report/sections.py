@@ -31,13 +31,18 @@ PART_WORDS = {
     "shallow": "short length in the target",
 }
 CHECKS = ("diameter", "bend", "length", "channel", "pointing")
-ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "not known"}
+LEGEND = (
+    "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on the "
+    "left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies outside the "
+    "slice. Blue: airway lumen."
+)
+ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
 
 def sections(sheet: PlanSheet) -> tuple[Section, ...]:
     """All of a report."""
     found = [_target(sheet), *_route(sheet), *_sign(sheet)]
-    found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet), _slices(sheet)]
+    found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet)]
     found += [*_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), *_figures_behind(sheet)]
     return (*found, _provenance(sheet), *tracing_sections(sheet))
 
@@ -83,7 +88,7 @@ def _target(sheet: PlanSheet) -> Section:
     if nodule.kind == "part-solid":
         rows.insert(2, ("Of which solid", f"{nodule.solid_mm3 / 1000.0:.{digits}f} ml"))
     figures = tuple(Figure(slice_drawing(one)) for one in sheet.slices)
-    return Section("target", "Target", (Facts(tuple(rows)), Figures(figures, 3)))
+    return Section("target", "Target", (Facts(tuple(rows)), Figures(figures, 3), Words(LEGEND, "quiet")))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:
@@ -116,7 +121,14 @@ def _route(sheet: PlanSheet) -> list[Section]:
     if not route.fits:
         text = f"The narrowest place on the way is {fits}: this scope may not pass. See the instruments below."
         blocks.append(Words(text, "warning"))
-    blocks += [Facts(rows), Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way, in order, in mm.")]
+    into = [one for one in leg.crossed if one.tissue == "vessel" and one.start_mm < leg.to_target_mm + leg.in_target_mm]
+    if into:
+        text = f"The needle's way crosses a vessel {into[0].start_mm:.0f} mm from the scope's tip."
+        blocks.append(Words(text, "warning"))
+    blocks += [Facts(rows), Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way in order, mm from the scope's tip.")]
+    if sheet.needle_slice is not None:
+        words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
+        blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
     blocks.append(_tree_figures(sheet))
     return [Section("route", title, tuple(blocks), starts_page=True)]
 
@@ -194,18 +206,14 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
     rows = []
     for one in ranked:
         answers = {check.name: ANSWERS[check.answer] for check in one.checks}
-        rows.append(
-            (
-                one.scope.title,
-                one.outcome,
-                "" if one.share is None else per_cent(one.share),
-                *(answers.get(name, "") for name in CHECKS),
-                _why(one),
-            )
-        )
-    head = ("Instrument", "Verdict", "Chance", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
-    shares = (0.19, 0.10, 0.075, 0.075, 0.075, 0.075, 0.08, 0.075, 0.255)
-    said = f"On this route, with {sheet.plan.tool.title}. The figures behind each answer are listed at the end."
+        chance = "" if one.share is None or one.outcome in {"reaches", "does not reach"} else f" ({per_cent(one.share)})"
+        rows.append((one.scope.title, f"{one.outcome}{chance}", *(answers.get(name, "") for name in CHECKS), _why(one)))
+    head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
+    shares = (0.18, 0.14, 0.066, 0.066, 0.066, 0.073, 0.066, 0.343)
+    said = (
+        f"On this route, with {sheet.plan.tool.title}. ?: not known. The figures behind each answer, and what they rest "
+        "on, are listed at the end."
+    )
     return [Section("instruments", "Instruments", (Words(said, "quiet"), Grid(head, tuple(rows), shares)))]
 
 
@@ -252,17 +260,6 @@ def _crossed_words(route: PlannedRoute) -> str:
         if one.tissue == "target":
             break
     return ", ".join(names)
-
-
-def _slices(sheet: PlanSheet) -> Section:
-    legend = "Yellow: outline of the target. Orange: last leg, dotted where it lies outside the slice. Blue: airway lumen."
-    window = "Lung window: width 1500, level \u2212600 HU. Patient's right on the left of axial and coronal slices."
-    blocks: list[Block] = [Words(f"{legend} {window}", "quiet")]
-    if sheet.needle_slice is not None:
-        along = slice_drawing(sheet.needle_slice)
-        blocks.append(Figures((Figure(along, "The plane of the needle; the airway enters from the upper left."),), 1))
-    blocks.append(Figures(tuple(Figure(slice_drawing(one)) for one in sheet.slices), 3))
-    return Section("slices", "Slices", tuple(blocks))
 
 
 def _by_hand(sheet: PlanSheet) -> list[Section]:

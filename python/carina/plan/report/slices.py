@@ -42,6 +42,7 @@ class SlicePicture:
     """One slice, and what is drawn over it. Places are columns and rows, corner coordinates."""
 
     title: str
+    """Of a plane along the patient's axes; empty for another."""
     png: bytes = field(repr=False)
     width_px: int
     height_px: int
@@ -111,7 +112,7 @@ def needle_slice(
     extent = max(44.0, 1.6 * length + nodule.long_mm)
     height = round(0.62 * WIDTH_PX)
     view = CutPlaneView(Pose(matrix), extent_mm=extent, width=WIDTH_PX, height=height, window_hu=LUNG_HU)
-    return _picture(renderer, view, "In the plane of the needle", _Over(nodule, leg, lumen))
+    return _picture(renderer, view, "", _Over(nodule, leg, lumen))
 
 
 def _slice(

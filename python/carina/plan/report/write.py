@@ -52,8 +52,9 @@ def write_report(
     ------
     UsageError
         If the suffix, kind or paper is unknown (``plan.report-format``), the plan has no route to trace
-        (``plan.no-route``), a PDF is asked for and its library is not installed (``plan.no-pdf``), or its font lacks a
-        character (``plan.report-characters``).
+        (``plan.no-route``), or the font of a PDF lacks a character (``plan.report-characters``).
+    CarinaError
+        If a PDF is asked for and its library is not installed (``plan.no-pdf``).
     DiskError
         If the file cannot be written.
     CancelledError
