@@ -10,8 +10,10 @@ from carina.plan.report.drawing import Drawing
 
 __all__ = ["Block", "Bullets", "Facts", "Figure", "Figures", "Grid", "Section", "Tone", "Words"]
 
-Tone = Literal["plain", "quiet", "warning"]
-"""*Warning* is red: what a person drew, and what forbids something."""
+MOST_ROWS = 14
+"""A table of no more rows stays on one page."""
+Tone = Literal["plain", "lead", "quiet", "warning"]
+"""*Lead* sums up; *warning* is red: what a person drew, and what forbids something."""
 
 
 @one_line
@@ -81,3 +83,8 @@ class Section:
     title: str
     blocks: tuple[Block, ...]
     starts_page: bool = False
+
+    @property
+    def is_whole(self) -> bool:
+        """It is not parted between pages: there is no long table in it."""
+        return not any(isinstance(block, Grid) and len(block.rows) > MOST_ROWS for block in self.blocks)

@@ -32,6 +32,7 @@ def uncertain(
     volume: Volume,
     airways: Airways,
     plan: Plan,
+    *,
     route: PlannedRoute | None,
     turns: TurnList | None,
     verdicts: tuple[Verdict, ...],

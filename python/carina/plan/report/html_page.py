@@ -11,14 +11,14 @@ from carina.display.html import escaped
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
 from carina.plan.report.doubt import movement_words
 from carina.plan.report.drawing import svg
-from carina.plan.report.sheet import PlanSheet
+from carina.plan.report.sheet import PlanSheet, target_words
 from carina.plan.report.wording import NOT_A_DEVICE
 
 __all__ = ["html_page"]
 
 TITLE = "Bronchoscopy plan"
 VIEWS = ("front", "back", "left", "right", "above", "below")
-TREE_BEFORE = "route"
+TREE_AFTER = "airways"
 """The section at whose end the tree to turn stands."""
 
 
@@ -27,22 +27,26 @@ def html_page(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
     here = files("carina.plan.report")
     style = here.joinpath("page.css").read_text(encoding="utf-8")
     script = here.joinpath("page.js").read_text(encoding="utf-8")
-    has_tree = any(part.name == TREE_BEFORE for part in parts)
+    has_tree = any(part.name == TREE_AFTER for part in parts)
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; "
         f"script-src {repr(_hash(script)) if has_tree else repr('none')}; base-uri 'none'; form-action 'none'"
     )
+    body = "".join(_section(part) for part in parts)
     # In a script element nothing ends early where no "<" is written.
     tree = json.dumps(sheet.shape.to_json(), separators=(",", ":")).replace("<", "\\u003c")
-    tail = f'<script type="application/json" id="tree-data">{tree}</script><script>{script}</script>' if has_tree else ""
+    tail = (
+        f'<script type="application/json" id="tree-data">{tree}</script><script>{script}</script>' if has_tree else ""
+    )
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{escaped(policy)}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1"><meta name="referrer" content="no-referrer">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<meta name="referrer" content="no-referrer">'
         f'<link rel="icon" href="data:,"><title>{TITLE}</title><style>{style}</style></head><body>'
         f"{_running(sheet)}"
         '<table class="sheet" role="presentation"><thead><tr><td></td></tr></thead><tfoot><tr><td></td></tr></tfoot>'
-        f"<tbody><tr><td>{_head(sheet, parts)}{''.join(_section(part) for part in parts)}{_foot(sheet)}</td></tr></tbody>"
+        f"<tbody><tr><td>{_head(sheet, parts)}{body}{_foot(sheet)}</td></tr></tbody>"
         f"</table>{tail}</body></html>\n"
     )
 
@@ -54,7 +58,10 @@ def _hash(text: str) -> str:
 def _running(sheet: PlanSheet) -> str:
     """Head and foot of each printed page."""
     who = "" if sheet.patient is None else f" \u00b7 {sheet.patient}"
-    left, right = f"{TITLE}{who}", f"Carina {sheet.provenance.version}, {sheet.provenance.made_on}"
+    left, right = (
+        f"{TITLE}{who} \u00b7 {target_words(sheet)}",
+        f"Carina {sheet.provenance.version}, {sheet.provenance.made_on}",
+    )
     return (
         f'<div class="running top" aria-hidden="true"><span>{escaped(left)}</span><span>{escaped(right)}</span></div>'
         f'<div class="running bottom" aria-hidden="true"><span>{escaped(NOT_A_DEVICE)}</span>'
@@ -67,7 +74,7 @@ def _head(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
     links = "".join(f'<a href="#{escaped(part.name)}">{escaped(part.title)}</a>' for part in parts)
     made = f"Carina {sheet.provenance.version}, {sheet.provenance.made_on}"
     return (
-        f'<header class="title"><h1>{TITLE}</h1>{who}<p>{escaped(made)}</p></header>'
+        f'<header class="title"><h1>{TITLE}</h1>{who}<p class="on-screen">{escaped(made)}</p></header>'
         f'<p class="safety">{escaped(NOT_A_DEVICE)} {escaped(movement_words(sheet.plan))}</p><nav>{links}</nav>'
     )
 
@@ -77,9 +84,10 @@ def _foot(sheet: PlanSheet) -> str:
 
 
 def _section(part: Section) -> str:
-    starts = ' class="starts-page"' if part.starts_page else ""
+    kinds = ["starts-page"] * part.starts_page + ["whole"] * part.is_whole
+    starts = f' class="{" ".join(kinds)}"' if kinds else ""
     blocks = [_block(block) for block in part.blocks]
-    if part.name == TREE_BEFORE:
+    if part.name == TREE_AFTER:
         # On a screen the tree is turned; on paper it is drawn from two sides.
         blocks[-1] = f'<div class="on-paper">{blocks[-1]}</div>{_tree()}'
     return f'<section id="{escaped(part.name)}"{starts}><h2>{escaped(part.title)}</h2>{"".join(blocks)}</section>'
@@ -88,8 +96,8 @@ def _section(part: Section) -> str:
 def _tree() -> str:
     buttons = "".join(f'<button type="button" data-look="{name}">{name.capitalize()}</button>' for name in VIEWS)
     help_words = (
-        "Drag to turn, Shift and drag to move, + and \u2212 to zoom; arrow keys turn, and the keys A, P, L, R, S, I look "
-        "from that side. Blue: route. Orange: last leg and target. Red: drawn by hand."
+        "Drag to turn, Shift and drag to move, + and \u2212 to zoom; arrow keys turn, and the keys A, P, L, R, S, I "
+        "look from that side."
     )
     return (
         '<div class="on-screen"><div class="space"><canvas id="tree" tabindex="0" role="img" aria-label="Airway tree '

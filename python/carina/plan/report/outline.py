@@ -81,7 +81,7 @@ def surface_of(nodule: Nodule) -> tuple[Points, NDArray[np.int64]]:
     shape = np.array(nodule.inside_zyx.shape[::-1]) + 2 * PAD
     step = max(float(shape.max()) / MOST_CELLS, 1.0)
     num = np.ceil((shape - 1) / step).astype(int) + 1
-    k, j, i = np.indices(num[::-1]).astype(np.float64) * step - PAD
+    k, j, i = np.indices(tuple(num[::-1].tolist())).astype(np.float64) * step - PAD
     points = np.stack([i, j, k], axis=-1) @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3]
     share = NoduleShare(nodule).at(points)
     total, count = np.zeros((*share.shape, 3)), np.zeros(share.shape)

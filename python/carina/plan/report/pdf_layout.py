@@ -35,7 +35,7 @@ from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Gr
 from carina.plan.report.colours import INK, PALE, QUIET, WARNING
 from carina.plan.report.doubt import movement_words
 from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Raster, Stroke
-from carina.plan.report.sheet import PlanSheet
+from carina.plan.report.sheet import PlanSheet, target_words
 from carina.plan.report.wording import NOT_A_DEVICE
 
 __all__ = ["laid_out"]
@@ -46,7 +46,7 @@ SIDE, TOP, BOTTOM = 34.0, 50.0, 46.0
 GAP = 8.0
 FONTS = (("Vera.ttf", "VeraBd.ttf"), ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"))
 """Plain and bold: the first comes with the library, the second is looked for where systems keep fonts."""
-TONES = {"plain": INK, "quiet": QUIET, "warning": WARNING}
+TONES = {"plain": INK, "lead": INK, "quiet": QUIET, "warning": WARNING}
 
 
 def laid_out(sheet: PlanSheet, parts: tuple[Section, ...], *, paper: str) -> bytes:
@@ -83,7 +83,7 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
     canvas.setFillColor(HexColor(INK))
     canvas.setLineWidth(0.6)
     canvas.setFont(bold, 9)
-    canvas.drawString(SIDE, height - 33, f"{TITLE}{who}")
+    canvas.drawString(SIDE, height - 33, f"{TITLE}{who} \u00b7 {target_words(sheet)}")
     canvas.setFont(plain, 8)
     canvas.setFillColor(HexColor(QUIET))
     canvas.drawRightString(width - SIDE, height - 33, f"Carina {sheet.provenance.version}, {sheet.provenance.made_on}")
@@ -106,17 +106,25 @@ class _Layout:
 
     def flowables(self, parts: tuple[Section, ...]) -> list[Any]:
         """All of it."""
-        found: list[Any] = []
+        found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if len(parts) > 1 else []
         for n, part in enumerate(parts):
             if n:
                 found.append(PageBreak() if part.starts_page else Spacer(1, 14))
             heading = self._paragraph(part.title, 13.0, is_bold=True)
-            line = Table([[""]], colWidths=[self._width], rowHeights=[3.0], style=[("LINEABOVE", (0, 0), (-1, 0), 0.8, HexColor(INK))])
-            blocks = [self._block(block, 28.0) for block in part.blocks]
-            # A heading never stands alone at the end of a page.
-            found += [CondPageBreak(110.0), KeepTogether([heading, Spacer(1, 3), line])]
-            for block in blocks:
-                found += [block, Spacer(1, GAP)]
+            line = Table(
+                [[""]],
+                colWidths=[self._width],
+                rowHeights=[3.0],
+                style=[("LINEABOVE", (0, 0), (-1, 0), 0.8, HexColor(INK))],
+            )
+            content: list[Any] = [heading, Spacer(1, 3), line]
+            for block in part.blocks:
+                content += [self._block(block, 28.0), Spacer(1, GAP)]
+            if part.is_whole:
+                found.append(KeepTogether(content))
+            else:
+                # A heading never stands alone at the end of a page.
+                found += [CondPageBreak(110.0), *content]
         return found
 
     def _block(self, block: Block, used: float) -> Any:
@@ -125,6 +133,8 @@ class _Layout:
                 inner = self._paragraph(text, 8.5, tone="warning", is_bold=True)
                 box = ("BOX", (0, 0), (-1, -1), 1.0, HexColor(WARNING))
                 return Table([[inner]], colWidths=[self._width], style=[box, *_padding(5)])
+            case Words(text=text, tone="lead"):
+                return self._paragraph(text, 10.0, is_bold=True)
             case Words(text=text, tone=tone):
                 return self._paragraph(text, 8.0 if tone == "quiet" else 9.0, tone=tone)
             case Bullets(items=items, tone=tone):
@@ -160,7 +170,11 @@ class _Layout:
         for n in range(half):
             row: list[Any] = []
             for name, value in rows[n : n + half + 1 : half] if n + half < len(rows) else rows[n : n + 1]:
-                row += [self._paragraph(name, 8.5, tone="quiet"), self._paragraph(value, 8.5, is_bold=True, is_right=True), ""]
+                row += [
+                    self._paragraph(name, 8.5, tone="quiet"),
+                    self._paragraph(value, 8.5, is_bold=True, is_right=True),
+                    "",
+                ]
             cells.append((row + [""] * 6)[:5])
         gap = 16.0
         name_width = 0.19 * self._width
@@ -174,7 +188,10 @@ class _Layout:
         for n, row in enumerate(grid.rows):
             tone = "warning" if n in grid.warned else "plain"
             rows.append(
-                [self._paragraph(cell, 7.5, tone=tone, is_bold=k == 0 or n in grid.warned) for k, cell in enumerate(row)]
+                [
+                    self._paragraph(cell, 7.5, tone=tone, is_bold=k == 0 or n in grid.warned)
+                    for k, cell in enumerate(row)
+                ]
             )
         total = sum(grid.shares)
         style = [
@@ -305,7 +322,11 @@ def _fonts(text: str) -> tuple[str, str]:
             made = [_font(name) for name in (plain, bold)]
         except (TTFError, OSError):
             continue
-        lacking = {letter for letter in text if letter not in "\n\t" and any(ord(letter) not in one.face.charToGlyph for one in made)}
+        lacking = {
+            letter
+            for letter in text
+            if letter not in "\n\t" and any(ord(letter) not in one.face.charToGlyph for one in made)
+        }
         if not lacking:
             for one in made:
                 pdfmetrics.registerFont(one)
@@ -326,7 +347,14 @@ def _font(name: str) -> Any:
 
 def _texts(sheet: PlanSheet, parts: tuple[Section, ...]) -> Iterator[str]:
     """All that is written anywhere in the document."""
-    yield from (TITLE, NOT_A_DEVICE, movement_words(sheet.plan), sheet.patient or "", "\u2022\u00b7")
+    yield from (
+        TITLE,
+        NOT_A_DEVICE,
+        movement_words(sheet.plan),
+        sheet.patient or "",
+        target_words(sheet),
+        "\u2022\u00b7",
+    )
     for part in parts:
         yield part.title
         for block in part.blocks:

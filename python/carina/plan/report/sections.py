@@ -8,7 +8,7 @@ from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Gr
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.png_size import png_size
-from carina.plan.report.sheet import PlanSheet
+from carina.plan.report.sheet import PlanSheet, target_words
 from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.wording import (
     SIGNS,
@@ -18,7 +18,6 @@ from carina.plan.report.wording import (
     per_cent,
 )
 from carina.plan.routes import PlannedRoute, ScoreWeights
-from carina.plan.verdict import Verdict
 
 __all__ = ["sections", "tracing_sections"]
 
@@ -32,19 +31,19 @@ PART_WORDS = {
 }
 CHECKS = ("diameter", "bend", "length", "channel", "pointing")
 LEGEND = (
-    "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on the "
-    "left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies outside the "
-    "slice. Blue: airway lumen."
+    "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on "
+    "the left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies "
+    "outside the slice. Blue: airway lumen."
 )
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
 
 def sections(sheet: PlanSheet) -> tuple[Section, ...]:
     """All of a report."""
-    found = [_target(sheet), *_route(sheet), *_sign(sheet)]
+    found = [_target(sheet), _way(sheet), *_route(sheet), *_sign(sheet)]
     found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet)]
-    found += [*_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), *_figures_behind(sheet)]
-    return (*found, _provenance(sheet), *tracing_sections(sheet))
+    found += [_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), _provenance(sheet)]
+    return (*found, *_figures_behind(sheet), *tracing_sections(sheet))
 
 
 def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
@@ -82,13 +81,55 @@ def _target(sheet: PlanSheet) -> Section:
         ("Lobe", place.lobe or "not known"),
         ("Nearest airway", place.nearest_branch or "an unnamed branch"),
         ("To pleura or mediastinum", place.pleura_words),
-        ("Bronchus sign", SIGNS[sheet.plan.bronchus_sign] + (f" ({sheet.plan.sign_branch})" if sheet.plan.sign_branch else "")),
+        (
+            "Bronchus sign",
+            SIGNS[sheet.plan.bronchus_sign] + (f" ({sheet.plan.sign_branch})" if sheet.plan.sign_branch else ""),
+        ),
         ("Centre (LPS)", ", ".join(f"{v:.1f}" for v in nodule.centre_lps) + " mm"),
     ]
     if nodule.kind == "part-solid":
         rows.insert(2, ("Of which solid", f"{nodule.solid_mm3 / 1000.0:.{digits}f} ml"))
     figures = tuple(Figure(slice_drawing(one)) for one in sheet.slices)
-    return Section("target", "Target", (Facts(tuple(rows)), Figures(figures, 3), Words(LEGEND, "quiet")))
+    blocks = (
+        *_red(sheet),
+        Words(_lead(sheet), "lead"),
+        Facts(tuple(rows)),
+        Figures(figures, 3),
+        Words(LEGEND, "quiet"),
+    )
+    return Section("target", "Target", blocks)
+
+
+def _lead(sheet: PlanSheet) -> str:
+    """What the whole report comes to."""
+    plan, route = sheet.plan, sheet.route
+    nodule = target_words(sheet)
+    nodule = nodule[0].upper() + nodule[1:]
+    if route is None:
+        return f"{nodule}. No route with {plan.tool.title} was found."
+    where = "" if route.from_carina_mm is None else f", {route.from_carina_mm:.0f} mm beyond the carina"
+    said = f"{nodule}. Tip in {route.branch_name}{where}, then {route.leg.to_target_mm:.0f} mm with the needle."
+    if not sheet.verdicts:
+        return said
+    num = {name: sum(one.outcome == name for one in sheet.verdicts) for name in ("reaches", "may reach", "cannot say")}
+    best = next((one for name in num for one in sheet.verdicts if one.outcome == name), None)
+    first = (
+        ""
+        if best is None or best.outcome == "cannot say"
+        else f" First choice: {best.scope.title}, which {best.outcome}."
+    )
+    counts = f"{num['reaches']} reach, {num['may reach']} may reach"
+    more = f", of {num['cannot say']} this cannot be said" if num["cannot say"] else ""
+    return f"{said} Of {_instruments(len(sheet.verdicts))} {counts}{more}.{first}"
+
+
+def _instruments(num: int) -> str:
+    return "1 instrument" if num == 1 else f"{num} instruments"
+
+
+def _way(sheet: PlanSheet) -> Section:
+    words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
+    return Section("airways", "Airways and route", (Words(words, "quiet"), _tree_figures(sheet)))
 
 
 def _route(sheet: PlanSheet) -> list[Section]:
@@ -96,7 +137,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     if route is None:
         why = (plan.why or "No route was found.").capitalize() if plan.why is None else plan.why
         text = why[0].upper() + why[1:] + ("" if why.endswith(".") else ".")
-        return [Section("route", "No route", (Words(text, "warning"), _tree_figures(sheet)))]
+        return [Section("route", "No route", (Words(text, "warning"),))]
     leg = route.leg
     fits = f"{route.narrowest_mm:.1f} mm; {plan.scope.title} needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
@@ -125,18 +166,20 @@ def _route(sheet: PlanSheet) -> list[Section]:
     if into:
         text = f"The needle's way crosses a vessel {into[0].start_mm:.0f} mm from the scope's tip."
         blocks.append(Words(text, "warning"))
-    blocks += [Facts(rows), Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way in order, mm from the scope's tip.")]
+    blocks += [
+        Facts(rows),
+        Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way in order, mm from the scope's tip."),
+    ]
     if sheet.needle_slice is not None:
         words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
         blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
-    blocks.append(_tree_figures(sheet))
     return [Section("route", title, tuple(blocks), starts_page=True)]
 
 
 def _tree_figures(sheet: PlanSheet) -> Figures:
     sides = (("front", "From the front"), ("left", "From the patient's left"))
     drawn = [
-        Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=250.0), words) for side, words in sides
+        Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=160.0), words) for side, words in sides
     ]
     return Figures(tuple(drawn), 2)
 
@@ -144,7 +187,9 @@ def _tree_figures(sheet: PlanSheet) -> Figures:
 def _sign(sheet: PlanSheet) -> list[Section]:
     if not sheet.sign_slices:
         return []
-    text = f"Bronchus sign {SIGNS[sheet.plan.bronchus_sign]} ({sheet.plan.sign_branch}). The cross marks where it shows."
+    text = (
+        f"Bronchus sign {SIGNS[sheet.plan.bronchus_sign]} ({sheet.plan.sign_branch}). The cross marks where it shows."
+    )
     figures = tuple(Figure(slice_drawing(one)) for one in sheet.sign_slices)
     return [Section("bronchus-sign", "Bronchus sign", (Words(text), Figures(figures, 3)))]
 
@@ -179,7 +224,9 @@ def _turns(sheet: PlanSheet) -> list[Section]:
     first, second = ("Head", "Facing") if at_head else ("Facing", "Head")
     head = ("", "Enter", first, second, "From carina, mm", "From last fork, mm", "Opening, mm", "Turn", "Hand")
     shares = (0.04, 0.18, 0.075, 0.075, 0.09, 0.095, 0.09, 0.065, 0.29)
-    said = "Clock hours as seen by an operator at the patient's head, and facing the patient. Distances along the route."
+    said = (
+        "Clock hours as seen by an operator at the patient's head, and facing the patient. Distances along the route."
+    )
     blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), Grid(head, tuple(rows), shares, tuple(warned))]
     if sheet.turns.carina_depth_mm is not None:
         depth = f"Main carina at {sheet.turns.carina_depth_mm:.0f} mm from nose or mouth (estimate)."
@@ -205,32 +252,39 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
     ranked = sorted(sheet.verdicts, key=lambda one: (order[one.outcome], -(one.share or 0.0)))
     rows = []
     for one in ranked:
-        answers = {check.name: ANSWERS[check.answer] for check in one.checks}
-        chance = "" if one.share is None or one.outcome in {"reaches", "does not reach"} else f" ({per_cent(one.share)})"
-        rows.append((one.scope.title, f"{one.outcome}{chance}", *(answers.get(name, "") for name in CHECKS), _why(one)))
+        answers = {str(check.name): ANSWERS[check.answer] for check in one.checks}
+        chance = (
+            "" if one.share is None or one.outcome in {"reaches", "does not reach"} else f" ({per_cent(one.share)})"
+        )
+        rows.append(
+            (
+                one.scope.title,
+                f"{one.outcome}{chance}",
+                *(answers.get(name, "") for name in CHECKS),
+                one.words.removeprefix(f"{one.outcome}: "),
+            )
+        )
     head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
-    shares = (0.18, 0.14, 0.066, 0.066, 0.066, 0.073, 0.066, 0.343)
+    shares = (0.19, 0.14, 0.07, 0.06, 0.07, 0.085, 0.06, 0.325)
     said = (
-        f"On this route, with {sheet.plan.tool.title}. ?: not known. The figures behind each answer, and what they rest "
-        "on, are listed at the end."
+        f"On this route, with {sheet.plan.tool.title}. ?: not known. The figures behind each answer, and what they "
+        "rest on, are listed at the end."
     )
-    return [Section("instruments", "Instruments", (Words(said, "quiet"), Grid(head, tuple(rows), shares)))]
-
-
-def _why(one: Verdict) -> str:
-    words = one.words.removeprefix(f"{one.outcome}: ")
-    return words if one.would is None else f"{words}; {one.would}"
+    return [
+        Section("instruments", "Instruments", (Words(said, "quiet"), Grid(head, tuple(rows), shares)), starts_page=True)
+    ]
 
 
 def _others(sheet: PlanSheet) -> list[Section]:
     routes = sheet.plan.routes
     if not routes:
         return []
-    head = ("", *(f"Route {n}" + (" (this report)" if n == sheet.route_number else "") for n in range(1, len(routes) + 1)))
+    head = (
+        "",
+        *(f"Route {n}" + (" (this report)" if n == sheet.route_number else "") for n in range(1, len(routes) + 1)),
+    )
     rows = [(name, *(tell(sheet, route) for route in routes)) for name, tell in _COMPARED]
-    doubts = [
-        f"Route {n}: {doubt}." for n, route in enumerate(routes, 1) for doubt in route.doubts
-    ]
+    doubts = [f"Route {n}: {doubt}." for n, route in enumerate(routes, 1) for doubt in route.doubts]
     share = 0.76 / len(routes)
     blocks: list[Block] = [Grid(head, tuple(rows), (0.24, *(share,) * len(routes)))]
     if doubts:
@@ -241,7 +295,10 @@ def _others(sheet: PlanSheet) -> list[Section]:
 _COMPARED = (
     ("Tip of the scope in", lambda _, r: r.branch_name),
     ("Beyond the carina", lambda _, r: carina_words(r.from_carina_mm)),
-    ("Narrowest place", lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})")),
+    (
+        "Narrowest place",
+        lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})"),
+    ),
     ("To the target's edge", lambda _, r: f"{r.leg.to_target_mm:.1f} mm"),
     ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
     ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),
@@ -262,10 +319,9 @@ def _crossed_words(route: PlannedRoute) -> str:
     return ", ".join(names)
 
 
-def _by_hand(sheet: PlanSheet) -> list[Section]:
-    if not sheet.by_hand:
-        return [Section("by-hand", "Drawn by hand", (Words("Nothing: every airway of this report was found in the CT."),))]
-    return [Section("by-hand", "Drawn by hand", (Bullets(sheet.by_hand, "warning"),))]
+def _by_hand(sheet: PlanSheet) -> Section:
+    none = Words("Nothing: every airway of this report was found in the CT.")
+    return Section("by-hand", "Drawn by hand", (Bullets(sheet.by_hand, "warning") if sheet.by_hand else none,))
 
 
 def _uncertain(sheet: PlanSheet) -> Section:
@@ -297,11 +353,13 @@ def _score(sheet: PlanSheet) -> list[Section]:
 def _figures_behind(sheet: PlanSheet) -> list[Section]:
     if not sheet.verdicts:
         return []
-    rows = [
-        (one.scope.title if n == 0 else "", check.name, ANSWERS[check.answer], check.words, check.basis)
-        for one in sheet.verdicts
-        for n, check in enumerate(one.checks)
-    ]
+    rows: list[tuple[str, ...]] = []
+    for one in sheet.verdicts:
+        for n, check in enumerate(one.checks):
+            name = one.scope.title if n == 0 else ""
+            rows.append((name, check.name, ANSWERS[check.answer], check.words, check.basis))
+        if one.would is not None:
+            rows.append(("", "", "", one.would, ""))
     said = "Basis of a figure: s, read in a published source; k, common knowledge that was not checked with the maker."
     head = ("Instrument", "Check", "Answer", "What was found", "Rests on")
     grid = Grid(head, tuple(rows), (0.17, 0.09, 0.09, 0.36, 0.29))
@@ -320,4 +378,3 @@ def _provenance(sheet: PlanSheet) -> Section:
         ("Space", "LPS, mm: x to the patient's left, y to the back, z to the head"),
     ]
     return Section("provenance", "How this report was made", (Facts(tuple(rows)),))
-

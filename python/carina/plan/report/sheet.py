@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
@@ -26,7 +27,7 @@ from carina.track import Airways, LumenOutline, branch_side_and_lobe, wall_field
 from carina.version import VERSION
 from carina.volume import Volume, ct_digest
 
-__all__ = ["Fork", "Operator", "PlanSheet", "Provenance", "TargetPlace", "make_sheet"]
+__all__ = ["Fork", "Operator", "PlanSheet", "Provenance", "TargetPlace", "make_sheet", "target_words"]
 
 Operator = Literal["head", "facing"]
 AROUND_MM = 30.0
@@ -277,7 +278,7 @@ def make_sheet(
         needle_slice=along,
         sign_slices=proof,
         shape=tree_shape(airways.tree, plan.nodule, route),
-        uncertain=uncertain(volume, airways, plan, route, turns, tuple(verdicts)),
+        uncertain=uncertain(volume, airways, plan, route=route, turns=turns, verdicts=tuple(verdicts)),
         by_hand=by_hand(airways, plan, route),
         notes=tuple(notes),
         patient=patient,
@@ -285,6 +286,11 @@ def make_sheet(
     )
     told(1.0)
     return sheet
+
+
+def target_words(sheet: PlanSheet) -> str:
+    """What and where the target is, in a few words: solid nodule, 12.4 x 10.1 mm, 0.74 ml, RUL."""
+    return sheet.plan.nodule.words + (f", {sheet.place.lobe}" if sheet.place.lobe else "")
 
 
 class _Steps:
@@ -361,7 +367,7 @@ def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tup
     told = {} if turns is None else {turn.to_branch_id: turn for turn in turns.turns}
     found: list[Fork] = []
     along = 0.0
-    for before, branch in zip(lineage, lineage[1:], strict=False):
+    for before, branch in itertools.pairwise(lineage):
         along += before.length_mm
         turn = told.get(branch.id)
         if turns is not None and turn is None:

@@ -86,15 +86,13 @@ def place_slices(
 ) -> tuple[SlicePicture, ...]:
     """The three close-up slices through a place that proves something, without a needle."""
     over = _Over(nodule, None, lumen)
-    return tuple(
-        _slice(renderer, plane, place_lps, PROOF_MM, over, cross_lps=place_lps) for plane in get_args(Plane)
-    )
+    return tuple(_slice(renderer, plane, place_lps, PROOF_MM, over, cross_lps=place_lps) for plane in get_args(Plane))
 
 
 def needle_slice(
     renderer: Renderer, nodule: Nodule, leg: LastLeg, forward: Sequence[float], lumen: LumenOutline
 ) -> SlicePicture:
-    """The plane that holds the needle and, as far as one plane can, the airway's axis; the needle points to the right."""
+    """The plane that holds the needle, and the airway's axis as far as it can; the needle points to the right."""
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     way = aim - tip
     length = float(np.linalg.norm(way))
@@ -124,9 +122,7 @@ def _slice(
     *,
     cross_lps: tuple[float, float, float] | None = None,
 ) -> SlicePicture:
-    view = SliceView(
-        plane, centre, mm_per_px=extent_mm / WIDTH_PX, width=WIDTH_PX, height=WIDTH_PX, window_hu=LUNG_HU
-    )
+    view = SliceView(plane, centre, mm_per_px=extent_mm / WIDTH_PX, width=WIDTH_PX, height=WIDTH_PX, window_hu=LUNG_HU)
     return _picture(renderer, view, plane.capitalize(), over, cross_lps=cross_lps)
 
 
@@ -181,4 +177,3 @@ def _needle(shown: Picture, leg: LastLeg) -> tuple[tuple[tuple[Line, bool], ...]
 
 def _line(points: Points) -> Line:
     return tuple((float(x), float(y)) for x, y in points)
-

@@ -20,6 +20,8 @@ SPINE, CLOCK, TEXT = 84.0, 196.0, 226.0
 TOP, NOTES_MM = 62.0, 92.0
 SWAY, SWAY_MOST = 26.0, 34.0
 TUBE = 10.0
+SMALL = 9.0
+"""Size of the words below a name."""
 
 
 def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
@@ -46,13 +48,17 @@ def _page(sheet: PlanSheet, forks: tuple[Fork, ...], *, is_last: bool) -> Drawin
     if is_last:
         shapes += _end_words(sheet, TOP + (len(forks) + 0.5) * step)
     shapes += _notes(sheet, notes_top)
-    return Drawing(width, height, tuple(shapes), "Tracing sheet: the route fork by fork, from the trachea to the target")
+    return Drawing(
+        width, height, tuple(shapes), "Tracing sheet: the route fork by fork, from the trachea to the target"
+    )
 
 
 def _head(sheet: PlanSheet) -> list[Shape]:
     width, _ = TRACING_SIZE
     plan, place = sheet.plan, sheet.place
-    where = " ".join(part for part in (place.lobe, f"near {place.nearest_branch}" if place.nearest_branch else "") if part)
+    where = " ".join(
+        part for part in (place.lobe, f"near {place.nearest_branch}" if place.nearest_branch else "") if part
+    )
     seen = {
         "head": "operator at the patient's head: anterior at 12, patient's right at 3",
         "facing": "operator facing the patient: posterior at 12, patient's left at 3",
@@ -61,7 +67,7 @@ def _head(sheet: PlanSheet) -> list[Shape]:
         Label((0, 14), f"{plan.nodule.words[0].upper()}{plan.nodule.words[1:]}", 12.0, LEG, bold=True),
         Label((0, 29), where or "lobe not known", 9.5, INK),
         Label((width, 14), f"{plan.scope.title} + {plan.tool.title}", 9.5, INK, "end", bold=True),
-        Label((width, 29), "distances from the main carina, along the route", 8.5, QUIET, "end"),
+        Label((width, 29), "distances along the route; zero at the main carina", 8.5, QUIET, "end"),
         Label((0, 45), f"Clock hours: {seen[sheet.operator]}", 8.5, ACCENT),
         Stroke(((0, 52), (width, 52)), Pen(INK, 0.8)),
     ]
@@ -152,25 +158,24 @@ def _on_face(y: float, radius: float, hours: float, share: float) -> Place:
 def _fork_words(fork: Fork, sheet: PlanSheet, y: float, step: float) -> list[Shape]:
     width, _ = TRACING_SIZE
     hours, turn = _hours(fork, sheet), fork.turn
-    facts = [carina_words(fork.carina_mm)]
+    facts = [_from_carina(fork.carina_mm)]
     if turn is not None:
         facts += [
-            f"{turn.from_fork_mm:.0f} mm from the last fork",
-            f"{turn.angle_deg:.0f}\u00b0",
+            f"{turn.from_fork_mm:.0f} mm past {'the last fork' if fork.number > 1 else 'the start'}",
             f"{turn.diameter_mm:.1f} mm wide",
         ]
-    said: list[tuple[str, str]] = [(" \u00b7 ".join(facts), INK)]
+    said = [(line, INK) for line in lines_of(", ".join(facts), SMALL, width - TEXT)]
     if turn is not None and turn.moves is not None:
-        said += [(line, QUIET) for line in lines_of(move_words(turn.moves), 8.0, width - TEXT)]
-    warned = [(line, WARNING) for words in fork.warnings for line in lines_of(words, 8.0, width - TEXT)]
-    room = max(int((step - 16.0) / 10.0), 1)
+        said += [(line, QUIET) for line in lines_of(move_words(turn.moves), SMALL, width - TEXT)]
+    warned = [(line, WARNING) for words in fork.warnings for line in lines_of(words, SMALL, width - TEXT)]
+    room = max(int((step - 18.0) / 11.0), 1)
     # A warning is never what is left out.
     said = said[: max(room - len(warned), 1)] + warned
-    top = y - 0.5 * (13.0 + 10.0 * len(said)) + 10.0
-    shapes: list[Shape] = [Label((TEXT, top), fork.to_name, 11.0, INK, bold=True)]
+    top = y - 0.5 * (14.0 + 11.0 * len(said)) + 11.0
+    shapes: list[Shape] = [Label((TEXT, top), fork.to_name, 12.5, INK, bold=True)]
     if hours is not None:
-        shapes.append(Label((width, top), f"{clock(hours)} o\u2019clock", 11.0, ACCENT, "end", bold=True))
-    shapes += [Label((TEXT, top + 11.0 + 10.0 * n), text, 8.0, colour) for n, (text, colour) in enumerate(said)]
+        shapes.append(Label((width, top), f"{clock(hours)} o\u2019clock", 12.5, ACCENT, "end", bold=True))
+    shapes += [Label((TEXT, top + 12.0 + 11.0 * n), text, SMALL, colour) for n, (text, colour) in enumerate(said)]
     return shapes
 
 
@@ -185,15 +190,15 @@ def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
         f"{sheet.plan.tool.title}: {leg.to_target_mm:.0f} mm to the target at {leg.angle_deg:.0f}\u00b0 to the airway, "
         f"{leg.in_target_mm:.0f} mm within it; {vessel}"
     )
-    lines = lines_of(text, 8.0, width - TEXT)
+    lines = lines_of(text, SMALL, width - TEXT)
     top = y - 8.0
     shapes: list[Shape] = [
         Stroke(((CLOCK - 22, top - 16.0), (width, top - 16.0)), Pen(PALE, 0.6)),
         Label((CLOCK, top + 4.0), "stop", 9.0, LEG, "middle", bold=True),
-        Label((TEXT, top), f"Tip in {route.branch_name}", 11.0, INK, bold=True),
-        Label((width, top), park, 11.0, LEG, "end", bold=True),
+        Label((TEXT, top), f"Tip in {route.branch_name}", 12.5, INK, bold=True),
+        Label((width, top), park, 12.5, LEG, "end", bold=True),
     ]
-    return shapes + [Label((TEXT, top + 11.0 + 10.0 * n), line, 8.0, INK) for n, line in enumerate(lines)]
+    return shapes + [Label((TEXT, top + 12.0 + 11.0 * n), line, SMALL, INK) for n, line in enumerate(lines)]
 
 
 def _notes(sheet: PlanSheet, top: float) -> list[Shape]:
@@ -210,6 +215,12 @@ def _notes(sheet: PlanSheet, top: float) -> list[Shape]:
         if first < height - 6.0:
             shapes.append(Stroke(((6, first), (width - 6, first)), Pen(PALE, 0.5)))
     return shapes
+
+
+def _from_carina(mm: float | None) -> str:
+    if mm is None:
+        return "distance from the carina not known"
+    return carina_words(mm) + (" the carina" if mm <= -0.5 else " past the carina" if mm >= 0.5 else "")
 
 
 def _short(name: str) -> str:
