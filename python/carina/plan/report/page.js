@@ -87,7 +87,6 @@
       else face(piece.corners);
     }
     const letters = {};
-    const farthest = Math.max(...half) + 6;
     for (const [letter, direction] of AXES) {
       const at = place(centre.map((value, axis) => value + direction[axis] * (half[axis] + 7)));
       const across = Math.hypot(dot(direction, right), dot(direction, up));
@@ -99,9 +98,13 @@
       word(letter, spot[0], spot[1] + 6, "bold 17px Arial, sans-serif", COLOURS.ink, "center");
       paint.globalAlpha = 1;
     }
+    const named = [];
     for (const branch of data.branches) {
-      if (!branch.route || !branch.name || scale * farthest < 120) continue;
+      if (!branch.route || !branch.name) continue;
       const at = place(branch.points[Math.floor(branch.points.length / 2)]);
+      // A name that would stand over another waits until the tree is larger, or turned.
+      if (named.some((other) => Math.abs(other[0] - at[0]) < 44 && Math.abs(other[1] - at[1]) < 14)) continue;
+      named.push(at);
       word(branch.name, at[0] + 9, at[1] + 4, "12px Arial, sans-serif", "#0b5a8f", "left");
     }
     const bar = 20 * scale;

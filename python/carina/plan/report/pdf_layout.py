@@ -44,6 +44,8 @@ TITLE = "Bronchoscopy plan"
 SIDE, TOP, BOTTOM = 34.0, 50.0, 46.0
 """Margins in points; head and foot stand in them."""
 GAP = 8.0
+HEADING, PARAGRAPH = 48.0, 44.0
+"""What they take at most of a page that a drawing fills."""
 FONTS = (("Vera.ttf", "VeraBd.ttf"), ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"))
 """Plain and bold: the first comes with the library, the second is looked for where systems keep fonts."""
 TONES = {"plain": INK, "lead": INK, "quiet": QUIET, "warning": WARNING}
@@ -118,8 +120,10 @@ class _Layout:
                 style=[("LINEABOVE", (0, 0), (-1, 0), 0.8, HexColor(INK))],
             )
             content: list[Any] = [heading, Spacer(1, 3), line]
+            used = HEADING
             for block in part.blocks:
-                content += [self._block(block, 28.0), Spacer(1, GAP)]
+                content += [self._block(block, used), Spacer(1, GAP)]
+                used += PARAGRAPH * isinstance(block, Words)
             if part.is_whole:
                 found.append(KeepTogether(content))
             else:

@@ -24,8 +24,8 @@ SIGNS: dict[BronchusSign, str] = {
     "beside": "an airway lies against the target",
     "none": "negative: no airway found leads to the target",
 }
-AVERAGE_ADVANCE = 0.56
-"""Width of a letter, of its size, averaged over text in the fonts of page and PDF; a little too much."""
+AVERAGE_ADVANCE = 0.52
+"""Width of a letter, of its size, averaged over text in the fonts of page and PDF."""
 LEAST_MOVE_DEG = 2.5
 
 
