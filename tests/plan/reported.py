@@ -7,11 +7,13 @@ import datetime
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 import carina
-from carina.plan import Plan, Verdict, judge_scopes, plan_route
+from carina.plan import Plan, Verdict, judge_scopes, plan_route, turn_list
 from carina.plan.moves import Move
 from carina.plan.report import PlanSheet, make_sheet
-from carina.plan.turns import Turn, TurnList
+from carina.plan.turns import TurnList
 from carina.scopes import WallField, scope_preset
 from carina.track import Airways
 from carina.volume import Volume
@@ -45,32 +47,13 @@ def verdicts() -> tuple[Verdict, ...]:
     return judge_scopes(airways().tree, plan(), wall(), scopes=scopes, spacing_mm=1.1)
 
 
-def turns(found: Airways, planned: Plan, doubts: tuple[str, ...] = ()) -> TurnList:
-    """A list of turns with true places and made-up hours."""
+def turns(found: Airways, planned: Plan, *, ridge_mm: float | None = 9.0) -> TurnList:
+    """The list of turns of the first route, with a move to each millimetre that a fork stands at."""
     route = planned.routes[0]
     lineage = found.tree.lineage(route.branch_id)
-    assert route.from_carina_mm is not None
-    along, told = route.from_carina_mm - route.along_mm, []
-    for n, (before, branch) in enumerate(zip(lineage, lineage[1:], strict=False)):
-        along += before.length_mm
-        x, y, z = (float(v) for v in branch.points[0])
-        hours = 1.5 + 1.9 * n
-        turn = Turn(
-            from_branch=before.name or "?",
-            to_branch=branch.name or f"branch {branch.id}",
-            to_branch_id=branch.id,
-            fork_lps=(x, y, z),
-            from_carina_mm=along,
-            from_fork_mm=before.length_mm,
-            clock_head=hours,
-            clock_facing=(hours + 6.0) % 12.0 or 12.0,
-            angle_deg=33.0,
-            diameter_mm=2.0 * float(branch.radius.min()),
-            moves=(Move(-40.0, 35.0, before.length_mm),),
-            doubts=doubts if n == 2 else (),
-        )
-        told.append(turn)
-    return TurnList(tuple(told), route.from_carina_mm, route.along_mm - (along - told[0].from_carina_mm), None)
+    ends = [float(mm) for mm in np.cumsum([branch.length_mm for branch in lineage[:-1]])]
+    moves = [Move(-40.0, 35.0, mm) for mm in np.diff([0.0, *ends]).tolist()]
+    return turn_list(found.tree, route, carina_ridge_mm=ridge_mm, moves=moves, insertion_mm=ends)
 
 
 def sheet(**more: Any) -> PlanSheet:

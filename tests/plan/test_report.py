@@ -132,13 +132,14 @@ def test_the_figures_of_the_report_are_those_of_the_plan() -> None:
     for other in plan().routes:
         assert f"{other.score:.2f}" in text
     for turn in sheet().turns.turns:
-        assert f"advance {turn.from_fork_mm:.0f} mm" in text
+        assert turn.moves is not None and f"advance {turn.moves[0].advance_mm:.0f} mm" in text
+        assert turn.straight_ahead or f"{turn.hour('head')} o\u2019clock" in text
 
 
 def test_what_was_drawn_by_hand_is_red_wherever_the_route_is_told(tmp_path) -> None:
     found, drawn_plan = with_drawn_branch()
     (doubt,) = drawn_plan.routes[0].doubts
-    told = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan, (doubt,)))
+    told = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
     text = write_report(tmp_path / "plan.html", told).read_text()
     for name in ("target", "route", "turns", "tracing"):
         part = re.search(rf'<section id="{name}".*?</section>', text, re.DOTALL)[0]
@@ -195,6 +196,43 @@ def test_another_route_can_be_told_in_full() -> None:
     assert all(fork.turn is None for fork in told.forks)
     assert "Route 2 at a glance" in [part.title for part in sections(told)]
     assert told.forks[0].carina_mm == pytest.approx(0.0, abs=0.5)
+
+
+def test_places_are_counted_from_the_ridge_that_the_list_of_turns_knows() -> None:
+    route, other = plan().routes[:2]
+    assert sheet().carina_mm(route) == pytest.approx(route.from_carina_mm - 9.0)
+    assert sheet().carina_mm(other) == pytest.approx(other.from_carina_mm - 9.0)
+    assert sheet(turns=turns(airways(), plan(), ridge_mm=None)).carina_mm(route) == pytest.approx(route.from_carina_mm)
+    assert sheet(turns=None).carina_mm(other) == other.from_carina_mm
+    park = f"{route.from_carina_mm - 9.0:.0f}"
+    text = "\n".join(everything())
+    assert text.count(f"{park} mm") >= 3 and f"{route.from_carina_mm:.0f} mm beyond the carina" not in text
+
+
+def test_a_list_of_turns_of_another_route_is_refused() -> None:
+    with pytest.raises(UsageError, match="the list of turns is that of another route: it turns into"):
+        sheet(route_number=2, turns=sheet().turns)
+
+
+def test_an_opening_straight_ahead_is_told_no_hour() -> None:
+    told = sheet().turns
+    ahead = dataclasses.replace(told.turns[1], straight_ahead=True, clock_head=7.123)
+    changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], ahead, *told.turns[2:])))
+    grid = next(b for part in sections(changed) for b in part.blocks if part.name == "turns" and isinstance(b, Grid))
+    assert grid.rows[1][2:4] == ("ahead", "ahead")
+    (figure,) = [
+        b for part in sections(changed) for b in part.blocks if part.name == "tracing" and isinstance(b, Figure)
+    ]
+    assert "straight ahead" in list(words_of(figure))
+
+
+def test_hours_are_those_of_where_the_operator_stands(tmp_path) -> None:
+    told = sheet(turns=sheet().turns, operator="facing")
+    grid = next(b for part in sections(told) for b in part.blocks if part.name == "turns" and isinstance(b, Grid))
+    assert grid.head[2:4] == ("Facing", "Head")
+    for row, turn in zip(grid.rows, told.turns.turns, strict=False):
+        assert row[2] == ("ahead" if turn.straight_ahead else str(turn.hour("facing")))
+    assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
 
 
 def test_pictures_of_turns_stand_with_their_turns(tmp_path) -> None:

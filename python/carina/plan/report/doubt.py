@@ -6,7 +6,7 @@ import numpy as np
 
 from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule
-from carina.plan.routes import Plan, PlannedRoute
+from carina.plan.routes import Plan, PlannedRoute, branch_title
 from carina.plan.turns import TurnList
 from carina.plan.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree
@@ -51,8 +51,10 @@ def uncertain(
         )
     if turns is None and route is not None:
         found.append("Clock hours and control moves were not calculated for this report.")
-    elif turns is not None and turns.carina_depth_mm is not None:
-        found.append("The depth of the carina at nose or mouth is an estimate; calibrate it at the carina.")
+    elif turns is not None:
+        found += [_sentence(note) for note in turns.notes]
+        if any(turn.moves is None for turn in turns.turns):
+            found.append("What the hand does at each fork was not calculated: no drive of an instrument is known.")
     found += [_sentence(note) for note in plan.notes]
     return tuple(dict.fromkeys(found))
 
@@ -65,7 +67,7 @@ def by_hand(airways: Airways, plan: Plan, route: PlannedRoute | None) -> tuple[s
             if branch.kind != "tracked":
                 found.append(f"This route leads through {_drawn(branch)}.")
     for number, other in enumerate(plan.routes, 1):
-        names = [_name(one) for one in airways.tree.lineage(other.branch_id) if one.kind != "tracked"]
+        names = [branch_title(one) for one in airways.tree.lineage(other.branch_id) if one.kind != "tracked"]
         if names and other is not route:
             found.append(f"Route {number} leads through what the CT does not show: {', '.join(names)}.")
     whole = drawn_tree(airways.tree).words
@@ -136,7 +138,7 @@ def _of_ct(volume: Volume) -> list[str]:
 def _of_airways(airways: Airways, plan: Plan, route: PlannedRoute | None) -> list[str]:
     centre = np.array(plan.nodule.centre_lps)
     lineage = set() if route is None else {branch.id for branch in airways.tree.lineage(route.branch_id)}
-    names = {branch.id: _name(branch) for branch in airways.tree.branches}
+    names = {branch.id: branch_title(branch) for branch in airways.tree.branches}
     found = []
     for place in airways.uncertain:
         away = float(np.linalg.norm(np.array(place.lps) - centre))
@@ -150,11 +152,7 @@ def _of_airways(airways: Airways, plan: Plan, route: PlannedRoute | None) -> lis
 
 def _drawn(branch: Branch) -> str:
     what = "a bridge across an obstruction" if branch.kind == "bridge" else "a branch drawn by hand"
-    return f"{_name(branch)}, {what}: {branch.length_mm:.0f} mm that the CT does not show"
-
-
-def _name(branch: Branch) -> str:
-    return branch.name or f"branch {branch.id}"
+    return f"{branch_title(branch)}, {what}: {branch.length_mm:.0f} mm that the CT does not show"
 
 
 def _sentence(words: str) -> str:

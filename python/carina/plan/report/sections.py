@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from carina.plan.fork_view import Operator
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
@@ -13,11 +14,11 @@ from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.wording import (
     SIGNS,
     carina_words,
-    clock,
-    move_words,
     per_cent,
 )
 from carina.plan.routes import PlannedRoute, ScoreWeights
+from carina.plan.turn_words import hour_words, joined, moves_words
+from carina.plan.turns import Turn
 
 __all__ = ["sections", "tracing_sections"]
 
@@ -107,7 +108,8 @@ def _lead(sheet: PlanSheet) -> str:
     nodule = nodule[0].upper() + nodule[1:]
     if route is None:
         return f"{nodule}. No route with {plan.tool.title} was found."
-    where = "" if route.from_carina_mm is None else f", {route.from_carina_mm:.0f} mm beyond the carina"
+    park_mm = sheet.carina_mm(route)
+    where = "" if park_mm is None else f", {park_mm:.0f} mm beyond the carina"
     said = f"{nodule}. Tip in {route.branch_name}{where}, then {route.leg.to_target_mm:.0f} mm with the needle."
     if not sheet.verdicts:
         return said
@@ -145,7 +147,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
     beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
     rows = (
         ("Tip of the scope", f"in {route.branch_name}"),
-        ("Beyond the main carina", carina_words(route.from_carina_mm)),
+        ("Beyond the main carina", carina_words(sheet.carina_mm(route))),
         ("Narrowest place", fits),
         ("Tool", plan.tool.title),
         ("To the target's edge", f"{leg.to_target_mm:.1f} mm, of which {leg.outside_mm:.1f} mm outside the lumen"),
@@ -197,31 +199,29 @@ def _sign(sheet: PlanSheet) -> list[Section]:
 def _turns(sheet: PlanSheet) -> list[Section]:
     if sheet.turns is None or sheet.route is None:
         return []
-    at_head = sheet.operator == "head"
-    rows, warned = [], []
+    other_operator: Operator = "facing" if sheet.operator == "head" else "head"
+    rows: list[tuple[str, ...]] = []
+    warned = []
     for number, turn in enumerate(sheet.turns.turns, 1):
-        mine, other = (turn.clock_head, turn.clock_facing) if at_head else (turn.clock_facing, turn.clock_head)
-        doubts = f" ({'; '.join(turn.doubts)})" if turn.doubts else ""
         if turn.doubts:
             warned.append(number - 1)
         rows.append(
             (
                 str(number),
-                f"{turn.to_branch}{doubts}",
-                clock(mine),
-                clock(other),
-                "not known" if turn.from_carina_mm is None else f"{turn.from_carina_mm:.0f}",
+                _enter_words(turn, sheet.operator),
+                _hour(turn, sheet.operator),
+                _hour(turn, other_operator),
+                "carina" if turn.at_main_carina else _rounded(turn.from_carina_mm),
                 f"{turn.from_fork_mm:.0f}",
                 f"{turn.diameter_mm:.1f}",
                 f"{turn.angle_deg:.0f}\u00b0",
-                move_words(turn.moves),
+                "not calculated" if turn.moves is None else moves_words(turn.moves),
             )
         )
-    park = "not known" if sheet.turns.park_from_carina_mm is None else f"{sheet.turns.park_from_carina_mm:.0f}"
-    rows.append(
-        ("", "stop: tip of the scope", "", "", park, f"{sheet.turns.park_from_fork_mm:.0f}", "", "", "advance the tool")
-    )
-    first, second = ("Head", "Facing") if at_head else ("Facing", "Head")
+    park = _rounded(sheet.turns.park_from_carina_mm)
+    doing = moves_words(sheet.turns.park_moves or ())
+    rows.append(("", "stop: tip of the scope", "", "", park, f"{sheet.turns.park_from_fork_mm:.0f}", "", "", doing))
+    first, second = (name.capitalize() for name in (sheet.operator, other_operator))
     head = ("", "Enter", first, second, "From carina, mm", "From last fork, mm", "Opening, mm", "Turn", "Hand")
     shares = (0.04, 0.18, 0.075, 0.075, 0.09, 0.095, 0.09, 0.065, 0.29)
     said = (
@@ -229,15 +229,37 @@ def _turns(sheet: PlanSheet) -> list[Section]:
     )
     blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), Grid(head, tuple(rows), shares, tuple(warned))]
     if sheet.turns.carina_depth_mm is not None:
-        depth = f"Main carina at {sheet.turns.carina_depth_mm:.0f} mm from nose or mouth (estimate)."
+        deep = sheet.turns.depth_mm(sheet.turns.park_from_carina_mm)
+        stop = "" if deep is None else f"; the tip stops at about {deep / 10.0:.0f} cm"
+        depth = f"Main carina at {sheet.turns.carina_depth_mm / 10.0:.1f} cm from nose or mouth{stop} (estimates)."
         blocks.append(Words(depth, "quiet"))
     if sheet.turn_pictures:
         stills = tuple(
-            Figure(_still(png), f"{n}. {turn.to_branch}, {clock(turn.clock_head if at_head else turn.clock_facing)}")
+            Figure(_still(png), f"{n}. {turn.to_branch}, {hour_words(turn.hour(sheet.operator))}")
             for n, (turn, png) in enumerate(zip(sheet.turns.turns, sheet.turn_pictures, strict=True), 1)
         )
         blocks.append(Figures(stills, 4))
     return [Section("turns", "Turns", tuple(blocks), starts_page=True)]
+
+
+def _enter_words(turn: Turn, operator: Operator) -> str:
+    """RB4a, just past RB4, not RB4b (9 o'clock)"""
+    said = [turn.to_branch]
+    if turn.through:
+        said.append(f"just past {joined(turn.through)}")
+    if turn.others:
+        said.append(f"not {joined([f'{one.name} ({hour_words(one.hour(operator))})' for one in turn.others])}")
+    doubts = f" ({'; '.join(turn.doubts)})" if turn.doubts else ""
+    return ", ".join(said) + doubts
+
+
+def _hour(turn: Turn, operator: Operator) -> str:
+    hour = turn.hour(operator)
+    return "ahead" if hour is None else str(hour)
+
+
+def _rounded(mm: float | None) -> str:
+    return "not known" if mm is None else f"{mm:.0f}"
 
 
 def _still(png: bytes) -> Drawing:
@@ -294,7 +316,7 @@ def _others(sheet: PlanSheet) -> list[Section]:
 
 _COMPARED = (
     ("Tip of the scope in", lambda _, r: r.branch_name),
-    ("Beyond the carina", lambda _, r: carina_words(r.from_carina_mm)),
+    ("Beyond the carina", lambda s, r: carina_words(s.carina_mm(r))),
     (
         "Narrowest place",
         lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})"),

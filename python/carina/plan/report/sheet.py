@@ -7,17 +7,18 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
+from carina.plan.fork_view import Operator
 from carina.plan.nodule import Nodule
 from carina.plan.report.doubt import by_hand, uncertain
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
-from carina.plan.routes import Plan, PlannedRoute, ScoreWeights
+from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, branch_doubts, branch_title
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.turns import Turn, TurnList
 from carina.plan.verdict import Verdict
@@ -27,9 +28,8 @@ from carina.track import Airways, LumenOutline, branch_side_and_lobe, wall_field
 from carina.version import VERSION
 from carina.volume import Volume, ct_digest
 
-__all__ = ["Fork", "Operator", "PlanSheet", "Provenance", "TargetPlace", "make_sheet", "target_words"]
+__all__ = ["Fork", "PlanSheet", "Provenance", "TargetPlace", "make_sheet", "target_words"]
 
-Operator = Literal["head", "facing"]
 AROUND_MM = 30.0
 """So far round a target pleura is looked for."""
 TOUCHES_MM = 2.0
@@ -112,7 +112,7 @@ class Fork:
     to_branch_id: int
     place_lps: tuple[float, float, float]
     carina_mm: float | None
-    """From the main carina along the route; below 0 before it."""
+    """From the main carina along the route; 0 at it, below 0 before it, None where it is not known."""
     others: tuple[str, ...]
     warnings: tuple[str, ...]
     turn: Turn | None
@@ -153,6 +153,15 @@ class PlanSheet:
     def route(self) -> PlannedRoute | None:
         """The route that is told in full."""
         return None if self.route_number is None else self.plan.routes[self.route_number - 1]
+
+    def carina_mm(self, route: PlannedRoute) -> float | None:
+        """Where a route's scope stands, counted from the zero of the list of turns where there is one."""
+        told = self.route
+        if route.from_carina_mm is None or told is None or told.from_carina_mm is None or self.turns is None:
+            return route.from_carina_mm
+        if self.turns.park_from_carina_mm is None:
+            return route.from_carina_mm
+        return route.from_carina_mm - (told.from_carina_mm - self.turns.park_from_carina_mm)
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types: the plan as ``carina plan`` writes it, and under ``report`` what only the report tells."""
@@ -251,6 +260,7 @@ def make_sheet(
         )
     used = weights or ScoreWeights()
     _check_weights(route, used)
+    _check_turns(airways, route, turns)
     told = _Steps(progress, cancel)
     told(0.0)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
@@ -360,38 +370,59 @@ def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
     return float(np.linalg.norm(points - np.array(nodule.centre_lps), axis=1).min()) - 0.5 * nodule.long_mm
 
 
+def _check_turns(airways: Airways, route: PlannedRoute | None, turns: TurnList | None) -> None:
+    """Refuse a list of turns that leads elsewhere."""
+    if turns is None:
+        return
+    lineage = set() if route is None else {branch.id for branch in airways.tree.lineage(route.branch_id)}
+    wrong = next((turn for turn in turns.turns if turn.to_branch_id not in lineage), None)
+    if wrong is not None or route is None:
+        where = (
+            "the plan has no route" if wrong is None else f"it turns into {wrong.to_branch}, which is not on the route"
+        )
+        raise UsageError(f"report: the list of turns is that of another route: {where}", code="plan.turns")
+
+
 def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tuple[Fork, ...]:
     tree = airways.tree
-    lineage = tree.lineage(route.branch_id)
+    if turns is not None:
+        return tuple(
+            Fork(
+                number=number,
+                from_name=turn.from_branch,
+                to_name=turn.to_branch,
+                to_branch_id=turn.to_branch_id,
+                place_lps=turn.fork_lps,
+                carina_mm=0.0 if turn.at_main_carina else turn.from_carina_mm,
+                others=tuple(other.name for other in turn.others),
+                warnings=turn.doubts,
+                turn=turn,
+            )
+            for number, turn in enumerate(turns.turns, 1)
+        )
     carina_mm = None if route.from_carina_mm is None else route.along_mm - route.from_carina_mm
-    told = {} if turns is None else {turn.to_branch_id: turn for turn in turns.turns}
     found: list[Fork] = []
     along = 0.0
-    for before, branch in itertools.pairwise(lineage):
+    for before, branch in itertools.pairwise(tree.lineage(route.branch_id)):
         along += before.length_mm
-        turn = told.get(branch.id)
-        if turns is not None and turn is None:
-            continue
         others = [tree.branch(child) for child in before.children if child != branch.id]
+        if not others:
+            continue
         x, y, z = (float(v) for v in branch.points[0])
         found.append(
             Fork(
                 number=len(found) + 1,
-                from_name=before.name or f"branch {before.id}",
-                to_name=branch.name or f"branch {branch.id}",
+                from_name=branch_title(before),
+                to_name=branch_title(branch),
                 to_branch_id=branch.id,
                 place_lps=(x, y, z),
-                carina_mm=along - carina_mm if turn is None and carina_mm is not None else _of(turn),
-                others=tuple(one.name or f"branch {one.id}" for one in others),
-                warnings=() if turn is None else turn.doubts,
-                turn=turn,
+                carina_mm=None if carina_mm is None else along - carina_mm,
+                others=tuple(branch_title(one) for one in others),
+                warnings=branch_doubts(branch),
+                turn=None,
             )
         )
     return tuple(found)
-
-
-def _of(turn: Turn | None) -> float | None:
-    return None if turn is None else turn.from_carina_mm
 
 
 def _provenance(volume: Volume, made_on: datetime.date | None) -> Provenance:

@@ -7,7 +7,9 @@ import math
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
 from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Place, Shape, Stroke
 from carina.plan.report.sheet import Fork, PlanSheet
-from carina.plan.report.wording import carina_words, clock, lines_of, move_words
+from carina.plan.report.wording import carina_words, lines_of
+from carina.plan.turn_words import hour_words, joined, moves_words
+from carina.plan.turns import Turn
 
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 
@@ -124,14 +126,14 @@ def _target(at: Place, step: float) -> list[Shape]:
 
 
 def _lean(fork: Fork, sheet: PlanSheet) -> float:
-    hours = _hours(fork, sheet)
-    return 0.0 if hours is None else math.sin(math.radians(30.0 * hours))
+    """To which side an opening is seen, -1 to 1; 0 where it is straight ahead or not known."""
+    if fork.turn is None or fork.turn.straight_ahead:
+        return 0.0
+    return math.sin(math.radians(30.0 * _hours(fork.turn, sheet)))
 
 
-def _hours(fork: Fork, sheet: PlanSheet) -> float | None:
-    if fork.turn is None:
-        return None
-    return fork.turn.clock_head if sheet.operator == "head" else fork.turn.clock_facing
+def _hours(turn: Turn, sheet: PlanSheet) -> float:
+    return turn.clock_head if sheet.operator == "head" else turn.clock_facing
 
 
 def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[Shape]:
@@ -140,13 +142,20 @@ def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[S
     for hour in range(12):
         long = 0.2 if hour % 3 == 0 else 0.1
         shapes.append(Stroke((_on_face(y, radius, hour, 1.0 - long), _on_face(y, radius, hour, 1.0)), Pen(INK, 0.6)))
-    hours = _hours(fork, sheet)
-    if hours is None:
+    turn = fork.turn
+    if turn is None:
         shapes.append(Label((CLOCK, y + 3.5), "?", 10.0, QUIET, "middle"))
         return shapes
-    at = _on_face(y, radius, hours, 0.55)
-    shapes.append(Stroke(((CLOCK, y), _on_face(y, radius, hours, 1.22)), Pen(ACCENT, 1.6)))
-    shapes.append(Disc(at, 0.3 * radius, Pen(ACCENT, 0.8, fill=ACCENT)))
+    for other in turn.others:
+        seen = other.hour(sheet.operator)
+        at = (CLOCK, y) if seen is None else _on_face(y, radius, seen, 0.55)
+        shapes.append(Disc(at, 0.24 * radius, Pen(QUIET, 0.7, fill="#ffffff")))
+    if turn.straight_ahead:
+        shapes.append(Disc((CLOCK, y), 0.3 * radius, Pen(ACCENT, 0.8, fill=ACCENT)))
+        return shapes
+    hours = _hours(turn, sheet)
+    shapes.append(Stroke((_on_face(y, radius, hours, 0.55), _on_face(y, radius, hours, 1.22)), Pen(ACCENT, 1.6)))
+    shapes.append(Disc(_on_face(y, radius, hours, 0.55), 0.3 * radius, Pen(ACCENT, 0.8, fill=ACCENT)))
     return shapes
 
 
@@ -157,24 +166,29 @@ def _on_face(y: float, radius: float, hours: float, share: float) -> Place:
 
 def _fork_words(fork: Fork, sheet: PlanSheet, y: float, step: float) -> list[Shape]:
     width, _ = TRACING_SIZE
-    hours, turn = _hours(fork, sheet), fork.turn
+    turn = fork.turn
     facts = [_from_carina(fork.carina_mm)]
     if turn is not None:
         facts += [
             f"{turn.from_fork_mm:.0f} mm past {'the last fork' if fork.number > 1 else 'the start'}",
             f"{turn.diameter_mm:.1f} mm wide",
         ]
+        if turn.sides:
+            facts.append(f"opens {' and '.join(turn.sides)}")
+        if turn.through:
+            facts.append(f"just past {joined(turn.through)}")
     said = [(line, INK) for line in lines_of(", ".join(facts), SMALL, width - TEXT)]
     if turn is not None and turn.moves is not None:
-        said += [(line, QUIET) for line in lines_of(move_words(turn.moves), SMALL, width - TEXT)]
+        said += [(line, QUIET) for line in lines_of(moves_words(turn.moves), SMALL, width - TEXT)]
     warned = [(line, WARNING) for words in fork.warnings for line in lines_of(words, SMALL, width - TEXT)]
     room = max(int((step - 18.0) / 11.0), 1)
     # A warning is never what is left out.
     said = said[: max(room - len(warned), 1)] + warned
     top = y - 0.5 * (14.0 + 11.0 * len(said)) + 11.0
     shapes: list[Shape] = [Label((TEXT, top), fork.to_name, 12.5, INK, bold=True)]
-    if hours is not None:
-        shapes.append(Label((width, top), f"{clock(hours)} o\u2019clock", 12.5, ACCENT, "end", bold=True))
+    if turn is not None:
+        hour = hour_words(turn.hour(sheet.operator))
+        shapes.append(Label((width, top), hour, 12.5, ACCENT, "end", bold=True))
     shapes += [Label((TEXT, top + 12.0 + 11.0 * n), text, SMALL, colour) for n, (text, colour) in enumerate(said)]
     return shapes
 
@@ -184,7 +198,7 @@ def _end_words(sheet: PlanSheet, y: float) -> list[Shape]:
     route = sheet.route
     assert route is not None
     leg = route.leg
-    park = carina_words(route.from_carina_mm)
+    park = carina_words(sheet.carina_mm(route))
     vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm"
     text = (
         f"{sheet.plan.tool.title}: {leg.to_target_mm:.0f} mm to the target at {leg.angle_deg:.0f}\u00b0 to the airway, "
