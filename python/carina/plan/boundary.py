@@ -73,8 +73,8 @@ core's rise is seen."""
 def no_boundary() -> NoResultError:
     return NoResultError(
         f"no boundary was found within {HALVES_MM[-1] - EDGE_MM:.0f} mm: this looks like consolidation, the chest "
-        "wall, the heart or the diaphragm rather than a nodule; click in the middle of the nodule, or set a sphere there "
-        "by hand",
+        "wall, the heart or the diaphragm rather than a nodule; click in the middle of the nodule, or set "
+        "a sphere there by hand",
         code="plan.no-boundary",
     )
 

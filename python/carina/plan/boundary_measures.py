@@ -59,7 +59,8 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     if core.sum() < 20:
         core = (tissue_depth >= 0.6 * float(tissue_depth[~grown.cavity].max())) & ~grown.cavity
     # A bubble or a grain of lime in it is not how dense it is.
-    core_hu = float(np.median(grown.box.hu_zyx[core]))
+    values = grown.box.hu_zyx[core]
+    core_hu = float(values.mean() if grown.has_glass else np.median(values))
     solid_voxels = inside & (grown.smooth > SOLID_HU)
     kind: NoduleKind = "solid"
     # Blur makes a small solid nodule look like ground glass where it was clicked; in its middle it is denser.
@@ -72,8 +73,9 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     zone = (inside | (away <= RIM_MM)) & free
     share = (grown.box.hu_zyx - lung_hu) / ((core_hu if rim_hu is None else rim_hu) - lung_hu)
     if rim_hu is not None:
-        # A denser core says nothing of where the edge is.
-        share = np.where(depth > CORE_MM, 1.0, np.minimum(share, MOST_SHARE))
+        share = np.minimum(share, MOST_SHARE)
+    # A denser core, lime or a bubble say nothing of where the edge is.
+    share = np.where(depth > CORE_MM, 1.0, share)
     if grown.cavity.any():
         # The nodule's volume is that of its outer surface.
         share = np.where(distance_from(grown.cavity, step, RIM_MM) <= RIM_MM, 1.0, share)

@@ -69,7 +69,8 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
             grown = Boundary(box, point, coarsest_mm)
         except NoResultError as error:
             # In a larger box a cavity ends, and a mass has lung round it.
-            problem = error
+            if half_mm == HALVES_MM[0] or problem.code != error.code:
+                problem = error
             continue
         if not grown.is_near_faces:
             return measured(grown, coarsest_mm)
