@@ -6,7 +6,8 @@ import numpy as np
 
 from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule
-from carina.plan.routes import Plan, PlannedRoute, branch_title
+from carina.plan.places import branch_title
+from carina.plan.routes import Plan, PlannedRoute
 from carina.plan.turns import TurnList
 from carina.plan.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree

@@ -15,10 +15,11 @@ from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.fork_view import Operator
 from carina.plan.nodule import Nodule
+from carina.plan.places import branch_doubts, branch_title
 from carina.plan.report.doubt import by_hand, uncertain
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
-from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, branch_doubts, branch_title
+from carina.plan.routes import Plan, PlannedRoute, ScoreWeights
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.turns import Turn, TurnList
 from carina.plan.verdict import Verdict

@@ -6,15 +6,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from carina.display import one_line
-from carina.plan.report.sheet import Operator, PlanSheet, make_sheet
+from carina.plan.fork_view import Operator
+from carina.plan.report.sheet import PlanSheet, make_sheet
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan
+from carina.plan.turn_pictures import turn_pictures
+from carina.plan.turns import TurnList
 from carina.plan.verdict import Verdict
 from carina.scopes import WallField
 from carina.track import Airways
 from carina.volume import Volume
 
 __all__ = ["PlanMaterials", "whole_sheet"]
+
+PICTURES_SHARE = 0.6
+"""Of the work, where there are turns."""
 
 
 @one_line
@@ -60,7 +66,9 @@ def whole_sheet(
         If ``cancel()`` said so.
     """
     made, plan = materials, materials.plan
-    turns = None
+    turns: TurnList | None = None
+    pictures: tuple[bytes, ...] = ()
+    pictures_share = PICTURES_SHARE if plan.routes else 0.0
     if plan.routes:
         route = plan.routes[made.route_number - 1]
         turns = turn_list(
@@ -69,6 +77,17 @@ def whole_sheet(
             carina_ridge_mm=main_carina_ridge_mm(made.volume, made.airways, route),
             carina_depth_mm=made.carina_depth_mm,
         )
+        pictures = tuple(
+            picture.png()
+            for picture in turn_pictures(
+                made.volume,
+                made.airways,
+                turns,
+                operator=made.operator,
+                progress=None if progress is None else lambda share: progress(share * PICTURES_SHARE),
+                cancel=cancel,
+            )
+        )
     return make_sheet(
         made.volume,
         made.airways,
@@ -76,10 +95,11 @@ def whole_sheet(
         route_number=made.route_number,
         verdicts=made.verdicts,
         turns=turns,
+        turn_pictures=pictures,
         notes=made.notes,
         patient=patient,
         operator=made.operator,
         wall=made.wall,
-        progress=progress,
+        progress=None if progress is None else lambda share: progress(pictures_share + share * (1.0 - pictures_share)),
         cancel=cancel,
     )
