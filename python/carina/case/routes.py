@@ -32,6 +32,7 @@ __all__ = [
     "route_to_parking",
     "route_to_point",
     "route_to_target",
+    "seat_mm",
 ]
 
 
@@ -154,6 +155,19 @@ def path_move(tree: AirwayTree | None, route: ChosenRoute | None) -> SetPath:
     if route is None:
         return SetPath(())
     return SetPath(**route.path.made_from(), ways=() if tree is None else _path_forks(tree, route))
+
+
+def seat_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float | None:
+    """Where a tip is seated on another route: at the end of the last branch that both have.
+
+    None where it has not come farther than that: the place that is nearest is where it is.
+    """
+    common_mm = 0.0
+    for old, new in zip(before.spans, after.spans, strict=False):
+        if old.branch_id != new.branch_id:
+            break
+        common_mm = min(old.to_mm, new.to_mm)
+    return None if before_mm <= common_mm else min(common_mm, after.path.length_mm)
 
 
 # Where a way leads, by its first centimetre: the bend behind it is not in view at the fork.

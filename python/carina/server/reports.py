@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from concurrent.futures import Future
 from pathlib import Path
 from shutil import rmtree
 
 from starlette.responses import Response
 
-from carina.commands import PlanToTakeAway
+from carina.commands import PlanningOf, PlanToTakeAway
 from carina.errors import CancelledError, CarinaError
 from carina.plan.report import PlanMaterials, ReportKind, whole_sheet, write_report
 from carina.server.for_once import FileForOnce, new_folder
@@ -22,6 +23,7 @@ REPORT_SUFFIXES = (".html", ".pdf", ".json")
 STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
 """Of every file: neither the patient nor the case is in its name."""
 SHEET_SHARE = 0.8
+LOOK_S = 0.2
 # A page of its own origin, which reaches nothing of the workstation's; the report's own policy holds besides.
 SANDBOX = "sandbox allow-scripts allow-modals"
 
@@ -52,7 +54,7 @@ class Reports:
         materials: PlanMaterials = self._session.ask(PlanToTakeAway(target_id))
         folder = new_folder()
         try:
-            path = await asyncio.wrap_future(self._begin(materials, folder / f"{STEM[kind]}{suffix}", kind))
+            path = await asyncio.wrap_future(self._begin(materials, target_id, folder / f"{STEM[kind]}{suffix}", kind))
         except BaseException:
             rmtree(folder, ignore_errors=True)
             raise
@@ -62,7 +64,7 @@ class Reports:
             return FileForOnce(path, headers=headers | {"content-security-policy": SANDBOX})
         return FileForOnce(path, filename=path.name, headers=headers)
 
-    def _begin(self, materials: PlanMaterials, path: Path, kind: ReportKind) -> Future[Path]:
+    def _begin(self, materials: PlanMaterials, target_id: str, path: Path, kind: ReportKind) -> Future[Path]:
         done: Future[Path] = Future()
 
         def work(job: Job) -> None:
@@ -73,7 +75,8 @@ class Reports:
                 job.progress("laying out the pages", SHEET_SHARE + (1.0 - SHEET_SHARE) * share)
 
             try:
-                sheet = whole_sheet(materials, progress=rendering, cancel=job.cancel)
+                asked = _with_verdicts(self._session, materials, target_id, job)
+                sheet = whole_sheet(asked, progress=rendering, cancel=job.cancel)
                 made = write_report(path, sheet, kind=kind, progress=writing, cancel=job.cancel)
             except CancelledError:
                 _settle(done, CarinaError("the report was stopped", code="plan.report-stopped"))
@@ -86,6 +89,16 @@ class Reports:
 
         self._session.jobs.start("report", "making the report", work)
         return done
+
+
+def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, job: Job) -> PlanMaterials:
+    """With the verdicts of all instruments, which are waited for: a report that counts half of them misleads."""
+    waited = False
+    while session.ask(PlanningOf()).verdicts_standing == "making":
+        waited = True
+        job.progress("waiting for the verdicts on the instruments", None)
+        time.sleep(LOOK_S)
+    return session.ask(PlanToTakeAway(target_id)) if waited else materials
 
 
 def _settle(done: Future[Path], trouble: BaseException) -> None:
