@@ -16,20 +16,26 @@ from carina.case.document import Lesion
 from carina.case.lesions import lesion_facts, made_lesion
 from carina.commands import (
     AddTarget,
+    AimTarget,
+    BrushTarget,
     ChoosePlannedRoute,
     DescribeTarget,
+    MarkSphere,
     PlanningOf,
     PlanOptions,
     PlanToTakeAway,
     RemoveTarget,
+    ResizeTarget,
     SetMode,
     SetPlanOptions,
+    TakeTarget,
 )
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
 from carina.scopes import scope_presets
 from carina.session.plan_values import nodule_surface
+from carina.volume import write_grid
 
 
 @pytest.fixture(scope="module")
@@ -176,3 +182,47 @@ def test_the_surface_that_is_drawn_lies_on_the_nodule(chest: Phantom) -> None:
     away = np.linalg.norm(mesh.vertices_lps - np.array(nodule.centre_lps), axis=1)
     assert abs(2.0 * away.mean() - nodule.equivalent_mm) < 0.6
     assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.15)
+
+
+def test_a_boundary_is_edited_by_diameter_and_brush_and_aims_spread(case: carina.Case, chest: Phantom) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    grown = target.lesion.nodule
+    case.do(ResizeTarget(target.target_id, grown.long_mm + 4.0))
+    wider = case.state.document.targets[0].lesion.nodule
+    assert wider.long_mm == pytest.approx(grown.long_mm + 4.0, abs=0.5)
+    edge = tuple(np.add(grown.centre_lps, (wider.long_mm / 2.0, 0.0, 0.0)))
+    case.do(BrushTarget(target.target_id, (edge,), 3.0))
+    painted = case.state.document.targets[0].lesion
+    assert painted.nodule.volume_mm3 > wider.volume_mm3
+    assert painted.target.source == "edited"
+    case.do(BrushTarget(target.target_id, (edge,), 3.0, takes_away=True))
+    assert case.state.document.targets[0].lesion.nodule.volume_mm3 < painted.nodule.volume_mm3
+    with pytest.raises(CarinaError, match="does not touch"):
+        case.do(BrushTarget(target.target_id, (tuple(np.add(edge, (40.0, 0.0, 0.0))),), 2.0))
+    case.do(AimTarget(target.target_id, periphery=True))
+    assert len(case.state.document.targets[0].lesion.target.aims) == 3
+    assert len(case.ask(PlanningOf()).targets[0].planned.plan.aims_lps) == 3
+    # Each is a step of undo.
+    for _ in range(4):
+        case.undo()
+    assert case.state.document.targets[0].lesion.nodule is grown
+
+
+def test_targets_come_from_files_and_as_balls(case: carina.Case, chest: Phantom, tmp_path: Path) -> None:
+    centre = centre_of(chest)
+    mask = np.zeros(chest.volume.shape_zyx, dtype=np.uint8)
+    k, j, i = np.rint(chest.volume.to_ijk(np.array(centre))).astype(int)[::-1]
+    mask[k - 3 : k + 4, j - 3 : j + 4, i - 3 : i + 4] = 1
+    write_grid(tmp_path / "mask.nrrd", mask, chest.volume.lps_from_ijk, what="a target")
+    case.do(TakeTarget(str(tmp_path / "mask.nrrd")))
+    case.do(MarkSphere(centre, 12.0))
+    drawn, ball = case.state.document.targets
+    assert (drawn.lesion.target.source, ball.lesion.target.source) == ("mask", "sphere")
+    assert drawn.lesion.nodule.volume_mm3 == pytest.approx(7**3 * 1.5**3, rel=0.02)
+    assert ball.lesion.nodule.long_mm == pytest.approx(12.0, abs=0.7)
+    assert {one.target.name for one in case.ask(PlanningOf()).targets} == {drawn.name, ball.name}
+    write_grid(tmp_path / "other.nrrd", mask[:-1], chest.volume.lps_from_ijk, what="a target")
+    with pytest.raises(CarinaError, match="grid"):
+        case.do(TakeTarget(str(tmp_path / "other.nrrd")))
+    assert len(case.state.document.targets) == 2

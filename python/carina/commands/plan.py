@@ -6,8 +6,9 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import Identifier, OwnName
-from carina.commands.value import Command, FrozenValue
+from carina.commands.fields import Identifier, OwnName, PointLps
+from carina.commands.tree import MAX_BRUSH_MM
+from carina.commands.value import Command, FrozenValue, LocalCommand
 from carina.value import TEXT
 
 TargetNote = Annotated[str, Meta(max_length=2000, pattern=TEXT)]
@@ -51,3 +52,42 @@ class ChoosePlannedRoute(Command, frozen=True):
     target_id: Identifier
     number: Annotated[int, Meta(ge=1, le=100)] = 1
     """1 is the best."""
+
+
+class ResizeTarget(Command, frozen=True):
+    """Move a target's boundary outward or inward, to a long axial diameter."""
+
+    target_id: Identifier
+    diameter_mm: Annotated[float, Meta(ge=1.0, le=150.0)]
+
+
+class BrushTarget(Command, frozen=True):
+    """A stroke of a ball-shaped brush that adds to a target, or takes from it."""
+
+    target_id: Identifier
+    stroke_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
+    brush_mm: Annotated[float, Meta(ge=0.5, le=MAX_BRUSH_MM)]
+    """Radius."""
+    takes_away: bool = False
+
+
+class AimTarget(Command, frozen=True):
+    """What the needle is meant for: the middle of a target, or its middle and its periphery."""
+
+    target_id: Identifier
+    periphery: bool
+
+
+class MarkSphere(Command, frozen=True):
+    """A ball as a target, where the CT shows no boundary."""
+
+    lps: PointLps
+    diameter_mm: Annotated[float, Meta(ge=1.0, le=150.0)]
+
+
+class TakeTarget(LocalCommand, frozen=True):
+    """A target from a file: a mask, a DICOM SEG or an RTSTRUCT."""
+
+    path: str
+    structure: str | None = None
+    """Name or number, where the file has several."""

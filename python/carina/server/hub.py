@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFrameFile, TakeMask
+from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFrameFile, TakeMask, TakeTarget
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.render import ClusterStatus
 from carina.server import messages as wire
@@ -216,6 +216,9 @@ class Hub:
                 self._keep_for(TakeKeyFrameFile(self._uploads.place(message.upload_id)), message.upload_id, window)
             case wire.ImportMask():
                 self._import_mask(message.upload_id, window)
+            case wire.ImportTarget():
+                place = self._uploads.place(message.upload_id)
+                self._keep_for(TakeTarget(str(place), message.structure), message.upload_id, window)
             case wire.AcceptNotice():
                 if self.session.store is not None:
                     self.session.store.accept_notice()

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import BranchId, Count, Identifier, Pixels, PointLps, ViewName
+from carina.commands.fields import BranchId, Count, Identifier, OwnName, Pixels, PointLps, ViewName
 from carina.commands.value import FrozenValue
 from carina.render import VIEW_NAMES
 from carina.server.wire_codec import ClientMessage
@@ -48,6 +48,14 @@ class ImportMask(ClientMessage, frozen=True):
     """Take the mask sent to ``/api/upload`` as the airways of the open case; undoable."""
 
     upload_id: Identifier
+
+
+class ImportTarget(ClientMessage, frozen=True):
+    """Take the file sent to ``/api/upload`` as a target: a mask, a DICOM SEG or an RTSTRUCT; undoable."""
+
+    upload_id: Identifier
+    structure: OwnName | None = None
+    """Its name or number, where the file has several."""
 
 
 class ViewSize(FrozenValue, frozen=True):

@@ -87,6 +87,9 @@ class TargetPlan(FrozenValue, frozen=True):
     size: Words
     """Solid nodule, 12.3 x 10.1 mm, 0.74 ml, with the errors that hold nine of ten."""
     where: Words | None
+    long_mm: float
+    num_aims: Count
+    """How many places in it the needle is meant for."""
     surface: TargetSurface
     options: PlanOptions
     moved_mm: float | None

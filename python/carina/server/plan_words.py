@@ -40,6 +40,8 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         centre_lps=_point(lesion.nodule.centre_lps),
         size=_size(lesion.nodule),
         where=WHERE_WORDS[lesion.target.where],
+        long_mm=float(lesion.nodule.long_mm),
+        num_aims=len(lesion.target.aims),
         surface=_surface(lesion.nodule),
         options=lesion.options,
         moved_mm=None if plan is None else plan.moved_mm,

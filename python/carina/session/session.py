@@ -38,6 +38,7 @@ from carina.session.saving import KeptFiles, Saving
 from carina.session.scene import ShownCase
 from carina.session.snapshot import KeyFramesInfo, PoseInfo, Snapshot
 from carina.session.subject import handlers_of
+from carina.session.target_editing import TargetEditing
 
 __all__ = ["Session"]
 
@@ -102,7 +103,8 @@ class Session:
         core.after_sight += [recording.note_view]
         looking = Looking(core)
         subjects = (
-            opening, Flying(core, holding), looking, Routing(core), planning, finding, editing, keys, recording,
+            opening, Flying(core, holding), looking, Routing(core), planning, TargetEditing(core),
+            finding, editing, keys, recording,
             Flights(core, self._saving.flight_text),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             Following(core, finding, holding, self._saving),

@@ -12,6 +12,8 @@ export const TOOL_ICONS: Readonly<Record<Armed, IconName>> = {
   target: "target",
   root: "target",
   start: "root",
+  "lesion-add": "paint",
+  "lesion-cut": "erase",
   add: "addBranch",
   bridge: "bridge",
   cut: "cut",

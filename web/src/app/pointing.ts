@@ -8,7 +8,7 @@ import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
 import { LiveAsker, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
-import { isBrush, strokePoints, wantsBranch, wantsPath, wordsOf, worksIn } from "../state/tools";
+import { isBrush, isLesionBrush, strokePoints, wantsBranch, wantsPath, wordsOf, worksIn } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
 import { asVec3, distance, type Vec3 } from "../state/vec";
@@ -268,6 +268,8 @@ export class Pointing {
           station.disarm();
         }
         break;
+      case "lesion-add":
+      case "lesion-cut":
       case "cut":
       case "smooth":
       case "paint":
@@ -295,6 +297,20 @@ export class Pointing {
     const station = this.#station;
     const { armed, stroke, brushMm, brushIsBall } = station.state.ui;
     if (!isBrush(armed) || stroke.length === 0) return;
+    if (isLesionBrush(armed)) {
+      const target = station.state.ui.brushedTarget;
+      if (target !== null) {
+        station.send({
+          type: "brush_target",
+          target_id: target,
+          stroke_lps: strokePoints(stroke, brushMm),
+          brush_mm: brushMm,
+          takes_away: armed === "lesion-cut",
+        });
+      }
+      station.ui({ stroke: [] });
+      return;
+    }
     const drawnIn = brushIsBall || this.#strokeView === null ? null : VIEWS[this.#strokeView].plane;
     const plane = drawnIn ?? "ball";
     this.#edit({

@@ -22,7 +22,7 @@ import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
-import { type Armed, isBrush, nextBrush } from "../state/tools";
+import { type Armed, isBrush, isLesionBrush, type LesionTool, nextBrush } from "../state/tools";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
@@ -247,7 +247,11 @@ export class Workstation implements Station {
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
   /** Sends files to be opened: as another case, or as the airways or the key frames of this one. */
-  async upload(files: readonly UploadFile[], use: keyof typeof UPLOADED = "case"): Promise<void> {
+  async upload(
+    files: readonly UploadFile[],
+    use: keyof typeof UPLOADED = "case",
+    structure: string | null = null,
+  ): Promise<void> {
     if (this.state.watches) return;
     this.#uploadStop?.abort();
     const stop = new AbortController();
@@ -264,7 +268,8 @@ export class Workstation implements Station {
         );
         return;
       }
-      this.send({ type: UPLOADED[use], upload_id: id });
+      const type = UPLOADED[use];
+      this.send(type === "import_target" ? { type, upload_id: id, structure } : { type, upload_id: id });
     } catch (error) {
       if (stop.signal.aborted) return;
       if (error instanceof UploadError) this.#sayError(error.code, error.message, error.action);
@@ -459,8 +464,14 @@ export class Workstation implements Station {
     const { armed } = this.state.ui;
     this.pointing.forget();
     this.answerDoubt(false);
-    const step = tool === "target" || tool === "start" ? "target" : "airways";
+    const step = tool === "target" || tool === "start" || isLesionBrush(tool) ? "target" : "airways";
     this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step });
+  }
+
+  /** Takes the brush for a target's boundary in the hand. */
+  brushTarget(targetId: string, tool: LesionTool): void {
+    if (this.state.ui.armed !== tool || this.state.ui.brushedTarget === targetId) this.arm(tool);
+    this.ui({ brushedTarget: targetId });
   }
 
   /** What the paths to the next targets cost; without a place where they begin, that is marked first. */
@@ -740,7 +751,12 @@ export class Workstation implements Station {
 }
 
 /** What becomes of files that were sent. */
-const UPLOADED = { case: "open_upload", mask: "import_mask", keys: "open_key_frames" } as const;
+const UPLOADED = {
+  case: "open_upload",
+  mask: "import_mask",
+  keys: "open_key_frames",
+  target: "import_target",
+} as const;
 
 /** Longer than any file takes. */
 const DOWNLOAD_WITHIN_MS = 300_000;

@@ -97,6 +97,8 @@ export interface Ui {
   /** The branch whose end is being moved. */
   readonly forkHeld: number | null;
   readonly brushMm: number;
+  /** The target whose boundary the brush changes. */
+  readonly brushedTarget: string | null;
   readonly brushIsBall: boolean;
   /** What the brush has drawn since it was put down. */
   readonly stroke: readonly Vec3[];
@@ -249,6 +251,7 @@ export const INITIAL_STATE: AppState = {
     pathStart: null,
     forkHeld: null,
     brushMm: FIRST_BRUSH_MM,
+    brushedTarget: null,
     brushIsBall: false,
     stroke: [],
     hovered: null,

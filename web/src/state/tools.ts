@@ -5,7 +5,8 @@ import { VIEWS } from "../wire/views";
 
 export const TREE_TOOLS = ["add", "bridge", "cut", "fork", "smooth", "paint", "erase", "reroot"] as const;
 export type TreeTool = (typeof TREE_TOOLS)[number];
-export type Armed = "target" | "root" | "start" | TreeTool;
+export type LesionTool = "lesion-add" | "lesion-cut";
+export type Armed = "target" | "root" | "start" | LesionTool | TreeTool;
 
 export interface ToolWords {
   readonly label: string;
@@ -69,9 +70,11 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
 };
 
 /** The others: they mark a point of the plan. */
-const MARK_WORDS: Readonly<Record<"target" | "root" | "start", Pick<ToolWords, "label" | "hint">>> = {
+const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick<ToolWords, "label" | "hint">>> = {
   start: { label: "Mark start", hint: "Click where the path should start, in any view." },
-  target: { label: "Mark target", hint: "Click the target in any view. The line shows the path to it." },
+  target: { label: "Mark target", hint: "Click a nodule, or a place in the airways, in any view." },
+  "lesion-add": { label: "Paint target", hint: "Draw in a slice where the target is larger." },
+  "lesion-cut": { label: "Erase target", hint: "Draw in a slice over what is not target." },
   root: {
     label: "Mark the trachea",
     hint: "Click inside the trachea. The airways are segmented again from there; your edits are discarded (undo restores them).",
@@ -86,7 +89,7 @@ export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint:
       hint: "Now click where the fork belongs. The lines show what moves with it.",
     };
   }
-  return armed === "target" || armed === "root" || armed === "start" ? MARK_WORDS[armed] : TOOL_WORDS[armed];
+  return isTreeTool(armed) ? TOOL_WORDS[armed] : MARK_WORDS[armed];
 }
 
 /** In a picture's corner: short, so that it covers no letter of the orientation. */
@@ -100,6 +103,10 @@ export function shortOf(armed: Armed): string {
       return "Start";
     case "reroot":
       return "Set start";
+    case "lesion-add":
+      return "Paint target";
+    case "lesion-cut":
+      return "Erase target";
     default:
       return TOOL_WORDS[armed].short;
   }
@@ -112,7 +119,7 @@ export function worksIn(armed: Armed, view: ViewName): boolean {
 }
 
 /** Tools that take something away. */
-export const takesAway = (armed: Armed): boolean => armed === "cut" || armed === "erase";
+export const takesAway = (armed: Armed): boolean => armed === "cut" || armed === "erase" || armed === "lesion-cut";
 
 export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
   armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
@@ -127,7 +134,11 @@ export function wantsBranch(armed: Armed | null, forkHeld: boolean): boolean {
   return armed === "cut" || armed === "smooth" || (armed === "fork" && !forkHeld);
 }
 
-export const isBrush = (armed: Armed | null): armed is "paint" | "erase" => armed === "paint" || armed === "erase";
+export const isLesionBrush = (armed: Armed | null): armed is LesionTool =>
+  armed === "lesion-add" || armed === "lesion-cut";
+
+export const isBrush = (armed: Armed | null): armed is "paint" | "erase" | LesionTool =>
+  armed === "paint" || armed === "erase" || isLesionBrush(armed);
 
 /** Radii that the keys go through, mm. */
 const BRUSHES_MM = [0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 12] as const;

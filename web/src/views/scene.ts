@@ -11,7 +11,7 @@ import { startOf } from "../state/path-search";
 import { marksByPen } from "../state/pen";
 import { pointsBetween } from "../state/route";
 import type { Surface } from "../state/section";
-import { type Armed, isBrush, wantsPath } from "../state/tools";
+import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
@@ -196,7 +196,7 @@ function pointedAt(
     preview: previewRuns.length === 0 ? null : { runs: previewRuns, faint: doubt === null && preview?.stale === true },
     live,
     note: noteOf(state, hovered?.node ?? null),
-    brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: ui.armed === "erase" } : null,
+    brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: takesAway(ui.armed) } : null,
     stroke: ui.stroke,
   };
 }

@@ -585,6 +585,36 @@ export interface ChoosePlannedRouteMessage {
   readonly number?: number;
 }
 
+/** Move a target's boundary outward or inward, to a long axial diameter. */
+export interface ResizeTargetMessage {
+  readonly type: "resize_target";
+  readonly target_id: string;
+  readonly diameter_mm: number;
+}
+
+/** A stroke of a ball-shaped brush that adds to a target, or takes from it. */
+export interface BrushTargetMessage {
+  readonly type: "brush_target";
+  readonly target_id: string;
+  readonly stroke_lps: readonly (readonly [number, number, number])[];
+  readonly brush_mm: number;
+  readonly takes_away?: boolean;
+}
+
+/** What the needle is meant for: the middle of a target, or its middle and its periphery. */
+export interface AimTargetMessage {
+  readonly type: "aim_target";
+  readonly target_id: string;
+  readonly periphery: boolean;
+}
+
+/** A ball as a target, where the CT shows no boundary. */
+export interface MarkSphereMessage {
+  readonly type: "mark_sphere";
+  readonly lps: readonly [number, number, number];
+  readonly diameter_mm: number;
+}
+
 /** First message of a client. */
 export interface ClientHelloMessage {
   readonly type: "hello";
@@ -602,6 +632,13 @@ export interface OpenUploadMessage {
 export interface ImportMaskMessage {
   readonly type: "import_mask";
   readonly upload_id: string;
+}
+
+/** Take the file sent to `/api/upload` as a target: a mask, a DICOM SEG or an RTSTRUCT; undoable. */
+export interface ImportTargetMessage {
+  readonly type: "import_target";
+  readonly upload_id: string;
+  readonly structure?: string | null;
 }
 
 /** A visible view and its size in device pixels. */
@@ -1405,6 +1442,8 @@ export interface TargetPlan {
   readonly centre_lps: readonly [number, number, number];
   readonly size: string;
   readonly where: string | null;
+  readonly long_mm: number;
+  readonly num_aims: number;
   readonly surface: TargetSurface;
   readonly options: PlanOptions;
   readonly moved_mm: number | null;
@@ -1710,7 +1749,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -1782,9 +1821,14 @@ export type ClientMessage =
   | SetPlanOptionsMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
+  | ResizeTargetMessage
+  | BrushTargetMessage
+  | AimTargetMessage
+  | MarkSphereMessage
   | ClientHelloMessage
   | OpenUploadMessage
   | ImportMaskMessage
+  | ImportTargetMessage
   | LayoutMessage
   | AckMessage
   | ProbeMessage

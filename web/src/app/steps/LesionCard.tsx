@@ -5,9 +5,9 @@ import { Input, Label, TextArea, TextField } from "react-aria-components";
 import { sentence } from "../../state/format";
 import { planOf, signWords } from "../../state/plan";
 import { asVec3 } from "../../state/vec";
-import type { Target } from "../../wire/messages";
+import type { Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
-import { Act } from "../controls";
+import { Act, Choice, SwitchKey } from "../controls";
 import { Icon } from "../icons";
 
 export function LesionCard({ target }: { target: Target }) {
@@ -71,6 +71,7 @@ export function LesionCard({ target }: { target: Target }) {
             }}
           />
         )}
+        {editing && plan !== null ? <Boundary target={target} plan={plan} /> : null}
         <span className="row">
           <Act
             kind="quiet"
@@ -166,6 +167,66 @@ function Describe({ target, onDone }: { target: Target; onDone: () => void }) {
       <p id={hint} className="quiet small">
         Do not enter the patient's name: it would appear in the report.
       </p>
+    </div>
+  );
+}
+
+/** The boundary by hand: a diameter, or a brush; and what in it is aimed at. */
+function Boundary({ target, plan }: { target: Target; plan: TargetPlan }) {
+  const station = useStation();
+  const armed = useApp((state) => (state.ui.brushedTarget === target.target_id ? state.ui.armed : null));
+  const [text, setText] = useState<string | null>(null);
+  const keep = () => {
+    const diameter = text === null ? Number.NaN : Number(text.replace(",", "."));
+    setText(null);
+    if (diameter >= 1 && diameter <= 150) {
+      station.send({ type: "resize_target", target_id: target.target_id, diameter_mm: diameter });
+    }
+  };
+  return (
+    <div className="describe" data-testid="boundary">
+      <label>
+        <span className="quiet">Longest diameter, mm</span>
+        <input
+          type="text"
+          inputMode="decimal"
+          data-testid="target-diameter"
+          value={text ?? plan.long_mm.toFixed(1)}
+          onChange={(event) => setText(event.target.value)}
+          onBlur={keep}
+          onKeyDown={(event) => {
+            event.stopPropagation();
+            if (event.key === "Enter") event.currentTarget.blur();
+          }}
+        />
+      </label>
+      <span className="row">
+        <SwitchKey
+          icon="paint"
+          label="Paint"
+          words="Add to the target with a brush, in a slice"
+          on={armed === "lesion-add"}
+          onChange={() => station.brushTarget(target.target_id, "lesion-add")}
+        />
+        <SwitchKey
+          icon="erase"
+          label="Erase"
+          words="Take from the target with a brush, in a slice"
+          on={armed === "lesion-cut"}
+          onChange={() => station.brushTarget(target.target_id, "lesion-cut")}
+        />
+      </span>
+      <Choice<"middle" | "periphery">
+        name="Aims"
+        value={plan.num_aims > 1 ? "periphery" : "middle"}
+        choices={[
+          { value: "middle", label: "Middle", words: "Aim at the middle of the target" },
+          { value: "periphery", label: "And periphery", words: "Aim at the middle and at both ends of its long axis" },
+        ]}
+        onChange={(aims) =>
+          station.send({ type: "aim_target", target_id: target.target_id, periphery: aims === "periphery" })
+        }
+      />
     </div>
   );
 }

@@ -1,12 +1,13 @@
 import { useState } from "react";
-import { FieldError, Form, Input, Label, TextField } from "react-aria-components";
+import { Button, FieldError, FileTrigger, Form, Input, Label, TextField } from "react-aria-components";
 import { keyOf } from "../../input/keymap";
+import { filesOfPicker } from "../../net/upload";
 import { coordinates, parseCoordinates, sentence } from "../../state/format";
 import { COST_WORDS, type PathCost, pathWords, startOf } from "../../state/path-search";
 import { asVec3, type Vec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
-import { Act, Choice, SwitchKey } from "../controls";
+import { Act, Choice, SwitchKey, Tip } from "../controls";
 import { Icon } from "../icons";
 import { PenWords } from "../ToolTag";
 import { LesionCard } from "./LesionCard";
@@ -29,6 +30,7 @@ export function TargetStep() {
       />
       <PenWords />
       <Coordinates />
+      <FromFile />
       {targets === null || targets.length === 0 ? (
         <p className="empty">Targets appear here, each with its path, or why no path leads there.</p>
       ) : (
@@ -134,6 +136,42 @@ export function TargetRow({ target }: { target: Target }) {
         </span>
       </div>
     </li>
+  );
+}
+
+/** A target that another program drew. */
+function FromFile() {
+  const station = useStation();
+  const [structure, setStructure] = useState("");
+  return (
+    <details className="plan-options">
+      <summary>Target from a file</summary>
+      <label>
+        Structure, if the file has several
+        <input
+          type="text"
+          value={structure}
+          placeholder="name or number"
+          maxLength={80}
+          onChange={(event) => setStructure(event.target.value)}
+          onKeyDown={(event) => event.stopPropagation()}
+        />
+      </label>
+      <FileTrigger
+        allowsMultiple
+        onSelect={(list) => {
+          if (list !== null && list.length > 0)
+            void station.upload(filesOfPicker(list), "target", structure.trim() === "" ? null : structure.trim());
+        }}
+      >
+        <Tip words="A mask of the target (NIfTI, NRRD, MetaImage), a DICOM SEG or an RTSTRUCT">
+          <Button className="button" data-testid="choose-target">
+            <Icon name="file" />
+            {"Choose a file\u2026"}
+          </Button>
+        </Tip>
+      </FileTrigger>
+    </details>
   );
 }
 

@@ -1,0 +1,137 @@
+"""Targets with a size that a person changes: their boundary, what is aimed at, and targets from files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from carina import commands as c
+from carina.case.document import Lesion, Target
+from carina.errors import UsageError
+from carina.plan import (
+    Nodule,
+    PlanTarget,
+    brushed,
+    proposed_aims,
+    resized,
+    sphere,
+    target_from_file,
+    whereabouts,
+)
+from carina.session.case import OpenCase
+from carina.session.jobs import Job
+from carina.session.snapshot import Said
+from carina.session.subject import Subject, does
+from carina.session.targets import needed_target
+
+__all__ = ["TargetEditing"]
+
+
+class TargetEditing(Subject):
+    """Each is a step of undo; the plan follows."""
+
+    @does(c.ResizeTarget)
+    def resize(self, command: c.ResizeTarget) -> str:
+        """By distance, everywhere alike."""
+        return self._edit(
+            command.target_id,
+            "resize",
+            lambda nodule, case: resized(nodule, case.info.volume, command.diameter_mm),
+        )
+
+    @does(c.BrushTarget)
+    def brush(self, command: c.BrushTarget) -> str:
+        """Ball by ball along the stroke."""
+
+        def stroke(nodule: Nodule, case: OpenCase) -> Nodule:
+            for point in command.stroke_lps:
+                nodule = brushed(nodule, case.info.volume, point, command.brush_mm, add=not command.takes_away)
+            return nodule
+
+        return self._edit(command.target_id, "erase from" if command.takes_away else "paint", stroke)
+
+    @does(c.AimTarget)
+    def aim(self, command: c.AimTarget) -> None:
+        """The middle comes first."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            target, lesion = self._lesion(case, command.target_id)
+            aims = proposed_aims(lesion.nodule) if command.periphery else ()
+            told = replace(lesion.target, aims=aims)
+            self._put(case, replace(target, lesion=replace(lesion, target=told)), f"aims in {target.name}")
+
+    @does(c.MarkSphere)
+    def mark_sphere(self, command: c.MarkSphere) -> None:
+        """Nothing is grown."""
+        case = self.core.needed_case()
+        case.check_inside(command.lps)
+        nodule = sphere(case.info.volume, command.lps, command.diameter_mm)
+        with self.core.lock:
+            number = case.next_number("target")
+            target_id, name = f"target-{number}", f"Target {number}"
+            where = whereabouts(case.info.volume, nodule)
+            told = PlanTarget(target_id, name, nodule, command.lps, "sphere", where)
+            self._add(case, Target(target_id, name, command.lps, lesion=Lesion(told)))
+
+    @does(c.TakeTarget)
+    def take_target(self, command: c.TakeTarget) -> str:
+        """Read in the background; it fails in words where the file is no target of this scan."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            number = case.next_number("target")
+        structure = command.structure
+        named = int(structure) if structure is not None and structure.isdecimal() else structure
+
+        def work(job: Job) -> None:
+            told = target_from_file(
+                command.path,
+                case.info.volume,
+                structure=named,
+                target_id=f"target-{number}",
+                progress=job.progress,
+                cancel=job.cancel,
+            )
+            with self.core.lock:
+                job.check()
+                self._add(case, Target(told.target_id, told.name, told.nodule.middle_lps, lesion=Lesion(told)))
+
+        return self.core.jobs.start("target file", "reading the target", work)
+
+    def _edit(self, target_id: str, what: str, change: Callable[[Nodule, OpenCase], Nodule]) -> str:
+        case = self.core.needed_case()
+        with self.core.lock:
+            title = f"{what} {self._lesion(case, target_id)[0].name}"
+
+        def work(job: Job) -> None:
+            while True:
+                with self.core.lock:
+                    job.check()
+                    lesion = self._lesion(case, target_id)[1]
+                changed = change(lesion.nodule, case)
+                with self.core.lock:
+                    job.check()
+                    target, now = self._lesion(case, target_id)
+                    # Another edit may have come meanwhile: this one is made to what is there now.
+                    if now.nodule is lesion.nodule:
+                        told = now.target.with_nodule(changed)
+                        self._put(case, replace(target, lesion=replace(now, target=told)), title)
+                        return
+
+        return self.core.jobs.start(f"edit {target_id} {id(work)}", title, work)
+
+    def _lesion(self, case: OpenCase, target_id: str) -> tuple[Target, Lesion]:
+        target = needed_target(case.document, target_id)
+        if target.lesion is None:
+            raise UsageError(f"{target.name} is a place in the airways: it has no boundary", code="plan.target")
+        return target, target.lesion
+
+    def _put(self, case: OpenCase, changed: Target, label: str) -> None:
+        document = case.document
+        targets = tuple(changed if one.target_id == changed.target_id else one for one in document.targets)
+        self.core.change(case, label, replace(document, targets=targets))
+
+    def _add(self, case: OpenCase, target: Target) -> None:
+        document = case.document
+        self.core.change(case, f"add {target.name}", replace(document, targets=(*document.targets, target)))
+        if target.lesion is not None:
+            self.core.emit(Said(f"{target.name}: {target.lesion.nodule.words}"))
