@@ -112,3 +112,13 @@ def test_a_mask_is_a_target_and_the_plan_opens_in_slicer_and_prints(chest, tmp_p
     drawn = json.loads(markups.read_text(encoding="utf-8"))["markups"]
     assert {one["coordinateSystem"] for one in drawn} == {"LPS"}
     assert "not a medical device" in page.read_text(encoding="utf-8").lower()
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
+)
+def test_a_peer_that_is_none_is_said(chest, more: list[str], words: str) -> None:
+    path, place = chest
+    result = run(path, place, *more)
+    assert result.exit_code != 0 and words in result.stderr

@@ -238,13 +238,21 @@ def plan(
         typer.Option(
             "-o",
             "--output",
-            help="Report to write: .html, .pdf or .json. For other programs: .mrk.json, .seg.nrrd, .seg.dcm, .sr.dcm.",
+            help="Report: .html, .pdf, .json; or .mrk.json, .seg.nrrd, .seg.dcm, .sr.dcm, .pdf.dcm for other programs.",
         ),
     ] = None,
     only_tracing: Annotated[
         bool, typer.Option("--tracing-sheet", help="Write only the one-page tracing sheet (.html or .pdf).")
     ] = False,
     paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF: A4 or Letter.")] = "A4",
+    with_identity: Annotated[
+        bool,
+        typer.Option("--with-identity", help="Copy the patient's name and number from the CT into DICOM files."),
+    ] = False,
+    send_to: Annotated[
+        str | None,
+        typer.Option("--send", help="Send the plan over OpenIGTLink to HOST:PORT, such as 3D Slicer on this machine."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Plan the way to a nodule outside the airways: where the scope stands, and the needle's path from there.
@@ -272,6 +280,8 @@ def plan(
                 output=output,
                 kind="tracing" if only_tracing else "report",
                 paper=paper,
+                identity="from the CT" if with_identity else "none",
+                send_to=send_to,
                 as_json=as_json,
             )
         )

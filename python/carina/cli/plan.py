@@ -12,13 +12,15 @@ import carina
 from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
+from carina.disk import ScratchFolder
 from carina.errors import NoResultError, UsageError
-from carina.export import PLAN_FORMATS, export_plan
+from carina.export import PLAN_FORMATS, Identity, export_plan, send_plan, write_plan_pdf
 from carina.plan import Plan, PlannedRoute, Verdict, judge_scopes, target_from_file
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
 
 __all__ = ["report"]
 
+ARCHIVE_SUFFIX = ".pdf.dcm"
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PAPERS: Final[dict[str, Paper]] = {"A4": "A4", "Letter": "Letter"}
 SIGNS = {"into": "an airway leads into it", "beside": "an airway lies against it", "none": "no airway leads to it"}
@@ -37,16 +39,19 @@ def report(
     output: Path | None,
     kind: ReportKind,
     paper: str,
+    identity: Identity,
+    send_to: str | None,
     series: str | None,
     as_json: bool,
     ct: Path | None = None,
 ) -> int:
     """Plan the ways to one target, say them, and write them; 4 if there is none."""
     if output is not None:
-        known = (*REPORT_SUFFIXES, *PLAN_FORMATS)
+        known = (*REPORT_SUFFIXES, *PLAN_FORMATS, ARCHIVE_SUFFIX)
         if not output.name.lower().endswith(known):
             raise UsageError(f"-o: expected a file name that ends in {', '.join(known)}; found {output.name!r}")
         check_output_file(output)
+    peer = None if send_to is None else _peer(send_to)
     if paper not in PAPERS:
         raise UsageError(f"--paper: expected {' or '.join(PAPERS)}; found {paper}")
     check_case_options(path, ct)
@@ -83,11 +88,35 @@ def report(
         verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, spacing_mm=max(source.volume.spacing_mm))
     for verdict in verdicts:
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
+    if peer is not None:
+        num = send_plan(plan, airways.tree, host=peer[0], port=peer[1])
+        say(f"sent {num} messages to {send_to}")
     materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts)
-    if output is not None and any(output.name.lower().endswith(suffix) for suffix in PLAN_FORMATS):
+    if output is not None and output.name.lower().endswith(tuple(PLAN_FORMATS)):
         export_plan(
-            output, plan, airways.tree, volume=source.volume, ct=place, series=series, badges=source.badges.notes
+            output,
+            plan,
+            airways.tree,
+            volume=source.volume,
+            ct=place,
+            series=series,
+            identity=identity,
+            badges=source.badges.notes,
         )
+        say(f"wrote {output}")
+        output = None
+    elif output is not None and output.name.lower().endswith(ARCHIVE_SUFFIX):
+        with ScratchFolder() as folder:
+            page = write_report(folder / "plan.pdf", whole_sheet(materials), paper=PAPERS[paper])
+            write_plan_pdf(
+                output,
+                page.read_bytes(),
+                names_patient=False,
+                identity=identity,
+                volume=source.volume,
+                ct=place,
+                series=series,
+            )
         say(f"wrote {output}")
         output = None
     if output is not None or as_json:
@@ -98,6 +127,14 @@ def report(
         if as_json:
             print_json(sheet.to_json() | {"badges": source.badges.to_json()})
     return 0 if plan.routes else NoResultError.exit_code
+
+
+def _peer(words: str) -> tuple[str, int]:
+    """host:port"""
+    host, _, port = words.rpartition(":")
+    if not host or not port.isdecimal():
+        raise UsageError(f"--send: expected HOST:PORT, such as 127.0.0.1:18944; found {words!r}")
+    return host, int(port)
 
 
 def lines(plan: Plan) -> list[str]:

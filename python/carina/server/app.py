@@ -127,7 +127,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return _not_authorised()
         kind: ReportKind = "tracing" if request.query_params.get("kind") == "tracing" else "report"
         try:
-            return await reports.answer(request.path_params["target_id"], f".{request.path_params['suffix']}", kind)
+            target_id, _, suffix = request.path_params["name"].partition(".")
+            return await reports.answer(target_id, f".{suffix}", kind)
         except CarinaError as trouble:
             return _error(trouble, _status(trouble, 409))
 
@@ -190,7 +191,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/upload", begin_upload, methods=["POST"]),
         Route("/api/upload/{upload_id}", one_upload, methods=["PUT", "DELETE"]),
         Route("/api/airways{suffix:path}", download),
-        Route("/api/plans/{target_id}.{suffix}", plan),
+        Route("/api/plans/{name}", plan),
         Route("/api/key-frames.json", key_frames),
         Route("/api/flights/flight-{number:int}.jsonl", flight),
         Route("/api/cases/{case_id}/picture.jpg", case_picture),

@@ -12,6 +12,7 @@ from starlette.responses import Response
 
 from carina.commands import PlanningOf, PlanToTakeAway
 from carina.errors import CancelledError, CarinaError
+from carina.export import export_plan
 from carina.plan.report import PlanMaterials, ReportKind, whole_sheet, write_report
 from carina.server.for_once import FileForOnce, new_folder
 from carina.session import Session
@@ -20,6 +21,8 @@ from carina.session.jobs import Job
 __all__ = ["REPORT_SUFFIXES", "Reports"]
 
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
+PLAN_SUFFIXES = (".mrk.json", ".seg.nrrd")
+"""For 3D Slicer; DICOM needs the folder of the CT, and is written by ``carina plan``."""
 STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
 """Of every file: neither the patient nor the case is in its name."""
 SHEET_SHARE = 0.8
@@ -48,8 +51,9 @@ class Reports:
         CarinaError
             If Carina writes no such file, there is no plan yet, the job was stopped, or the disk takes nothing.
         """
-        if suffix not in REPORT_SUFFIXES:
-            msg = f"Carina can write a report as {', '.join(REPORT_SUFFIXES)}; found {suffix!r}"
+        known = (*REPORT_SUFFIXES, *PLAN_SUFFIXES)
+        if suffix not in known:
+            msg = f"Carina can write a plan as {', '.join(known)}; found {suffix!r}"
             raise CarinaError(msg, code="export.suffix")
         materials: PlanMaterials = self._session.ask(PlanToTakeAway(target_id))
         folder = new_folder()
@@ -75,6 +79,11 @@ class Reports:
                 job.progress("laying out the pages", SHEET_SHARE + (1.0 - SHEET_SHARE) * share)
 
             try:
+                if path.name.endswith(PLAN_SUFFIXES):
+                    done.set_result(
+                        export_plan(path, materials.plan, materials.airways.tree, badges=materials.airways.badges)
+                    )
+                    return
                 asked = _with_verdicts(self._session, materials, target_id, job)
                 sheet = whole_sheet(asked, progress=rendering, cancel=job.cancel)
                 made = write_report(path, sheet, kind=kind, progress=writing, cancel=job.cancel)

@@ -412,7 +412,7 @@ export class Workstation implements Station {
   }
 
   /** The report of a plan as a file. */
-  async takePlan(targetId: string, suffix: ".pdf" | ".json"): Promise<void> {
+  async takePlan(targetId: string, suffix: PlanSuffix): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: `plan${suffix}` });
     await this.#take(() => fetchPlan(targetId, suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
@@ -749,6 +749,9 @@ export class Workstation implements Station {
     this.store.dispatch({ kind: "say", message: { kind: "error", code, message, action } });
   }
 }
+
+/** What a plan is saved as. */
+export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd";
 
 /** What becomes of files that were sent. */
 const UPLOADED = {

@@ -7,6 +7,7 @@ import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
+import type { PlanSuffix } from "../workstation";
 
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
   const plans = useApp((state) => state.plans);
@@ -274,6 +275,13 @@ function VerdictRow({ verdict }: { verdict: ScopeVerdict }) {
   );
 }
 
+const PLAN_FILES: readonly [PlanSuffix, string, string][] = [
+  [".pdf", "PDF", "Save the report as a PDF"],
+  [".json", "JSON", "Save the plan as JSON, for other programs"],
+  [".mrk.json", "Slicer", "Targets, routes and needles for 3D Slicer"],
+  [".seg.nrrd", "Segmentation", "The target as a segmentation for 3D Slicer"],
+];
+
 function Print({ target }: { target: Target }) {
   const station = useStation();
   const making = useApp((state) => state.ui.making);
@@ -294,12 +302,12 @@ function Print({ target }: { target: Target }) {
           words="One page for the theatre: every turn with its clock hour"
           onPress={() => station.printPlan(target.target_id, "tracing")}
         />
-        {([".pdf", ".json"] as const).map((suffix) => (
+        {PLAN_FILES.map(([suffix, label, words]) => (
           <Act
             key={suffix}
             kind="quiet"
-            label={making === `plan${suffix}` ? "Preparing\u2026" : suffix.slice(1).toUpperCase()}
-            words={suffix === ".pdf" ? "Save the report as a PDF" : "Save the plan as JSON, for other programs"}
+            label={making === `plan${suffix}` ? "Preparing\u2026" : label}
+            words={words}
             disabled={making !== null}
             testId={`take-plan${suffix}`}
             onPress={() => void station.takePlan(target.target_id, suffix)}
