@@ -7,6 +7,7 @@ from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.turn_flight import turn_flight
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
@@ -41,6 +42,7 @@ __all__ = [
     "surroundings",
     "tool",
     "tools",
+    "turn_flight",
     "turn_list",
     "turn_pictures",
 ]
