@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fork_trees import route_in
+from fork_trees import made_tree, route_in
 
 from carina.display.png import png_bytes
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
 from carina.plan.turn_marks import draw_edge
-from carina.plan.turn_pictures import DOUBTFUL_RGB, FOV_DEG, ROUTE_RGB
+from carina.plan.turn_pictures import DOUBTFUL_RGB, FOV_DEG, ROUTE_RGB, _belongs
 from carina.render import AirwayView, Renderer, read_png_pose
 from carina.scopes import Lens
 from made import made_airways, made_phantom
@@ -123,6 +123,22 @@ def test_for_an_operator_who_faces_the_patient_the_picture_is_turned_by_half() -
         both = np.mean(turned != head.outline)
         assert both < 0.01
         assert np.allclose(facing.camera.right_lps, -head.camera.right_lps)
+
+
+def test_a_branch_begins_where_its_middle_has_left_the_lumen_of_the_others() -> None:
+    def tube(number: int, a: list[float], b: list[float], radius: float) -> dict[str, Any]:
+        parent, children = (0, []) if number else (None, [1, 2])
+        points = np.linspace(np.array(a, dtype=float), np.array(b, dtype=float), 41)
+        return {"id": number, "parent": parent, "children": children, "points": points, "radius": np.full(41, radius)}
+
+    # The side branch is the widest: a ball of its own width at the fork would take the wall opposite for its own.
+    fork = [0.0, 0.0, 0.0]
+    tree = made_tree([tube(0, [0, 0, 20], fork, 4.0), tube(1, fork, [0, 0, -20], 4.0), tube(2, fork, [20, 0, 0], 4.6)])
+    turn = next(one for one in turn_list(tree, route_in(tree, 2, carina=False)).turns)
+    opposite, inside, mother, sister = [-4.0, 0.0, 0.0], [12.0, 4.6, 0.0], [0.0, 4.0, 12.0], [0.0, -4.0, -12.0]
+    ours, others = _belongs(tree, turn, np.array([[opposite, inside, mother, sister, [np.nan] * 3]]))
+    assert ours.tolist() == [[False, True, False, False, False]]
+    assert others.tolist() == [[True, False, True, True, False]]
 
 
 def hidden(turn: Turn) -> Turn:
