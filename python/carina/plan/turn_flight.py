@@ -46,7 +46,7 @@ def turn_flight(
     tree, planned
         What the list was made of.
     turns
-        Of `carina.plan.turn_list`.
+        Of `carina.plan.turn_list`; `examples/05_turns` shows all of it.
     index
         Of the turn; 0 comes from where the route begins, ``len(turns.turns)`` goes on to where the scope is parked.
     operator
@@ -67,17 +67,6 @@ def turn_flight(
         If there is no such turn, or a number is out of range.
     NoResultError
         If the stretch has no length, or a turn does not say where it is seen from.
-
-    Examples
-    --------
-    >>> import carina
-    >>> from carina.plan import plan_route, turn_flight, turn_list
-    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
-    >>> airways = carina.find_airways(made.volume)
-    >>> route = plan_route(made.volume, airways, made.truth["nodule"]["center_lps"]).routes[0]
-    >>> times_s, poses = turn_flight(airways.tree, route, turn_list(airways.tree, route), 1)
-    >>> len(times_s) == len(poses)
-    True
     """
     check_type("turn_flight", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
     check_type("turn_flight", "planned", planned, PlannedRoute, "it is one of the routes of carina.plan_route")
