@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import re
 from functools import cache
 from typing import Any
 
@@ -25,9 +26,11 @@ from carina.plan import (
     plan_route,
     surroundings,
     tool,
+    tools,
 )
 from carina.plan.routes import standing_apart
-from carina.scopes import WallField
+from carina.plan.score import order
+from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways, wall_field
 from carina.volume import Volume
 from made import made_airways, made_phantom
@@ -43,6 +46,11 @@ def wall() -> WallField:
 def truth() -> dict[str, Any]:
     found: dict[str, Any] = made_phantom(**CHEST).truth["nodule"]
     return found
+
+
+def slim() -> ScopePreset:
+    """Thin enough for all airways near the nodule."""
+    return dataclasses.replace(scope_preset("ultrathin"), tip_mm=1.5)
 
 
 @cache
@@ -108,6 +116,7 @@ def test_no_place_on_any_branch_scores_better_than_the_first_route() -> None:
             total = sum(getattr(weights, name) for name in weights.__slots__)
             best = max(best, 1.0 - lost / total)
     # The branch's narrowest place may lie beyond where the tip stands: this search is no less strict.
+    assert {route.outlook for route in plan().routes} == {"does not reach"}, "the score alone ranks them"
     assert plan().routes[0].score >= best - 0.02
     assert [route.score for route in plan().routes] == sorted((route.score for route in plan().routes), reverse=True)
 
@@ -131,9 +140,111 @@ def test_of_two_routes_that_stand_together_the_better_is_told() -> None:
     assert standing_apart([best, apart]) == (best, apart)
 
 
+def test_a_route_that_the_scope_gets_to_comes_before_a_better_one_that_it_does_not() -> None:
+    best, other = plan().routes[:2]
+    near = dataclasses.replace(best, outlook="does not reach")
+    far = dataclasses.replace(other, outlook="reaches", score=0.1)
+    doubtful = dataclasses.replace(other, outlook="may reach", score=0.2)
+    assert sorted([near, doubtful, far], key=order) == [far, doubtful, near]
+
+
+def test_what_the_scope_cannot_do_is_told_with_its_figures() -> None:
+    volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
+    (stiff, *_) = plan_route(
+        volume, airways, nodule, wall=wall(), scope=dataclasses.replace(slim(), flexion_deg=(40.0, 40.0))
+    ).routes
+    assert stiff.outlook == "does not reach" and stiff.bend_deg > 60.0
+    assert re.search(r"the bend \d+ mm along the route requires \d+ degrees of flexion; .* has 40", stiff.limits[0])
+    (free, *_) = plan_route(volume, airways, nodule, wall=wall(), scope=slim()).routes
+    assert (free.outlook, free.limits) == ("reaches", ())
+    wide = plan().routes[0]
+    assert wide.outlook == "does not reach" and not wide.fits
+    assert re.search(
+        r"the narrowest place, 23\d mm along the route, is 3\.\d \u00b1 0\.4 mm wide; .* needs 4\.6 mm", wide.limits[0]
+    )
+
+
+def test_a_doubtful_branch_is_left_to_the_end_where_another_way_is_sure() -> None:
+    airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
+    sure = plan_route(volume, airways, plan().nodule, wall=wall(), scope=slim()).routes
+    doubted = plan_route(
+        volume, retreed(airways, sure[0].branch_id, confidence=0.3), plan().nodule, wall=wall(), scope=slim()
+    ).routes
+    assert sure[0].outlook == "reaches" and doubted[0].branch_id != sure[0].branch_id
+    assert doubted[0].outlook == "reaches" and doubted[0].doubts == ()
+    assert next(one for one in doubted if one.branch_id == sure[0].branch_id).outlook == "may reach"
+
+
+def test_each_aim_gets_its_best_route_and_the_route_tells_which() -> None:
+    volume, airways, nodule = made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule
+    centre = np.array(nodule.centre_lps)
+    aims = [centre, centre - [0.0, 5.0, 0.0], centre - [0.0, 0.0, 5.0]]
+    found = plan_route(volume, airways, nodule, aims=aims, wall=wall())
+    assert np.allclose(found.aims, aims) and {route.aim for route in found.routes} == {0, 1, 2}
+    for route in found.routes:
+        assert np.allclose(route.leg.aim_lps, aims[route.aim])
+        assert route.key == f"{route.branch_id}-{route.along_mm:.1f}" + ("", "-2", "-3")[route.aim]
+        along = np.array(route.leg.aim_lps) - route.leg.tip_lps
+        assert route.leg.angle_deg == pytest.approx(
+            np.degrees(np.arccos(along @ route.forward / np.linalg.norm(along))), abs=0.1
+        )
+    assert len({route.key for route in found.routes}) == len(found.routes)
+    alone = plan_route(volume, airways, nodule, aims=aims[1], wall=wall()).routes[0]
+    assert alone.leg == next(route for route in found.routes if route.aim == 1).leg
+    assert plan().routes[0].key == next(route for route in found.routes if route.aim == 0).key
+    with pytest.raises(UsageError, match=r"lies \d+\.\d mm outside the target"):
+        plan_route(volume, airways, nodule, aims=[centre - [0.0, 30.0, 0.0]], wall=wall())
+    with pytest.raises(UsageError, match="aims: expected 1 to 3 points"):
+        plan_route(volume, airways, nodule, aims=[centre] * 4, wall=wall())
+
+
+def test_tools_are_those_that_pass_the_channel_and_reach_the_target() -> None:
+    for route in plan().routes:
+        reach = {one.name for one in tools() if one.pierces and one.reach_mm >= route.leg.to_target_mm}
+        assert set(route.tools) == reach, "all needles pass 2.0 mm; no other tool leaves the lumen"
+    narrow = dataclasses.replace(scope_preset("thin"), channel_mm=1.2)
+    assert (
+        plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, scope=narrow, wall=wall())
+        .routes[0]
+        .tools
+        == ()
+    )
+
+
+def test_a_target_in_the_lumen_is_reached_by_forceps_and_one_outside_is_not() -> None:
+    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    bronchus = airways.tree.named("LMB")
+    middle = len(bronchus.points) // 2
+    inside = ellipsoid((2.5, 2.5, 2.5), bronchus.points[middle])
+    found = plan_route(volume, airways, inside, tool="forceps", wall=wall())
+    best = found.routes[0]
+    assert best.leg.is_open and best.outlook == "reaches" and "forceps" in best.tools and "brush" in best.tools
+    assert all(one.tissue in {"lumen", "target"} for one in best.leg.crossed[:2])
+    outside = plan_route(volume, airways, plan().nodule, tool="forceps", wall=wall())
+    assert outside.routes == () and outside.nearest is not None
+    assert "Biopsy forceps, 1.8 mm stays in the lumen" in outside.why and "Choose a needle" in outside.why
+    assert outside.nearest.branch_name in outside.why
+
+
+def test_a_target_in_the_trachea_is_reached_from_the_trachea() -> None:
+    volume, airways = made_phantom(**CHEST).volume, made_airways(**CHEST)
+    trachea = airways.tree.root
+    inside = ellipsoid((3.0, 3.0, 3.0), trachea.points[int(0.7 * len(trachea.points))])
+    best = plan_route(volume, airways, inside, tool="forceps", wall=wall()).routes[0]
+    assert best.branch_id == trachea.id and best.outlook == "reaches"
+    assert best.from_carina_mm < 0.0 and best.from_carina_mm == pytest.approx(best.along_mm - trachea.length_mm)
+
+
 def test_a_plan_is_plain_json_and_a_grown_nodule_plans_the_same() -> None:
     said = plan().to_json()
     assert json.loads(json.dumps(said)) == said
+    assert said["weights"] == {name: getattr(ScoreWeights(), name) for name in ScoreWeights.__slots__}
+    assert (said["vessel_margin_mm"], said["aims"]) == (3.0, [list(plan().nodule.centre_lps)])
+    assert said["routes"][0]["parking"] == {
+        "place_lps": list(plan().routes[0].leg.tip_lps),
+        "roll_rad": None,
+        "flexion_rad": None,
+    }
     volume = made_phantom(**CHEST).volume
     again = plan_route(volume, made_airways(**CHEST), grow_nodule(volume, truth()["center_lps"]), wall=wall())
     assert again.to_json() == said
@@ -195,8 +306,6 @@ def test_bad_input_is_refused_in_words() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
         plan_route(volume, airways, plan().nodule, tool="saw")
-    with pytest.raises(UsageError, match="Cytology brush cannot pass through an airway wall"):
-        plan_route(volume, airways, plan().nodule, tool="brush")
     with pytest.raises(UsageError, match="vessel_margin_mm: expected 0 to 50; found -1"):
         plan_route(volume, airways, plan().nodule, vessel_margin_mm=-1.0)
     with pytest.raises(UsageError, match="weights: expected numbers from 0 up"):
@@ -240,6 +349,43 @@ def test_the_last_leg_in_a_straight_tube_is_as_drawn() -> None:
     # The vessel's middle runs 9 mm beside the needle and is 2 mm thick.
     assert leg.vessel_mm == pytest.approx(7.0, abs=0.8)
     assert [one.tissue for one in leg.crossed] == ["lumen", "airway wall", "lung", "target", "lung"]
+
+
+def test_vessels_nearer_than_the_margin_are_listed_with_their_place() -> None:
+    volume, field = tube()
+    nodule = ellipsoid((5.0, 5.0, 5.0), (20.0, 0.0, 0.0))
+    around = surroundings(volume, np.array(nodule.centre_lps), 30.0, nodule, field)
+    scene = NeedleScene(nodule, field, around, tool("needle-21g-long"), NeedleErrors(), 8.0)
+    leg = last_leg(scene, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    (vessel,) = leg.vessels
+    assert vessel.distance_mm == leg.vessel_mm == pytest.approx(7.0, abs=0.8)
+    # 2 mm along the needle change the distance by 0.2 mm, less than a voxel shows.
+    assert vessel.at_mm == pytest.approx(12.0, abs=2.0)
+    assert np.allclose(vessel.place_lps, [vessel.at_mm, 0.0, 0.0])
+    closer = dataclasses.replace(scene, margin_mm=3.0)
+    assert last_leg(closer, np.zeros(3), np.array([0.0, 0.0, 1.0])).vessels == ()
+
+
+def test_a_vessel_and_the_chest_wall_beyond_the_target_are_measured_from_its_far_edge() -> None:
+    z, y, x = np.mgrid[-40:41, -40:41, -40:41].astype(np.float32)
+    off = np.hypot(x, y)
+    hu = np.where(off < 3.0, -1000.0, np.where(off < 4.0, 0.0, -860.0))
+    hu = np.where((np.hypot(x - 19.0, z) < 1.5) | (x > 24.0), 40.0, hu)
+    place = np.eye(4)
+    place[:3, 3] = -40.0
+    volume, field = Volume(hu.astype(np.int16), place), tube()[1]
+    nodule = ellipsoid((3.0, 3.0, 3.0), (10.0, 0.0, 0.0))
+    around = surroundings(volume, np.array(nodule.centre_lps), 34.0, nodule, field)
+    scene = NeedleScene(nodule, field, around, tool("needle-21g"), NeedleErrors())
+    leg = last_leg(scene, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    # The far edge lies at 13 mm, the vessel begins at 17.5 mm, and the chest wall at 24 mm is farther than 10 mm.
+    assert leg.vessel_beyond_mm == pytest.approx(4.5, abs=0.9)
+    assert leg.beyond_mm is None and leg.vessels == () and leg.mediastinum_mm == 0.0
+    nearer = last_leg(scene, np.array([-2.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), aim_lps=np.array([12.5, 0.0, 0.0]))
+    assert nearer.aim_lps == (12.5, 0.0, 0.0)
+    through = dataclasses.replace(scene, nodule=ellipsoid((2.0, 2.0, 2.0), (32.0, 0.0, 0.0)))
+    crossed = last_leg(through, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    assert crossed.mediastinum_mm == pytest.approx(6.0, abs=1.3)
 
 
 def test_a_vessel_in_the_way_is_named() -> None:

@@ -163,3 +163,26 @@ def test_a_route_says_what_fits_not_only_how_wide_it_is():
     assert (route.wall_mm[middle] == 1.0).all()
     assert (route.wall_mm[route.cumulative_mm < 14.0] == 3.0).all()
     assert (route.radius_mm == 3.0).all()
+
+
+def test_choosing_another_route_seats_the_tip_at_the_end_of_the_last_branch_in_common():
+    bench = small_bench()
+    bench.open()
+    session = bench.session
+    session.do(AddTarget(RIGHT_TIP))
+    bench.background.run_all()
+    session.do(AddTarget(LEFT_TIP))
+    bench.background.run_all()
+    right, left = session.snapshot().document.targets
+    session.do(ChooseRoute(target_id=right.target_id))
+    session.do(GoTo(1e4))
+    assert session.pose_info().path_mm == pytest.approx(right.route.path.length_mm)
+    session.do(ChooseRoute(target_id=left.target_id))
+    common = left.route.spans[0]
+    assert session.pose_info().mode == "path"
+    assert session.pose_info().path_mm == pytest.approx(common.to_mm, abs=0.5)
+    # In the part that both have the tip stays where it is.
+    session.do(GoTo(0.5 * common.to_mm))
+    before = session.pose_info().pose.position_lps
+    session.do(ChooseRoute(target_id=right.target_id))
+    assert np.linalg.norm(session.pose_info().pose.position_lps - before) < 0.5

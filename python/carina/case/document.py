@@ -2,23 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from carina.commands import KeyFrameFlying
 from carina.commands.look import Look
+from carina.commands.plan import PlanOptions
 from carina.commands.tree import PathCost
 from carina.display import one_line
 from carina.scopes import Pose
 
 if TYPE_CHECKING:
     from carina.case.routes import ChosenRoute
+    from carina.plan import Nodule, PlanTarget
     from carina.render import TransferFunction
     from carina.track import Airways
 
-__all__ = ["ChosenKeyFrame", "Document", "KeyFrames", "Target"]
+__all__ = ["ChosenKeyFrame", "Document", "KeyFrames", "Lesion", "Target"]
 
 Point = tuple[float, float, float]
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesion:
+    """A target with a size, and how the way to it is planned."""
+
+    target: PlanTarget
+    """With the words of the target that it belongs to (:meth:`Target.described`)."""
+    options: PlanOptions = field(default_factory=PlanOptions)
+
+    @property
+    def nodule(self) -> Nodule:
+        """What is to be reached."""
+        return self.target.nodule
 
 
 @one_line
@@ -44,6 +61,21 @@ class Target:
     """Length of that path outside the lumen; None where there is no lumen to compare with."""
     value_range: tuple[int, int] | None = None
     """Least and greatest value along that path, in the scan's own numbers."""
+    lesion: Lesion | None = None
+    """What is to be reached there; None for a place in the airways."""
+    note: str = ""
+    """What a person says about it."""
+    priority: int = 1
+    """1 comes first."""
+
+    def described(self, name: str, note: str, priority: int) -> Target:
+        """The same target with other words, its route's and its lesion's among them."""
+        lesion = self.lesion
+        if lesion is not None:
+            told = replace(lesion.target, name=name, note=note, priority=priority)
+            lesion = replace(lesion, target=told)
+        route = None if self.route is None else replace(self.route, title=name)
+        return replace(self, name=name, note=note, priority=priority, lesion=lesion, route=route)
 
 
 @one_line

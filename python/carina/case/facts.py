@@ -9,10 +9,13 @@ from typing import Annotated, Any, Literal, Union
 import msgspec
 from msgspec import Meta
 
+from carina.case.lesions import LesionFacts
 from carina.case.packing import from_json
+from carina.case.routes import NeedleLine
 from carina.commands import Command, KeyFrameFlying, all_commands
 from carina.commands.fields import BranchId, Count, Identifier, Matrix4, Part, PointLps
 from carina.commands.look import Look
+from carina.commands.plan import TargetNote, TargetRank
 from carina.commands.tree import AskedPath
 from carina.commands.value import LocalCommand
 from carina.render import Sight
@@ -190,6 +193,7 @@ class RouteFacts(_Facts, frozen=True):
     path_lookouts_mm: Numbers
     max_deviation_mm: Mm
     lumen_known: bool = True
+    needle: NeedleLine | None = None
 
 
 class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
@@ -205,6 +209,9 @@ class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
     route: RowId | None
     outside_mm: Mm | None = None
     value_range: tuple[int, int] | None = None
+    lesion: LesionFacts | None = None
+    note: TargetNote = ""
+    priority: TargetRank = 1
 
 
 class KeyFrameFacts(_Facts, frozen=True):

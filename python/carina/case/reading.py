@@ -15,6 +15,7 @@ from carina.case import facts as f
 from carina.case.database import no_surprise
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.history import Step
+from carina.case.lesions import made_lesion
 from carina.case.measures import branch_from, fork_from
 from carina.case.moment import Moment
 from carina.case.packing import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
@@ -239,6 +240,9 @@ class CaseReader:
                 root_lps=t.root_lps,
                 outside_mm=t.outside_mm,
                 value_range=t.value_range,
+                lesion=None if t.lesion is None else made_lesion(t.lesion),
+                note=t.note,
+                priority=t.priority,
             )
             for t in targets
         )
@@ -281,6 +285,7 @@ class CaseReader:
             branch_id=facts.branch_id,
             drawn=DrawnPart(*facts.drawn),
             lumen_known=facts.lumen_known,
+            needle=facts.needle,
         )
         self._routes[row] = made
         self._know("route", made, row)

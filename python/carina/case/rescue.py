@@ -15,6 +15,7 @@ import numpy as np
 from carina.case import facts as f
 from carina.case.database import connected, copied_with_journal, needed_header, no_surprise, told
 from carina.case.document import Document, KeyFrames, Target
+from carina.case.facts import TargetFacts
 from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
 from carina.case.history import Step
 from carina.case.moment import Moment
@@ -278,10 +279,22 @@ class _Rescue:
                 with no_surprise():
                     found += self._reader.made_targets((said,))
             except TROUBLE:
-                self._lost.append(f"{what}: the path to {said.name}")
-                (one,) = self._reader.made_targets((msgspec.structs.replace(said, route=None),))
-                found.append(replace(one, problem="its path was lost when the case file was damaged"))
+                found.append(self._part_of_target(said, what))
         return tuple(found)
+
+    def _part_of_target(self, said: TargetFacts, what: str) -> Target:
+        """A target without what of it is lost: its boundary, or its path."""
+        if said.lesion is not None:
+            try:
+                with no_surprise():
+                    (one,) = self._reader.made_targets((msgspec.structs.replace(said, lesion=None),))
+                self._lost.append(f"{what}: the boundary of {said.name}")
+                return replace(one, problem="its boundary was lost when the case file was damaged: mark it again")
+            except TROUBLE:
+                pass
+        self._lost.append(f"{what}: the path to {said.name}")
+        (one,) = self._reader.made_targets((msgspec.structs.replace(said, route=None),))
+        return replace(one, problem="its path was lost when the case file was damaged")
 
     # ------------------------------------------------------------ beside it
 

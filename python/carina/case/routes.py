@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,12 @@ from carina.navigate.moves import PathFork, PathWay, SetPath
 from carina.scopes import PathFrames
 from carina.track import Airways, AirwayTree, Branch, DrawnPart, Route, TrackedPath, drawn_part
 from carina.track.targets.paper import along_branches
+from carina.value import FrozenValue, PointLps
 
 __all__ = [
     "AirwayIndex",
     "ChosenRoute",
+    "NeedleLine",
     "RouteSpan",
     "default_branch_id",
     "leaf_below",
@@ -27,11 +29,15 @@ __all__ = [
     "path_move",
     "route_along_points",
     "route_to_branch",
+    "route_to_parking",
     "route_to_point",
     "route_to_target",
+    "seat_mm",
 ]
 
 
+PARKED_MM = 2.0
+"""An edit may move a centreline by this much: the scope still stands where the plan has it."""
 AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"
 
 
@@ -47,6 +53,15 @@ class RouteSpan:
     to_mm: float
     kind: str = "tracked"
     """As in :class:`carina.track.Branch`: what a person drew is named so wherever the route is shown."""
+
+
+class NeedleLine(FrozenValue, frozen=True):
+    """The last leg of a planned route: straight from the scope's tip into the target."""
+
+    ends_lps: tuple[PointLps, PointLps]
+    """The tip, and what it aims at."""
+    to_target_mm: float
+    """From the tip to the target's edge."""
 
 
 @one_line
@@ -74,6 +89,8 @@ class ChosenRoute:
     """How much of it the CT does not show."""
     lumen_known: bool = True
     """False where there are no airways round it: ``radius_mm`` and ``wall_mm`` are 0 and mean nothing."""
+    needle: NeedleLine | None = None
+    """How the way goes on through the wall; None where the route ends in the airways."""
 
     @property
     def frames(self) -> PathFrames:
@@ -140,6 +157,19 @@ def path_move(tree: AirwayTree | None, route: ChosenRoute | None) -> SetPath:
     return SetPath(**route.path.made_from(), ways=() if tree is None else _path_forks(tree, route))
 
 
+def seat_mm(before: ChosenRoute, before_mm: float, after: ChosenRoute) -> float | None:
+    """Where a tip is seated on another route: at the end of the last branch that both have.
+
+    None where it has not come farther than that: the place that is nearest is where it is.
+    """
+    common_mm = 0.0
+    for old, new in zip(before.spans, after.spans, strict=False):
+        if old.branch_id != new.branch_id:
+            break
+        common_mm = min(old.to_mm, new.to_mm)
+    return None if before_mm <= common_mm else min(common_mm, after.path.length_mm)
+
+
 # Where a way leads, by its first centimetre: the bend behind it is not in view at the fork.
 WAY_MM = 10.0
 
@@ -173,6 +203,18 @@ def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:
     branch = tree.branch(branch_id)
     title = branch.name or f"branch {branch_id}, generation {branch.generation}"
     return _chosen(route, tree, route_id=f"branch-{branch_id}", title=title, branch_id=branch_id)
+
+
+def route_to_parking(tree: AirwayTree, needle: NeedleLine, target_id: str, name: str) -> ChosenRoute:
+    """The way from the root to where the scope stands for a needle, with the needle's line.
+
+    Raises
+    ------
+    NoResultError
+        If no airway is there any more.
+    """
+    way = route_to_point(tree, np.asarray(needle.ends_lps[0], dtype=np.float64), snap_mm=PARKED_MM)
+    return replace(way, route_id=target_id, title=name, target_id=target_id, needle=needle)
 
 
 def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm: float = 5.0) -> ChosenRoute:

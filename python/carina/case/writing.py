@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from carina.case import facts as f
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.history import Step
+from carina.case.lesions import lesion_facts
 from carina.case.measures import branch_facts, flags_of, sections_of
 from carina.case.moment import Moment
 from carina.case.packing import as_checked_json, deflated, digest_of, packed_ints
@@ -205,6 +206,9 @@ class CaseWriter:
             root_lps=None if target.root_lps is None else _three(target.root_lps),
             outside_mm=target.outside_mm,
             value_range=target.value_range,
+            lesion=None if target.lesion is None else lesion_facts(target.lesion),
+            note=target.note,
+            priority=target.priority,
         )
 
     def _route(self, route: ChosenRoute) -> int:
@@ -230,6 +234,7 @@ class CaseWriter:
             path_lookouts_mm=made["lookouts_mm"],
             max_deviation_mm=made["max_deviation_mm"],
             lumen_known=route.lumen_known,
+            needle=route.needle,
         )
         names = ("points_lps", "cumulative_mm", "radius_mm", "wall_mm", "generation", "branch_ids")
         values: dict[str, Any] = {

@@ -203,7 +203,15 @@ def track(
 
 def plan(
     path: PathArgument,
-    target: Annotated[str, typer.Option("--target", help="Point in the nodule, x,y,z in mm (LPS).")],
+    target: Annotated[
+        str,
+        typer.Option(
+            "--target", help="Point in the nodule, x,y,z in mm (LPS), or a file: mask, DICOM SEG or RTSTRUCT."
+        ),
+    ],
+    structure: Annotated[
+        str | None, typer.Option("--structure", help="Name or number of the structure, where the file has several.")
+    ] = None,
     scope: Annotated[
         str, typer.Option("--scope", help="Bronchoscope: ultrathin, thin, standard, generic, ...")
     ] = "thin",
@@ -225,7 +233,18 @@ def plan(
     ] = False,
     series: SeriesOption = None,
     ct: CtOption = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Plan file to write: .json.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Report to write: .html, .pdf or .json. For other programs: .mrk.json, .seg.nrrd, .seg.dcm, .sr.dcm.",
+        ),
+    ] = None,
+    only_tracing: Annotated[
+        bool, typer.Option("--tracing-sheet", help="Write only the one-page tracing sheet (.html or .pdf).")
+    ] = False,
+    paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF: A4 or Letter.")] = "A4",
     as_json: JsonOption = False,
 ) -> None:
     """Plan the way to a nodule outside the airways: where the scope stands, and the needle's path from there.
@@ -233,7 +252,7 @@ def plan(
     The nodule is grown from the point. If no route reaches it, the reason is given and the exit code is 4. Not a
     medical device.
 
-    Example: carina plan scan.nii.gz --target -41,12,-180 --scope thin -o plan.json
+    Example: carina plan scan.nii.gz --target -41,12,-180 --scope thin -o plan.html
     """
     with exit_codes(as_json):
         from carina.cli.plan import report
@@ -241,7 +260,8 @@ def plan(
         raise SystemExit(
             report(
                 path,
-                target=parse_point(target, "--target"),
+                target=Path(target) if Path(target).exists() else parse_point(target, "--target"),
+                structure=structure,
                 scope=scope,
                 tool=tool,
                 vessel_margin_mm=vessel_margin_mm,
@@ -250,6 +270,8 @@ def plan(
                 series=series,
                 ct=ct,
                 output=output,
+                kind="tracing" if only_tracing else "report",
+                paper=paper,
                 as_json=as_json,
             )
         )

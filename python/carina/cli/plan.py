@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,65 +12,92 @@ import carina
 from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
-from carina.disk import write_whole
-from carina.errors import NoResultError
-from carina.plan import Plan, PlannedRoute, Verdict, judge_scopes
+from carina.errors import NoResultError, UsageError
+from carina.export import PLAN_FORMATS, export_plan
+from carina.plan import Plan, PlannedRoute, Verdict, judge_scopes, target_from_file
+from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
 
 __all__ = ["report"]
 
+REPORT_SUFFIXES = (".html", ".pdf", ".json")
+PAPERS: Final[dict[str, Paper]] = {"A4": "A4", "Letter": "Letter"}
 SIGNS = {"into": "an airway leads into it", "beside": "an airway lies against it", "none": "no airway leads to it"}
 
 
 def report(
     path: Path,
     *,
-    target: NDArray[np.float64],
+    target: NDArray[np.float64] | Path,
+    structure: str | None,
     scope: str,
     tool: str,
     vessel_margin_mm: float,
     moved_mm: float | None,
     all_scopes: bool,
     output: Path | None,
+    kind: ReportKind,
+    paper: str,
     series: str | None,
     as_json: bool,
     ct: Path | None = None,
 ) -> int:
-    """Plan the ways to one nodule, say them, and write them; 4 if there is none."""
+    """Plan the ways to one target, say them, and write them; 4 if there is none."""
     if output is not None:
-        check_output_file(output, ".json")
+        known = (*REPORT_SUFFIXES, *PLAN_FORMATS)
+        if not output.name.lower().endswith(known):
+            raise UsageError(f"-o: expected a file name that ends in {', '.join(known)}; found {output.name!r}")
+        check_output_file(output)
+    if paper not in PAPERS:
+        raise UsageError(f"--paper: expected {' or '.join(PAPERS)}; found {paper}")
     check_case_options(path, ct)
     progress = progress_printer()
     source = opened(path, series=series, progress=progress, ct=ct)
-    nodule = carina.grow_nodule(source.volume, target)
-    say(f"target: {nodule.words}")
+    place = source.place if ct is None else ct
+    if isinstance(target, Path):
+        named = int(structure) if structure is not None and structure.isdecimal() else structure
+        found = target_from_file(target, source.volume, structure=named, ct=place, progress=progress)
+        nodule, aims = found.nodule, found.aims
+        say(f"target: {found.words}")
+    else:
+        nodule, aims = carina.grow_nodule(source.volume, target), None
+        say(f"target: {nodule.words}")
     airways = source.airways(progress)
     source.badges.add(airways.badges)
     wall = carina.wall_field(source.volume, airways)
-    found = carina.plan_route(
+    plan = carina.plan_route(
         source.volume,
         airways,
         nodule,
         scope=scope,
         tool=tool,
+        aims=aims,
         vessel_margin_mm=vessel_margin_mm,
         moved_mm=moved_mm,
         wall=wall,
     )
-    for line in lines(found):
+    for line in lines(plan):
         say(line)
     verdicts: tuple[Verdict, ...] = ()
-    if found.routes:
-        scopes = None if all_scopes else [found.scope]
-        verdicts = judge_scopes(airways.tree, found, wall, scopes=scopes, spacing_mm=max(source.volume.spacing_mm))
+    if plan.routes:
+        scopes = None if all_scopes else [plan.scope]
+        verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, spacing_mm=max(source.volume.spacing_mm))
     for verdict in verdicts:
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
-    document = found.to_json() | {"verdicts": [verdict.to_json() for verdict in verdicts]}
-    if output is not None:
-        write_whole(output, (json.dumps(document, indent=1) + "\n").encode(), what="the plan")
+    materials = PlanMaterials(source.volume, airways, wall, plan, verdicts=verdicts)
+    if output is not None and any(output.name.lower().endswith(suffix) for suffix in PLAN_FORMATS):
+        export_plan(
+            output, plan, airways.tree, volume=source.volume, ct=place, series=series, badges=source.badges.notes
+        )
         say(f"wrote {output}")
-    if as_json:
-        print_json(document | {"badges": source.badges.to_json()})
-    return 0 if found.routes else NoResultError.exit_code
+        output = None
+    if output is not None or as_json:
+        sheet = whole_sheet(materials)
+        if output is not None:
+            write_report(output, sheet, kind=kind, paper=PAPERS[paper])
+            say(f"wrote {output}")
+        if as_json:
+            print_json(sheet.to_json() | {"badges": source.badges.to_json()})
+    return 0 if plan.routes else NoResultError.exit_code
 
 
 def lines(plan: Plan) -> list[str]:

@@ -18,6 +18,7 @@ from carina.commands.flying import *  # noqa: F403
 from carina.commands.key_frames import *  # noqa: F403
 from carina.commands.look import *  # noqa: F403
 from carina.commands.masks import *  # noqa: F403
+from carina.commands.plan import *  # noqa: F403
 from carina.commands.questions import *  # noqa: F403
 from carina.commands.tree import *  # noqa: F403
 from carina.commands.value import Command as Command

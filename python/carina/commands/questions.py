@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Generic, TypeVar
 
-from carina.commands.fields import BranchId, FlightNumber, PointLps
+from carina.commands.fields import BranchId, FlightNumber, Identifier, PointLps
 from carina.commands.tree import AddBranch, Bridge, MoveFork
 from carina.commands.value import FrozenValue
 
@@ -44,6 +44,16 @@ class PreviewOf(Question[Any], frozen=True):
     """
 
     edit: AddBranch | Bridge | MoveFork
+
+
+class PlanningOf(Question[Any], frozen=True):
+    """The plans of all targets with a size, as far as they are made: a :class:`carina.session.PlanningInfo`."""
+
+
+class PlanToTakeAway(Question[Any], frozen=True):
+    """What the report of a target's plan is made from: a :class:`carina.plan.report.PlanMaterials`."""
+
+    target_id: Identifier
 
 
 class LumenBeforeWall(Question[tuple[float, float, float]], frozen=True):

@@ -1,21 +1,30 @@
 """Planning: from a nodule in the lung to a way there."""
 
+from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.target import PlanTarget, TargetSource, proposed_aims
+from carina.plan.target_edits import brushed, resized, sphere
+from carina.plan.target_files import target_from_file
+from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
 from carina.plan.turn_flight import turn_flight
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
+from carina.plan.whereabouts import WHERE_WORDS, Whereabouts, whereabouts
 
 __all__ = [
     "DEFAULT_TOOL",
+    "EBUS_LIMITS",
+    "WHERE_WORDS",
     "Check",
     "Crossed",
+    "Landmark",
     "LastLeg",
     "NeedleErrors",
     "NeedleScene",
@@ -24,25 +33,38 @@ __all__ = [
     "OtherWay",
     "Outcome",
     "Plan",
+    "PlanTarget",
     "PlannedRoute",
     "ScoreWeights",
     "Surroundings",
+    "TargetSource",
     "Tool",
     "Turn",
     "TurnList",
     "TurnPicture",
     "Verdict",
+    "Whereabouts",
+    "brushed",
+    "clock_hours",
+    "ebus_landmarks",
     "grow_nodule",
     "hit_share",
     "judge_scope",
     "judge_scopes",
     "last_leg",
     "main_carina_ridge_mm",
+    "nodule_from_mask",
     "plan_route",
+    "proposed_aims",
+    "resized",
+    "sphere",
     "surroundings",
+    "target_from_file",
+    "target_from_mask",
     "tool",
     "tools",
     "turn_flight",
     "turn_list",
     "turn_pictures",
+    "whereabouts",
 ]

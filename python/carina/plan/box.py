@@ -10,7 +10,22 @@ from numpy.typing import NDArray
 
 from carina.volume import Volume
 
-__all__ = ["Box", "ball_distance", "beside", "component_at", "lung_median_hu", "smoothed", "uphill"]
+__all__ = [
+    "Box",
+    "ball_distance",
+    "beside",
+    "box_step_mm",
+    "component_at",
+    "distance_from",
+    "enclosed",
+    "extent",
+    "from_faces",
+    "lung_median_hu",
+    "smoothed",
+    "surface",
+    "trilinear",
+    "uphill",
+]
 
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
@@ -29,27 +44,35 @@ class Box:
     lps_from_ijk: NDArray[np.float64]
 
     @classmethod
-    def around(cls, volume: Volume, centre_lps: NDArray[np.float64], half_mm: float) -> Box:
+    def around(
+        cls, volume: Volume, centre_lps: NDArray[np.float64], half_mm: float, *, least_step_mm: float = 0.0
+    ) -> Box:
         """Trilinear, the CT's edge repeated outside of it.
 
         Its voxels are as fine as the CT's finest spacing, 0.5 to 1 mm: where slices are thicker nothing is gained by
-        finer ones, and nothing lost by coarser ones.
+        finer ones, and nothing lost by coarser ones. ``least_step_mm`` makes them coarser than that.
         """
-        step = float(np.clip(min(volume.spacing_mm), LEAST_STEP_MM, MOST_STEP_MM))
+        step = max(box_step_mm(volume), least_step_mm)
         half = int(np.ceil(half_mm / step))
         num = 2 * half + 1
         matrix = np.diag([step, step, step, 1.0])
         matrix[:3, 3] = centre_lps - half * step
-        to_ijk = volume.ijk_from_lps @ matrix
-        values = np.empty((num, num, num), dtype=np.float32)
+        return cls.at(volume, matrix, (num, num, num))
+
+    @classmethod
+    def at(cls, volume: Volume, lps_from_ijk: NDArray[np.float64], shape_zyx: tuple[int, ...]) -> Box:
+        """The same for a box whose place is given; cubic voxels."""
+        nz, ny, nx = shape_zyx
+        to_ijk = volume.ijk_from_lps @ lps_from_ijk
+        values = np.empty((nz, ny, nx), dtype=np.float32)
         known = np.empty(values.shape, dtype=bool)
-        y, x = np.mgrid[0:num, 0:num].reshape(2, -1)
+        y, x = np.mgrid[0:ny, 0:nx].reshape(2, -1)
         top = np.array(volume.shape_zyx[::-1]) - 1
-        for z in range(num):
+        for z in range(nz):
             ijk = to_ijk[:3, 0, None] * x + to_ijk[:3, 1, None] * y + (to_ijk[:3, 2] * z + to_ijk[:3, 3])[:, None]
-            known[z] = ((ijk >= -0.5) & (ijk <= (top + 0.5)[:, None])).all(axis=0).reshape(num, num)
-            values[z] = _trilinear(volume.hu_zyx, np.clip(ijk, 0.0, top[:, None])).reshape(num, num)
-        return cls(values, known, step, matrix)
+            known[z] = ((ijk >= -0.5) & (ijk <= (top + 0.5)[:, None])).all(axis=0).reshape(ny, nx)
+            values[z] = trilinear(volume.hu_zyx, np.clip(ijk, 0.0, top[:, None])).reshape(ny, nx)
+        return cls(values, known, float(np.linalg.norm(lps_from_ijk[:3, 0])), lps_from_ijk)
 
     def steps_from(self, at: tuple[int, ...]) -> NDArray[np.float64]:
         """Distances of all voxels from one, in voxels."""
@@ -65,7 +88,21 @@ class Box:
         return self.step_mm * off
 
 
-def _trilinear(hu_zyx: NDArray[np.int16], ijk: NDArray[np.float64]) -> NDArray[np.float64]:
+def box_step_mm(volume: Volume) -> float:
+    """The cubic voxels of boxes in a CT."""
+    return float(np.clip(min(volume.spacing_mm), LEAST_STEP_MM, MOST_STEP_MM))
+
+
+def trilinear(hu_zyx: NDArray[Any], ijk: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values of an array between its voxels.
+
+    Parameters
+    ----------
+    hu_zyx
+        (nz, ny, nx)
+    ijk
+        (3, n), within the outer voxels' centres.
+    """
     low = np.minimum(ijk.astype(np.intp), (np.array(hu_zyx.shape[::-1]) - 2).clip(0)[:, None])
     part = ijk - low
     high = np.minimum(low + 1, (np.array(hu_zyx.shape[::-1]) - 1)[:, None])
@@ -117,13 +154,62 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     """
     import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
 
-    if mask.all():
-        return np.full(mask.shape, np.inf, dtype=np.float32)
-    image: Any = sitk.GetImageFromArray((~mask).astype(np.uint8))
+    found = np.zeros(mask.shape, dtype=np.float32)
+    if not mask.any():
+        return found
+    # A voxel beyond the mask's own extent is all that its distances need.
+    part = extent(mask, 1)
+    inner = mask[part]
+    if inner.all():
+        found[part] = np.inf
+        return found
+    image: Any = sitk.GetImageFromArray((~inner).astype(np.uint8))
     image.SetSpacing([step_mm] * 3)
     far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=False, squaredDistance=False, useImageSpacing=True)
     away: NDArray[np.float32] = sitk.GetArrayFromImage(far)
-    return np.where(mask, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm), 0.0).astype(np.float32)
+    # Rounded, so that a distance of whole voxels does not depend on how the mask was cut out.
+    found[part] = np.where(inner, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm).round(3), 0.0)
+    return found
+
+
+def distance_from(mask: Mask, step_mm: float, reach_mm: float) -> NDArray[np.float32]:
+    """For each voxel outside a mask its distance from it as `ball_distance` counts it; infinite beyond ``reach_mm``."""
+    found = np.full(mask.shape, np.inf, dtype=np.float32)
+    if mask.any():
+        part = extent(mask, int(np.ceil(reach_mm / step_mm)) + 2)
+        away = ball_distance(~mask[part], step_mm)
+        found[part] = np.where(away <= reach_mm, away, np.inf)
+    return found
+
+
+def extent(mask: Mask, margin: int) -> tuple[slice, slice, slice]:
+    """The part of an array that holds all of a mask, and some voxels round it."""
+    found = []
+    for axis in range(3):
+        filled = np.flatnonzero(mask.any(axis=tuple(n for n in range(3) if n != axis)))
+        found.append(slice(max(int(filled[0]) - margin, 0), int(filled[-1]) + 1 + margin))
+    return found[0], found[1], found[2]
+
+
+def enclosed(mask: Mask) -> Mask:
+    """Voxels outside a mask that no way leads from to the box's faces: hollows."""
+    found = np.zeros_like(mask)
+    if mask.any():
+        part = extent(mask, 1)
+        outside = ~mask[part]
+        found[part] = outside & ~from_faces(outside)
+    return found
+
+
+def from_faces(mask: Mask) -> Mask:
+    """What is connected to the box's faces."""
+    import SimpleITK as sitk  # slow to load
+
+    padded = np.pad(mask, 1, constant_values=True)
+    image = sitk.GetImageFromArray(padded.astype(np.uint8))
+    found = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [(0, 0, 0)], 1, 1)) != 0
+    inner: Mask = found[1:-1, 1:-1, 1:-1] & mask
+    return inner
 
 
 def beside(mask: Mask) -> Mask:
@@ -134,6 +220,16 @@ def beside(mask: Mask) -> Mask:
         for shift in (-1, 1):
             found |= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
     return found
+
+
+def surface(mask: Mask) -> Mask:
+    """Voxels with a face to the outside."""
+    padded = np.pad(mask, 1)
+    deep = mask.copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            deep &= np.roll(padded, shift, axis=axis)[1:-1, 1:-1, 1:-1]
+    return mask & ~deep
 
 
 def uphill(values: Values, at: tuple[int, ...]) -> tuple[int, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.plan.box import Box, ball_distance, beside, component_at, uphill
+from carina.plan.box import Box, ball_distance, beside, component_at, from_faces, uphill
 
 __all__ = ["SHALLOW_MM", "cut_at_wall"]
 
@@ -31,7 +31,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     step = box.step_mm
     dense = smooth > WALL_HU
     deep = ball_distance(dense, step) > VESSEL_MM
-    wall_core = _from_faces(deep)
+    wall_core = from_faces(deep)
     if not wall_core.any():
         return whole, None
     # The lung with all that is thin or narrow in it.
@@ -40,7 +40,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     closed = ball_distance(filled, step) > CLOSING_MM - 0.5 * step
     closed |= lung
     wall = ~closed
-    wall = _from_faces(wall)
+    wall = from_faces(wall)
     if not wall.any():
         return whole, None
     if ball_distance(wall, step)[seed] > SHALLOW_MM:
@@ -108,14 +108,3 @@ def _middle(mask: Mask, seed: tuple[int, ...], step_mm: float) -> tuple[int, ...
     if not mask[seed]:
         return seed
     return uphill(ball_distance(component_at(mask, seed), step_mm), seed)
-
-
-def _from_faces(mask: Mask) -> Mask:
-    """What is connected to the box's faces."""
-    import SimpleITK as sitk  # slow to load
-
-    padded = np.pad(mask, 1, constant_values=True)
-    image = sitk.GetImageFromArray(padded.astype(np.uint8))
-    found = sitk.GetArrayFromImage(sitk.ConnectedThreshold(image, [(0, 0, 0)], 1, 1)) != 0
-    inner: Mask = found[1:-1, 1:-1, 1:-1] & mask
-    return inner

@@ -16,7 +16,7 @@ from carina.plan.surroundings import WALL_MM, Surroundings
 from carina.plan.tools import Tool
 from carina.scopes import WallField
 
-__all__ = ["Crossed", "LastLeg", "NeedleScene", "Tissue", "last_leg", "where_it_may_have_moved"]
+__all__ = ["Crossed", "LastLeg", "NearVessel", "NeedleScene", "Tissue", "last_leg", "where_it_may_have_moved"]
 
 Points = NDArray[np.float64]
 Tissue = Literal["lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall", "not examined"]
@@ -27,6 +27,10 @@ LEAST_MM = 0.5
 """A tissue that is crossed for less than this is the edge of another."""
 SPREAD = 1.645
 """In units of the errors' standard deviation: nine needles of ten go nearer to the line."""
+BEYOND_MM = 10.0
+"""So far beyond the target is looked at."""
+OPEN_MM = 0.8
+"""A target this near to a lumen's edge is reached without piercing a wall."""
 
 
 @one_line
@@ -43,6 +47,19 @@ class Crossed:
     def end_mm(self) -> float:
         """From the scope's tip."""
         return self.start_mm + self.length_mm
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class NearVessel:
+    """A vessel nearer to the needle than the margin."""
+
+    at_mm: float
+    """Along the needle from the scope's tip, where it is nearest."""
+    distance_mm: float
+    """0 where the needle goes through it."""
+    place_lps: tuple[float, float, float]
+    """On the needle's line."""
 
 
 @one_line
@@ -78,6 +95,17 @@ class LastLeg:
     """The tool gets to the target's edge."""
     hit_share_moved: float | None = None
     """The same share where the target may have moved and the needle is not aimed anew; None where nobody asked."""
+    vessels: tuple[NearVessel, ...] = ()
+    """Seen nearer than the margin, in order, from the wall to the target's far edge."""
+    vessel_beyond_mm: float | None = None
+    """As `beyond_mm`, to the first vessel on the needle's line."""
+    mediastinum_mm: float = 0.0
+    """Of mediastinum or chest wall that is crossed before the target's far edge: vessels in it are not seen."""
+
+    @property
+    def is_open(self) -> bool:
+        """The target lies in the lumen or against it: no wall has to be pierced."""
+        return self.outside_mm <= OPEN_MM
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types."""
@@ -93,7 +121,14 @@ class LastLeg:
             "least_in_target_mm": self.least_in_target_mm,
             "vessel_mm": self.vessel_mm,
             "vessel_lps": None if self.vessel_lps is None else list(self.vessel_lps),
+            "vessels": [
+                {"at_mm": one.at_mm, "distance_mm": one.distance_mm, "place_lps": list(one.place_lps)}
+                for one in self.vessels
+            ],
             "beyond_mm": self.beyond_mm,
+            "vessel_beyond_mm": self.vessel_beyond_mm,
+            "mediastinum_mm": self.mediastinum_mm,
+            "is_open": self.is_open,
             "hit_share": self.hit_share,
             "hit_share_moved": self.hit_share_moved,
             "reaches": self.reaches,
@@ -110,23 +145,27 @@ class NeedleScene:
     around: Surroundings
     tool: Tool
     errors: NeedleErrors
+    margin_mm: float = 3.0
+    """Vessels nearer to the needle than this are listed."""
 
 
-def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points) -> LastLeg:
-    """The straight line from a tip to the middle of a nodule, and what it meets, where the nodule has not moved.
+def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
+    """The straight line from a tip to an aim in a nodule, and what it meets, where the nodule has not moved.
 
     Parameters
     ----------
     tip_lps, forward
         (3,) where the scope's tip is, and the airway's direction there.
+    aim_lps
+        (3,); the nodule's centroid unless told.
     """
     nodule, wall, around, tool, errors = scene.nodule, scene.wall, scene.around, scene.tool, scene.errors
-    aim = np.array(nodule.centre_lps)
+    aim = np.array(nodule.centre_lps) if aim_lps is None else np.asarray(aim_lps, dtype=np.float64)
     off = aim - tip_lps
     distance = float(np.linalg.norm(off))
     # An airway may lead through the middle of the nodule: there the needle goes straight on.
     along = off / distance if distance >= LEAST_MM else forward
-    at = np.arange(0.0, max(tool.reach_mm, distance + 0.5 * nodule.long_mm + 12.0) + STEP_MM, STEP_MM)
+    at = np.arange(0.0, max(tool.reach_mm, distance + nodule.long_mm + BEYOND_MM) + 2.0, STEP_MM)
     points = tip_lps + at[:, None] * along
     in_target = nodule.contains(points)
     to_wall = wall.distance_mm(points)
@@ -142,14 +181,14 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points) -> LastLeg:
     hits = np.flatnonzero(in_target)
     edge_mm = float(at[hits[0]]) if hits.size else distance
     far = int(hits[-1]) if hits.size else int(np.searchsorted(at, distance))
-    end = max(far + int(10.0 / STEP_MM), int(tool.reach_mm / STEP_MM))
+    end = max(far + int(BEYOND_MM / STEP_MM), int(tool.reach_mm / STEP_MM))
     crossed = _stretches(tissue[: min(end, len(at))])
     entry = int(np.flatnonzero(~in_lumen)[0]) if (~in_lumen).any() else 0
     between = slice(entry, far + 1)
     to_vessel = np.where(examined[between], around.read(around.vessel_mm, points[between]), np.inf)
     nearest = int(np.argmin(to_vessel)) if to_vessel.size else 0
     has_vessel = bool(to_vessel.size) and math.isfinite(float(to_vessel[nearest]))
-    thick = np.flatnonzero(tissue[far:] == "mediastinum or chest wall")
+    is_thick = tissue == "mediastinum or chest wall"
     sigma = math.hypot(math.radians(errors.angle_deg), errors.tip_mm / max(distance, 1.0))
     return LastLeg(
         tip_lps=_point(tip_lps),
@@ -163,9 +202,12 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points) -> LastLeg:
         least_in_target_mm=_length_in(nodule, tip_lps, _ring(along, SPREAD * sigma), tool.reach_mm),
         vessel_mm=float(to_vessel[nearest]) if has_vessel else None,
         vessel_lps=_point(points[between][nearest]) if has_vessel else None,
-        beyond_mm=float(STEP_MM * thick[0]) if thick.size and STEP_MM * thick[0] <= 10.0 else None,
+        beyond_mm=_first_mm(is_thick[far:]),
         hit_share=hit_share(nodule, tip_lps, aim, tool.reach_mm, errors),
         reaches=edge_mm <= tool.reach_mm,
+        vessels=_near_vessels(to_vessel, at[between], points[between], scene.margin_mm),
+        vessel_beyond_mm=_first_mm(tissue[far:] == "vessel"),
+        mediastinum_mm=STEP_MM * float(is_thick[between].sum()),
     )
 
 
@@ -174,6 +216,24 @@ def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors, moved_mm=moved_mm)
     return replace(leg, hit_share_moved=share)
+
+
+def _first_mm(there: NDArray[np.bool_]) -> float | None:
+    """How far it is to the first of what is looked for; None where there is none near."""
+    first = np.flatnonzero(there[: int(BEYOND_MM / STEP_MM) + 1])
+    return STEP_MM * float(first[0]) if first.size else None
+
+
+def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: float) -> tuple[NearVessel, ...]:
+    """The nearest place of each stretch on which a vessel is nearer than the margin."""
+    near = np.flatnonzero(to_vessel < margin_mm)
+    if not near.size:
+        return ()
+    found = []
+    for stretch in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+        n = int(stretch[np.argmin(to_vessel[stretch])])
+        found.append(NearVessel(float(at[n]), float(to_vessel[n]), _point(points[n])))
+    return tuple(found)
 
 
 def _stretches(tissue: NDArray[Any]) -> tuple[Crossed, ...]:

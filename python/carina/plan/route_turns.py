@@ -22,7 +22,8 @@ from carina.plan.fork_view import (
     whole_hour,
 )
 from carina.plan.moves import Move
-from carina.plan.routes import PlannedRoute, branch_doubts, branch_title
+from carina.plan.places import branch_doubts, branch_title
+from carina.plan.routes import PlannedRoute
 from carina.plan.turns import OtherWay, Turn, TurnList, Zero
 from carina.render.lettering import letters_of
 from carina.track import Airways, AirwayTree, Branch

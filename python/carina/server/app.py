@@ -15,12 +15,14 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from carina.errors import CarinaError, DiskError
+from carina.plan.report import ReportKind
 from carina.server.closing import close_socket
 from carina.server.conversation import converse
 from carina.server.downloads import Downloads
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub
 from carina.server.programs import JOIN_PATH, serve_program
+from carina.server.reports import Reports
 from carina.server.security import Gate
 from carina.server.uploads import Uploads
 from carina.server.web_files import asset_path, web_folder
@@ -60,7 +62,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Folder of the built client; None shows a page that says how to build it.
     """
 
-    downloads = Downloads(hub.session)
+    downloads, reports = Downloads(hub.session), Reports(hub.session)
 
     async def index(request: Request) -> Response:
         token = request.query_params.get("token")
@@ -117,6 +119,15 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return _not_authorised()
         try:
             return await downloads.answer(request.path_params["suffix"])
+        except CarinaError as trouble:
+            return _error(trouble, _status(trouble, 409))
+
+    async def plan(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        kind: ReportKind = "tracing" if request.query_params.get("kind") == "tracing" else "report"
+        try:
+            return await reports.answer(request.path_params["target_id"], f".{request.path_params['suffix']}", kind)
         except CarinaError as trouble:
             return _error(trouble, _status(trouble, 409))
 
@@ -179,6 +190,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/upload", begin_upload, methods=["POST"]),
         Route("/api/upload/{upload_id}", one_upload, methods=["PUT", "DELETE"]),
         Route("/api/airways{suffix:path}", download),
+        Route("/api/plans/{target_id}.{suffix}", plan),
         Route("/api/key-frames.json", key_frames),
         Route("/api/flights/flight-{number:int}.jsonl", flight),
         Route("/api/cases/{case_id}/picture.jpg", case_picture),

@@ -9,13 +9,12 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.types import Receive, Scope, Send
+from starlette.responses import JSONResponse, Response
 
 from carina.commands import AirwaysToTakeAway, FlightToTakeAway, KeyFramesToTakeAway
-from carina.disk import ScratchFolder, disk_trouble
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
+from carina.server.for_once import FileForOnce, new_folder
 from carina.session import Session
 
 __all__ = ["FILE_STEM", "Downloads"]
@@ -56,7 +55,7 @@ class Downloads:
             raise CarinaError(msg, code="export.suffix")
         volume, airways = self._session.ask(AirwaysToTakeAway())
         async with self._one_at_a_time:
-            folder = _new_folder()
+            folder = new_folder()
             given_up = threading.Event()
             try:
                 path = await asyncio.to_thread(self._make, folder / f"{FILE_STEM}{suffix}", volume, airways, given_up)
@@ -65,7 +64,7 @@ class Downloads:
                 given_up.set()
                 rmtree(folder, ignore_errors=True)
                 raise
-        return _FileForOnce(path, filename=path.name, headers={"cache-control": "no-store"})
+        return FileForOnce(path, filename=path.name, headers={"cache-control": "no-store"})
 
     async def key_frames(self) -> Response:
         """The key frames of the open case, as ``carina fly`` takes them.
@@ -98,20 +97,3 @@ class Downloads:
         finally:
             if given_up.is_set():
                 rmtree(path.parent, ignore_errors=True)
-
-
-class _FileForOnce(FileResponse):
-    """A file in a folder of its own; both go however the answer ends: sent, refused (a range beyond it), broken off."""
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            await super().__call__(scope, receive, send)
-        finally:
-            rmtree(Path(self.path).parent, ignore_errors=True)
-
-
-def _new_folder() -> Path:
-    try:
-        return ScratchFolder().path
-    except OSError as trouble:
-        raise disk_trouble(trouble, "the file cannot be created on this machine", None) from trouble

@@ -2,8 +2,8 @@
 
 What a client asks of the case are the commands of :mod:`carina.commands`. The connection's own messages stand in
 ``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py``, ``messages_of_edits.py``,
-``messages_of_key_frames.py``, ``messages_of_devices.py`` and ``messages_of_phone.py`` (between the server and a
-phone's page, on a socket of its own). Writing a class there is all that a new message needs.
+``messages_of_key_frames.py``, ``messages_of_plan.py``, ``messages_of_devices.py`` and ``messages_of_phone.py``
+(between the server and a phone's page, on a socket of its own). Writing a class there is all that a new message needs.
 
 ``web/src/wire/messages.ts`` and ``protocol/schema.json`` are generated from them by
 ``python -m carina.server.wire_types``; a test fails when they drift apart. World is LPS mm, matrices are 4x4 row-major,
@@ -26,6 +26,7 @@ from carina.server.messages_of_devices import *  # noqa: F403
 from carina.server.messages_of_edits import *  # noqa: F403
 from carina.server.messages_of_key_frames import *  # noqa: F403
 from carina.server.messages_of_phone import *  # noqa: F403
+from carina.server.messages_of_plan import *  # noqa: F403
 from carina.server.messages_of_tree import *  # noqa: F403
 from carina.server.wire_codec import (
     ClientMessage,

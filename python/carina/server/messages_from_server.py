@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from carina.case.routes import NeedleLine
 from carina.commands.fields import (
     BranchId,
     Count,
@@ -22,6 +23,7 @@ from carina.commands.fields import (
     Words,
 )
 from carina.commands.look import Look
+from carina.commands.plan import TargetNote, TargetRank
 from carina.commands.tree import AskedPath
 from carina.render import ClusterState, Processor, Sight
 from carina.scopes import ScopeHold
@@ -177,6 +179,11 @@ class Target(AskedPath, frozen=True):
     """How much of that path lies outside the lumen; null where there is no lumen to compare with."""
     value_range: tuple[VoxelValue, VoxelValue] | None = None
     """Least and greatest value along that path, in the scan's own numbers."""
+    note: TargetNote = ""
+    priority: TargetRank = 1
+    """1 comes first."""
+    has_size: bool = False
+    """It lies outside the airways: ``plans`` has its boundary and the routes to it."""
 
 
 class MaskLabel(FrozenValue, frozen=True):
@@ -286,6 +293,8 @@ class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     spans: tuple[RouteSpan, ...]
     lumen_known: bool = True
     """False where there are no airways round it: the radii and walls are 0 and mean nothing."""
+    needle: NeedleLine | None = None
+    """How the way goes on through the wall; null where it ends in the airways."""
 
 
 class Route(ServerMessage, frozen=True):

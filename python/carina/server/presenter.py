@@ -204,6 +204,9 @@ def _target(target: Any) -> wire.Target:
         root_lps=target.root_lps,
         outside_mm=target.outside_mm,
         value_range=target.value_range,
+        note=target.note,
+        priority=target.priority,
+        has_size=target.lesion is not None,
     )
 
 
@@ -242,6 +245,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         drawn_mm=round(route.drawn.drawn_mm, 2),
         bridge_mm=round(route.drawn.bridge_mm, 2),
         lumen_known=route.lumen_known,
+        needle=route.needle,
     )
     return wire.Route(info)
 

@@ -7,8 +7,10 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
+from carina.commands import PlanningOf
 from carina.server import messages as wire
 from carina.server.outbox import Outbox
+from carina.server.plan_words import plans_message
 from carina.server.presenter import key_frames_message, route_message, start_message
 from carina.server.tree_words import tree_message
 from carina.session import Session, log_fault
@@ -100,6 +102,15 @@ class SharedTexts:
         """The key frames."""
         return wire.encode_message(key_frames_message(self._session.key_frames_info()))
 
+    def plans(self) -> str | None:
+        """The plans of the open case; None without one."""
+        if self._session.snapshot().case is None:
+            return None
+        info = self._session.ask(PlanningOf())
+        planned = (value for one in info.targets for value in (one.target, one.planned))
+        state = (info.document.route, info.standing, info.verdicts_standing, info.verdicts)
+        return self._cached("plan", lambda: plans_message(info), *state, *planned)
+
     def flights(self) -> str:
         """What was recorded into the case."""
         return wire.encode_message(wire.Flights(self._session.snapshot().flights))
@@ -154,4 +165,6 @@ def _tree_of(snapshot: Any) -> tuple[Any, Any]:
 
 def _are_same(values: tuple[object, ...], others: tuple[object, ...] | None) -> bool:
     """One by one the same objects, not equal ones."""
-    return others is not None and all(a is b for a, b in zip(values, others, strict=True))
+    if others is None or len(values) != len(others):
+        return False
+    return all(a is b for a, b in zip(values, others, strict=True))

@@ -99,6 +99,7 @@ class Window:
         self._pointing = Pointing(host.session, self.pump.shown, self.tell)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._history_known: tuple[int, tuple[str, ...]] | None = None
+        self._plans_known: str | None = None
 
     # ------------------------------------------------------------ life
 
@@ -109,7 +110,7 @@ class Window:
         self._pointing.start()
         topics = ["start", "state", "watching"]
         if self._session.snapshot().case is not None:
-            topics += ["tree", "route", "key_frames", "flights", "history", "pose"]
+            topics += ["tree", "route", "plan", "key_frames", "flights", "history", "pose"]
         self.mark(*topics)
         for job in self._session.jobs.running:
             if job.latest is not None:
@@ -160,6 +161,8 @@ class Window:
                 return self._host.texts.tree()
             case "route":
                 return self._host.texts.route()
+            case "plan":
+                return self._plans_text()
             case "key_frames":
                 return self._host.texts.key_frames()
             case "flights":
@@ -183,6 +186,14 @@ class Window:
             return None
         self._history_known = known
         return wire.encode_message(history_message(snapshot))
+
+    def _plans_text(self) -> str | None:
+        """None where this window knows them already: boundaries are long, and every change of the document asks."""
+        text = self._host.texts.plans()
+        if text == self._plans_known:
+            return None
+        self._plans_known = text
+        return text
 
     def _tell_from_pump(self, message: wire.Status | tuple[str, str]) -> None:
         self.tell(wire.Error(*message, action=None) if isinstance(message, tuple) else message)

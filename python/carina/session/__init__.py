@@ -11,6 +11,7 @@ from carina.session.flying import view_words
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.key_framing import key_file
 from carina.session.parts import Parts, RendererFactory, default_parts
+from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number, nodule_surface
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.records import FORGOTTEN_FOR_S, CaseRecord, CaseRecords
@@ -54,6 +55,8 @@ __all__ = [
     "MaskQuestion",
     "NotEvident",
     "Parts",
+    "PlannedTarget",
+    "PlanningInfo",
     "PoseInfo",
     "RecentCase",
     "Renderer",
@@ -67,9 +70,11 @@ __all__ = [
     "Trouble",
     "WallPoint",
     "case_files",
+    "chosen_number",
     "default_parts",
     "is_case_file",
     "key_file",
     "log_fault",
+    "nodule_surface",
     "view_words",
 ]

@@ -19,18 +19,20 @@ from carina.case.routes import AirwayIndex, ChosenRoute, path_move
 from carina.commands import ArmPen, TakeMask
 from carina.errors import CarinaError, UsageError
 from carina.navigate import Navigator, Pilot
-from carina.render import GreyWindow, Sight, TransferFunction
+from carina.render import Sight
 from carina.scopes import Pose, ScopeHold
 from carina.session.airway_values import LumenWall, derived_measures, derived_wall
 from carina.session.content import ShownContent
 from carina.session.derived import Cached, Derived
+from carina.session.grey_scale import HISTOGRAM_PRESET, grey_scale
 from carina.session.inside import in_lumen
 from carina.session.jobs import JobRunner
 from carina.session.key_flight import KeyFlight, key_flight
 from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts, RendererFactory
+from carina.session.plan_values import CasePlanning
 from carina.session.sights import Sights
-from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, FlightPlace, MaskQuestion, PoseInfo
+from carina.session.snapshot import AirwayStatus, CaseSnapshot, FlightPlace, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.track import LumenOutline
 from carina.volume import Volume
@@ -51,9 +53,6 @@ __all__ = [
     "pose_info",
     "restore",
 ]
-
-LUNG_WINDOW = GreyWindow(1500.0, -600.0)
-HISTOGRAM_PRESET = "from histogram"
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,41 +143,6 @@ class CaseFlights:
     """The one that was flown again last."""
 
 
-@dataclass(frozen=True, slots=True)
-class GreyScale:
-    """What the numbers of a volume stand for, as far as it says how they are shown and searched."""
-
-    presets: tuple[str, ...]
-    """Transfer functions that make sense for them."""
-    threshold: float | None
-    """Of the lumen, from the histogram; None for HU, where the airway search finds its own."""
-    window: GreyWindow
-    transfer: TransferFunction
-    """To begin with."""
-    off: tuple[FeatureOff, ...] = ()
-    """What needs HU and has none."""
-
-
-def grey_scale(volume: Volume, parts: Parts) -> GreyScale:
-    """How a volume is shown before a person says anything."""
-    if volume.is_hu:
-        return GreyScale(parts.presets, None, LUNG_WINDOW, parts.transfer_preset("endoscopic"))
-    low, high = volume.value_range
-    transfer, threshold = parts.transfer_from_histogram(volume)
-    why = volume.not_hu_reason or "this volume is not in HU"
-    return GreyScale(
-        (HISTOGRAM_PRESET,),
-        threshold,
-        GreyWindow(float(max(1, high - low)), (high + low) / 2.0),
-        transfer,
-        (
-            FeatureOff("transfer functions and windows in HU", why),
-            FeatureOff("the check that the scan covers both lungs", why),
-            FeatureOff("a lumen threshold in HU (the threshold shown is in the file's own units)", why),
-        ),
-    )
-
-
 @dataclass(slots=True)
 class OpenCase:
     """All of it is guarded by the session's lock."""
@@ -188,7 +152,7 @@ class OpenCase:
     content: ShownContent
     pilot: Pilot
     history: History[Document]
-    scale: GreyScale
+    planning: CasePlanning
     wall: Derived[Airways, LumenWall]
     """Of airways that a scope was to be held in."""
     measures: Derived[Airways, TreeMeasures]
@@ -239,7 +203,7 @@ class OpenCase:
 
     def discard(self) -> None:
         """Make nothing more for it, and keep nothing large: another case is open, or none."""
-        for derived in (self.content, self.wall, self.measures):
+        for derived in (self.content, self.wall, self.measures, self.planning):
             derived.discard()
 
     @property
@@ -297,13 +261,13 @@ def new_case(
     transfer = history.current.transfer
     case = OpenCase(
         number=number,
-        info=CaseSnapshot(volume, parts.quality_words(volume), scale.off, volume.value_range),
+        info=CaseSnapshot(volume, parts.quality_words(volume), scale, volume.value_range),
         content=ShownContent(
             renderer_factory(volume, transfer), transfer, jobs=jobs, lock=lock, changed=partial(changed, "views")
         ),
         pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
         history=history,
-        scale=scale,
+        planning=CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan")),
         wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
         measures=derived_measures(
             volume,

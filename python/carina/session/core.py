@@ -14,8 +14,8 @@ from typing import Any
 
 from carina.case.document import Document
 from carina.case.history import History
-from carina.case.routes import path_move
-from carina.commands import Command, SetOperator, Steer
+from carina.case.routes import path_move, seat_mm
+from carina.commands import Command, GoTo, SetOperator, Steer
 from carina.commands.value import LocalCommand
 from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
@@ -46,7 +46,7 @@ Event = Changed | Trouble | NotEvident | Said | StartMarked | JobProgress | JobE
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
-ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "key_frames", "history", "pose", "views")
+ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "key_frames", "history", "pose", "views")
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,8 +292,13 @@ class SessionCore:
         document = case.document
         airways = document.airways
         if case.flown_route is not document.route:
-            case.flown_route = document.route
+            before, before_mm, case.flown_route = case.flown_route, case.navigator.path_mm, document.route
             case.pilot.apply(path_move(None if airways is None else airways.tree, document.route))
+            # Choosing another route never carries the tip into an airway that it was not in.
+            if before is not None and before_mm is not None and document.route is not None:
+                seat = seat_mm(before, before_mm, document.route)
+                if seat is not None and case.navigator.mode == "path":
+                    case.pilot.apply(GoTo(seat))
             self.moved()
         if case.navigator.operator != document.look.operator:
             case.pilot.apply(SetOperator(document.look.operator))
@@ -356,7 +361,7 @@ class SessionCore:
                 redo_label=case.history.redo_label,
                 steps=case.history.steps,
                 position=case.history.position,
-                transfer_presets=case.scale.presets,
+                transfer_presets=case.info.scale.presets,
                 measures=case.measures.of(case.document.airways),
                 mask_question=None if case.asked_mask is None else case.asked_mask.question,
                 saving=(saving := self.saving()),

@@ -49,7 +49,7 @@ class AirwayFinding(Subject):
         case = self.core.needed_case()
         airways = case.document.airways
         root = None if airways is None else as_point(airways.root_lps)
-        wanted = case.scale.threshold if value is None else value
+        wanted = case.info.scale.threshold if value is None else value
         if airways is None:
             # Kept even if nothing is found with it: a root that is clicked next must search with this threshold.
             with self.core.lock:

@@ -58,7 +58,7 @@ class Following(Subject):
         self._holding.resume(case)
         if case.search.status == "waiting":
             # Its owner went while it was looking for them.
-            self._finding.start(case, None, case.scale.threshold, label=None)
+            self._finding.start(case, None, case.info.scale.threshold, label=None)
 
     def _become(self, case: OpenCase, moment: Moment) -> None:
         """With the session locked."""

@@ -60,8 +60,8 @@ class Looking(Subject):
         preset, document = command.preset, command.document
         case = self.core.needed_case()
         if preset is not None:
-            if preset not in case.scale.presets:
-                known = ", ".join(case.scale.presets)
+            if preset not in case.info.scale.presets:
+                known = ", ".join(case.info.scale.presets)
                 raise UsageError(f"this volume has no transfer function {preset!r}; choose one of {known}")
             if preset == HISTOGRAM_PRESET:
                 transfer = self.core.parts.transfer_from_histogram(case.info.volume)[0]

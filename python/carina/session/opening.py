@@ -345,4 +345,4 @@ class Opening(Subject):
                 self.core.changed(*ALL_TOPICS)
             self._holding.resume(case)
         if finds and case.search.status == "waiting":
-            self._finding.start(case, None, case.scale.threshold, label=None)
+            self._finding.start(case, None, case.info.scale.threshold, label=None)

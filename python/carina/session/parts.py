@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from carina.display import one_line
 from carina.errors import UsageError
+from carina.scopes import ScopePreset, scope_presets
 
 if TYPE_CHECKING:
+    from carina.plan import Nodule, Plan, Verdict
     from carina.render import TransferFunction
     from carina.session.scene import Renderer
     from carina.track import Airways, EditPreview, TreeMeasures
@@ -45,6 +47,24 @@ def _wall_field(*arguments: Any, **options: Any) -> Any:
     return track.wall_field(*arguments, **options)
 
 
+def _grow_nodule(*arguments: Any, **options: Any) -> Nodule:
+    from carina import plan
+
+    return plan.grow_nodule(*arguments, **options)
+
+
+def _plan_route(*arguments: Any, **options: Any) -> Plan:
+    from carina import plan
+
+    return plan.plan_route(*arguments, **options)
+
+
+def _judge_scope(*arguments: Any, **options: Any) -> Verdict:
+    from carina import plan
+
+    return plan.judge_scope(*arguments, **options)
+
+
 class RendererFactory(Protocol):
     """Makes a renderer of a volume: one machine's, or a cluster's."""
 
@@ -76,6 +96,14 @@ class Parts:
     """``preview_edit(volume, airways, edit)``."""
     open_mask: Callable[..., Mask] = _open_mask
     """``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
+    grow_nodule: Callable[..., Nodule] = _grow_nodule
+    """``grow_nodule(volume, at_lps)``."""
+    plan_route: Callable[..., Plan] = _plan_route
+    """``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
+    judge_scope: Callable[..., Verdict] = _judge_scope
+    """``judge_scope(tree, plan, wall, scope, route=, spacing_mm=, entry_mm=)``."""
+    scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets
+    """The instruments that are judged."""
 
 
 def default_parts() -> Parts:

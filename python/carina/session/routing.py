@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from carina import commands as c
-from carina.case.document import Document, Target
+from carina.case.document import Lesion, Target
 from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
+from carina.plan import PlanTarget, whereabouts
 from carina.session.case import OpenCase
+from carina.session.inside import in_lumen
 from carina.session.jobs import Job
 from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
-from carina.session.targets import NO_START, searched_target, tracked_target
+from carina.session.targets import NO_START, needed_target, searched_target, tracked_target
 
 __all__ = ["Routing"]
 
@@ -23,6 +27,9 @@ class Routing(Subject):
     @does(c.AddTarget)
     def add_target(self, command: c.AddTarget) -> str:
         """Track to a point, as a job, and take it as the route.
+
+        Outside the lumen, what stands out of the lung there is grown to a target with a size: the ways to it are
+        planned (:mod:`carina.session.planning`), and none is taken until a person takes one.
 
         Through the lumen the point is moved to it where that is within 5 mm, which is said; else the target is kept
         with the reason why there is no path. With the costs ``walls`` and ``paper`` nothing is moved.
@@ -48,6 +55,15 @@ class Routing(Subject):
             )
 
         def work(job: Job) -> None:
+            lesion, why_none = self._lesion(case, target)
+            if lesion is not None:
+                with self.core.lock:
+                    job.check()
+                    marked = replace(target, lesion=lesion)
+                    changed = replace(case.document, targets=(*case.document.targets, marked))
+                    self.core.change(case, f"add {target.name}", changed)
+                    self.core.emit(Said(f"{target.name}: {lesion.nodule.words}"))
+                return
             tracked, tracked_in = target, None
             while True:
                 with self.core.lock:
@@ -57,6 +73,8 @@ class Routing(Subject):
                         msg = f"no path to {target.name} yet: wait for the airways, or mark the trachea"
                         raise NoResultError(msg)
                     if tracked_in is document.airways:
+                        if tracked.problem is not None and why_none is not None:
+                            tracked = replace(tracked, problem=f"{tracked.problem}; {why_none}")
                         route = tracked.route or document.route
                         changed = replace(document, targets=(*document.targets, tracked), route=route)
                         self.core.change(case, f"add {target.name}", changed)
@@ -68,6 +86,18 @@ class Routing(Subject):
                 tracked = tracked_target(tracked_in, target)
 
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
+
+    def _lesion(self, case: OpenCase, target: Target) -> tuple[Lesion | None, str | None]:
+        """What lies outside the airways there, or why nothing was found; neither for a place in a lumen."""
+        volume, airways, lps = case.info.volume, case.document.airways, target.lps
+        if not volume.is_hu or (airways is not None and in_lumen(volume, airways.lumen_zyx, np.asarray(lps))):
+            return None, None
+        try:
+            nodule = self.core.parts.grow_nodule(volume, lps)
+            where = whereabouts(volume, nodule)
+            return Lesion(PlanTarget(target.target_id, target.name, nodule, lps, "click", where)), None
+        except NoResultError as trouble:
+            return None, str(trouble)
 
     def _search(self, case: OpenCase, target: Target, job: Job) -> None:
         """A path that knows no lumen; what is told of it follows the airways, which may have changed meanwhile."""
@@ -93,7 +123,7 @@ class Routing(Subject):
         case = self.core.needed_case()
         with self.core.lock:
             document = case.document
-            target = _needed_target(document, target_id)
+            target = needed_target(document, target_id)
             left = tuple(t for t in document.targets if t.target_id != target_id)
             route = document.route
             if route is not None and route.target_id == target_id:
@@ -109,7 +139,7 @@ class Routing(Subject):
             document = case.document
             route: ChosenRoute | None = None
             if target_id is not None:
-                target = _needed_target(document, target_id)
+                target = needed_target(document, target_id)
                 if target.route is None:
                     raise NoResultError(f"no path to {target.name}: {target.problem}")
                 route = target.route
@@ -119,10 +149,3 @@ class Routing(Subject):
                 route = route_to_branch(document.airways.tree, branch_id)
             label = "remove the route" if route is None else f"route to {route.title}"
             self.core.change(case, label, replace(document, route=route))
-
-
-def _needed_target(document: Document, target_id: str) -> Target:
-    for target in document.targets:
-        if target.target_id == target_id:
-            return target
-    raise UsageError("this target has been removed", code="session.target")

@@ -28,6 +28,7 @@ from carina.session.looking import Looking
 from carina.session.measuring import TreeMeasuring
 from carina.session.opening import Opening
 from carina.session.parts import Parts, RendererFactory
+from carina.session.planning import Planning
 from carina.session.questions import CaseQuestions
 from carina.session.recent import LocalStore
 from carina.session.recording import FlightRecording
@@ -84,7 +85,7 @@ class Session:
     ) -> None:
         core = SessionCore(renderer_factory, parts=parts, store=store, submit=submit, clock=clock, today=today)
         holding, finding, editing = ScopeHolding(core), AirwayFinding(core), TreeEditing(core)
-        measuring, keys = TreeMeasuring(core), KeyFraming(core)
+        measuring, keys, planning = TreeMeasuring(core), KeyFraming(core), Planning(core)
         recording = FlightRecording(core, holding)
         self._core, self._keys, self._recording = core, keys, recording
         self._devices = Devices(core, recording, self.do)
@@ -96,11 +97,12 @@ class Session:
         core.before_document += [recording.tick, editing.unfold]
         core.after_document += [
             editing.fold, measuring.follow, recording.note_view, holding.follow, keys.follow, finding.follow,
+            planning.follow,
         ]  # fmt: skip
         core.after_sight += [recording.note_view]
         looking = Looking(core)
         subjects = (
-            opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording,
+            opening, Flying(core, holding), looking, Routing(core), planning, finding, editing, keys, recording,
             Flights(core, self._saving.flight_text),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             Following(core, finding, holding, self._saving),

@@ -16,6 +16,7 @@ from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
 from carina.render import Sight
 from carina.scopes import Pose, ScopeState
+from carina.session.grey_scale import FeatureOff, GreyScale
 from carina.value import FrozenValue
 
 if TYPE_CHECKING:
@@ -45,16 +46,7 @@ __all__ = [
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
-Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history"]
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
-class FeatureOff:
-    """What this volume cannot do, and why."""
-
-    what: str
-    why: str
+Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan"]
 
 
 @one_line
@@ -64,8 +56,13 @@ class CaseSnapshot:
 
     volume: Volume
     quality: tuple[str, ...]
-    off: tuple[FeatureOff, ...]
+    scale: GreyScale
     value_range: tuple[int, int]
+
+    @property
+    def off(self) -> tuple[FeatureOff, ...]:
+        """What this volume cannot do."""
+        return self.scale.off
 
 
 class FlightPlace(FrozenValue, frozen=True):

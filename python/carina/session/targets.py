@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carina.case.document import Target
-from carina.case.routes import ChosenRoute, route_along_points, route_to_branch, route_to_target
-from carina.errors import TrackingError, UsageError
+from carina.case.document import Document, Target
+from carina.case.routes import ChosenRoute, route_along_points, route_to_branch, route_to_parking, route_to_target
+from carina.errors import NoResultError, TrackingError, UsageError
 from carina.session.case import as_point
 from carina.track.targets.paper import outside_mm, track_on_graph
 
@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from carina.track import Airways, AirwayTree
     from carina.volume import Volume
 
-__all__ = ["NO_START", "SNAP_MM", "followed_route", "renamed_route", "searched_target", "tracked_target"]
+__all__ = [
+    "NO_START",
+    "SNAP_MM",
+    "followed_route",
+    "needed_target",
+    "renamed_route",
+    "searched_target",
+    "tracked_target",
+]
 
 NO_START = "mark the start point of the path first: there are no airways to begin in"
 SNAP_MM = 5.0
@@ -73,6 +81,9 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
 
     A path that was searched without the lumen stays as it is: only what is told of it depends on the airways.
     """
+    if target.lesion is not None:
+        # Its routes are planned beside the document.
+        return target
     if target.cost != "lumen":
         if target.route is None:
             return target
@@ -83,7 +94,9 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
             outside_mm=None if airways is None else outside_mm(points, airways, airways.tracker.volume),
         )
     assert airways is not None
-    bare = Target(target_id=target.target_id, name=target.name, lps=target.lps)
+    bare = Target(
+        target_id=target.target_id, name=target.name, lps=target.lps, note=target.note, priority=target.priority
+    )
     try:
         path = airways.tracker.path_to(target.lps, snap_mm=SNAP_MM)
         route = route_to_target(airways.tree, path, target.target_id, target.name)
@@ -92,6 +105,20 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
     # Not moved: the point itself was asked for and is used. Moved: the lumen voxel that the path ends in.
     used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
     return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)
+
+
+def needed_target(document: Document, target_id: str) -> Target:
+    """The target of that number.
+
+    Raises
+    ------
+    UsageError
+        ``session.target``: if it is not there any more.
+    """
+    for target in document.targets:
+        if target.target_id == target_id:
+            return target
+    raise UsageError("this target has been removed", code="session.target")
 
 
 def renamed_route(route: ChosenRoute | None, tree: AirwayTree) -> ChosenRoute | None:
@@ -113,7 +140,13 @@ def followed_route(airways: Any, chosen: ChosenRoute | None, targets: tuple[Targ
     """
     if chosen is None:
         return None
-    if chosen.target_id is not None:
+    if chosen.needle is not None and chosen.target_id is not None:
+        # The plan is made anew; meanwhile the scope stands where it stood.
+        try:
+            found = route_to_parking(airways.tree, chosen.needle, chosen.target_id, chosen.title)
+        except NoResultError:
+            found = None
+    elif chosen.target_id is not None:
         found = next((t.route for t in targets if t.target_id == chosen.target_id), None)
     elif chosen.branch_id is not None and any(b.id == chosen.branch_id for b in airways.tree.branches):
         found = route_to_branch(airways.tree, chosen.branch_id)

@@ -30,7 +30,7 @@ from carina.track.names.naming import LetterRule, NameWords, branch_side_and_lob
 from carina.track.paths.field import FieldPath, FieldPaths, aimed_path
 from carina.track.paths.live import LivePath
 from carina.track.paths.tracker import PathTracker, TrackedPath
-from carina.track.surface.mesh import Mesh, lumen_mask, lumen_mesh
+from carina.track.surface.mesh import Mesh, lumen_mask, lumen_mesh, mask_mesh
 from carina.track.surface.outline import LumenOutline
 from carina.track.surface.wall import wall_field
 from carina.track.targets.results import TargetResult, TrackResult
@@ -94,6 +94,7 @@ __all__ = [
     "lumen_mask",
     "lumen_mesh",
     "lumen_threshold_from_histogram",
+    "mask_mesh",
     "measure_tree",
     "name_edited",
     "name_tree",

@@ -5,7 +5,7 @@ import { KeyPlayer, keyFramesAround } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
 import { WATCHERS_ACTIONS } from "../input/watchers-actions";
-import { DownloadError, fetchAirways, fetchFlight, fetchKeyFrames } from "../net/download";
+import { DownloadError, fetchAirways, fetchFlight, fetchKeyFrames, fetchPlan, planAddress } from "../net/download";
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
@@ -395,6 +395,25 @@ export class Workstation implements Station {
     this.ui({ selected: branchId });
     this.send({ type: "choose_route", target_id: null, branch_id: branchId });
   };
+  /** A planned route is taken, and its step shows what it means. */
+  takePlannedRoute = (targetId: string, number: number): void => {
+    this.send({ type: "choose_planned_route", target_id: targetId, number });
+    this.ui({ step: "route" });
+  };
+
+  /** The report of a plan in a tab of its own, which opens the browser's print dialogue; its job tells how far it is. */
+  printPlan(targetId: string, kind: "report" | "tracing"): void {
+    window.open(planAddress(targetId, ".html", kind), "_blank", "noopener");
+  }
+
+  /** The report of a plan as a file. */
+  async takePlan(targetId: string, suffix: ".pdf" | ".json"): Promise<void> {
+    if (this.state.ui.making !== null) return;
+    this.ui({ making: `plan${suffix}` });
+    await this.#take(() => fetchPlan(targetId, suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+    this.ui({ making: null });
+  }
+
   chooseTarget = (targetId: string): void =>
     void this.send({ type: "choose_route", target_id: targetId, branch_id: null });
 

@@ -17,6 +17,7 @@ const ROUTE: RouteInfo = {
   lookouts_mm: [30, 50],
   spans: [],
   lumen_known: true,
+  needle: null,
   length_mm: 60,
   drawn_mm: 0,
   bridge_mm: 0,

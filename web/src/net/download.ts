@@ -15,6 +15,21 @@ export function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ nam
   return fetchFile(`airways${suffix}`, signal);
 }
 
+/** Where the report of a target's plan is shown, ready to be printed. */
+export function planAddress(targetId: string, suffix: ".html", kind: "report" | "tracing"): string {
+  const asked = kind === "tracing" ? "?kind=tracing" : "";
+  return `./api/plans/${encodeURIComponent(targetId)}${suffix}${asked}#print`;
+}
+
+/** The plan of a target as a report with this suffix (".pdf"). */
+export function fetchPlan(
+  targetId: string,
+  suffix: string,
+  signal: AbortSignal,
+): Promise<{ name: string; blob: Blob }> {
+  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/");
+}
+
 /** The key frames with their ways, as `carina fly` takes them. */
 export function fetchKeyFrames(signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
   return fetchFile(KEYS_FILE, signal);

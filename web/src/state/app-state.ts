@@ -16,6 +16,7 @@ import {
   type PenMessage,
   type PickedMessage,
   type PictureHeader,
+  type PlansMessage,
   type PoseMessage,
   type ProgressMessage,
   type RouteInfo,
@@ -177,6 +178,8 @@ export interface AppState {
   readonly pen: PenMessage | null;
   /** The key frames, and the flight through them. */
   readonly keyFrames: KeyFramesMessage | null;
+  /** Targets with a size, the routes to them, and what instruments can do there. */
+  readonly plans: PlansMessage | null;
   /** What was recorded into the case. */
   readonly flights: readonly FlightInfo[];
   /** What was done, and how much of it holds. */
@@ -229,6 +232,7 @@ export const INITIAL_STATE: AppState = {
   devices: null,
   pen: null,
   keyFrames: null,
+  plans: null,
   flights: [],
   history: null,
   playing: NOT_PLAYING,
@@ -409,6 +413,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
     }
     case "pen":
       return { ...state, pen: message.device === null ? null : message };
+    case "plans":
+      return { ...state, plans: message };
     case "key_frames":
       return { ...state, keyFrames: message };
     case "flights":
@@ -427,7 +433,16 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keyFrames: null, flights: [], history: null };
+    next = {
+      ...next,
+      ...NOTHING_SHOWN,
+      devices: null,
+      pen: null,
+      keyFrames: null,
+      plans: null,
+      flights: [],
+      history: null,
+    };
     next = { ...next, speedMmS: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = {

@@ -13,6 +13,9 @@ const TARGET: Target = {
   cost: "walls",
   root_lps: [4, 5, 6],
   outside_mm: null,
+  note: "",
+  priority: 1,
+  has_size: false,
   value_range: [116, 140],
 };
 const NOTHING = { targets: [], root_lps: null };

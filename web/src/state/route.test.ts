@@ -29,6 +29,7 @@ const ROUTE: RouteInfo = {
     { branch_id: 2, name: null, generation: 1, from_mm: 30, to_mm: 40, kind: "tracked" },
   ],
   lumen_known: true,
+  needle: null,
   length_mm: 40,
   drawn_mm: 0,
   bridge_mm: 0,

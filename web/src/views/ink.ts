@@ -9,6 +9,9 @@ export const INK = {
   warning: "#f4b44c",
   /** Outline of the lumen: a hue that no plane, lobe or mark has. */
   lumen: "#f08ce0",
+  /** A target with a size, and the needle's way to it. */
+  lesion: "#b79cff",
+  needle: "#ffffff",
   halo: "rgba(8, 10, 12, 0.85)",
   ring: "#2c343a",
   ringTick: "#5b666e",

@@ -2,11 +2,14 @@
 
 import { angleBetween, type RingMark, ringMarks } from "../state/letters";
 import { geometryOf, projectLine, type SeenGeometry } from "../state/projection";
-import { pointsBetween } from "../state/route";
-import { asVec3, distance } from "../state/vec";
+import { pointsBetween, radiusAt } from "../state/route";
+import { numInView } from "../state/section";
+import { asVec3, distance, type Vec3 } from "../state/vec";
+import type { RouteInfo } from "../wire/messages";
 import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import { traceOutline } from "./outline";
 import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
+import { paintLesionsSeen } from "./overlay-lesion";
 import { paintPen } from "./overlay-pen";
 import { paintDrawn, paintTreeAhead } from "./overlay-tree";
 import type { Scene } from "./scene";
@@ -16,6 +19,10 @@ import { paintWallMarks } from "./wall-marks";
 /** The line begins where it no longer covers what the tip touches, and ends before it shines through walls. */
 const LINE_FROM_MM = 6;
 const LINE_TO_MM = 45;
+/** A target behind the wall is shown from this distance on. */
+const TARGET_TO_MM = 80;
+/** Between places of the route that are looked at whether a wall hides them. */
+const LOOK_APART_MM = 1;
 const HOURS = 12;
 /** Room that a letter of the ring needs. */
 const LETTER_PX = 16;
@@ -38,11 +45,10 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
     const { route, pathMm } = scene;
     // What a person drew is dashed already, as a branch.
+    const seenToMm = inViewTo(route, pathMm, geometry.camera.position);
     const ahead = route.spans
       .filter((span) => span.kind === "tracked")
-      .map(
-        (span) => [Math.max(span.from_mm, pathMm + LINE_FROM_MM), Math.min(span.to_mm, pathMm + LINE_TO_MM)] as const,
-      )
+      .map((span) => [Math.max(span.from_mm, pathMm + LINE_FROM_MM), Math.min(span.to_mm, seenToMm)] as const)
       .filter(([from, to]) => to > from)
       .map(([from, to]) => pointsBetween(route, from, to));
     ink.save();
@@ -54,6 +60,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
     ink.restore();
   }
+  paintLesionsSeen(ink, viewport, geometry, scene, TARGET_TO_MM);
   paintDrawn(ink, viewport, geometry, aheadOf(geometry, scene), () => true);
   paintTreeAhead(ink, viewport, geometry, scene);
   paintLivePath(ink, viewport, geometry, withinReach(geometry, scene), () => true);
@@ -68,6 +75,17 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     label(ink, mark.text, at, { size: mark.strength > 0.8 ? 15 : 12, bold: true });
   }
   paintCursorNote(ink, viewport, scene);
+}
+
+/** How far along the route the lens sees before a wall hides the line. */
+function inViewTo(route: RouteInfo, fromMm: number, lens: Vec3): number {
+  const places: number[] = [];
+  for (let mm = fromMm + LINE_FROM_MM; mm <= Math.min(fromMm + LINE_TO_MM, route.length_mm); mm += LOOK_APART_MM)
+    places.push(mm);
+  const points = places.flatMap((mm) => pointsBetween(route, mm, mm).slice(0, 1));
+  const radii = places.map((mm) => radiusAt(route, mm));
+  const count = route.lumen_known ? numInView(lens, points, radii) : places.length;
+  return count === places.length ? fromMm + LINE_TO_MM : (places[count] ?? fromMm);
 }
 
 /** What a person drew that begins near enough to be looked into: the others lie behind walls. */

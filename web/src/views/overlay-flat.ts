@@ -26,6 +26,7 @@ import {
   tipMark,
 } from "./ink";
 import { paintBrush, paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
+import { paintLesionsFlat } from "./overlay-lesion";
 import { paintCentrelines, paintOutline } from "./overlay-outline";
 import { paintPen } from "./overlay-pen";
 import { paintActedOn, paintDrawn, paintTree } from "./overlay-tree";
@@ -56,6 +57,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   }
   paintTree(ink, viewport, geometry, scene, inPlane);
   paintRoute(ink, viewport, geometry, scene, inPlane);
+  paintLesionsFlat(ink, viewport, geometry, scene, seesThrough, inPlane);
   paintActedOn(ink, viewport, geometry, scene, inPlane);
   paintDrawn(ink, viewport, geometry, scene, inPlane);
   paintLivePath(ink, viewport, geometry, scene, inPlane);
@@ -71,7 +73,8 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     const near = inPlane(seen.depthMm);
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
-    targetMark(ink, at, colour, near ? 1 : 0.35);
+    // What has a size is drawn as what it is, where it is cut.
+    if (!target.hasSize || !near || seesThrough) targetMark(ink, at, colour, near ? 1 : 0.35);
     if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
   }
   paintWallMarks(ink, viewport, geometry, scene, inPlane);

@@ -20,6 +20,7 @@ import {
 } from "./ink";
 import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
+import { paintLesionsOutside } from "./overlay-lesion";
 import { paintLobes, paintNames } from "./overlay-names";
 import { paintPen } from "./overlay-pen";
 import { paintActedOn, paintDrawn, paintTree } from "./overlay-tree";
@@ -48,6 +49,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
       line(ink, points, INK.accent, 2);
     }
   }
+  paintLesionsOutside(ink, viewport, geometry, scene);
   paintActedOn(ink, viewport, geometry, scene, () => true);
   paintDrawn(ink, viewport, geometry, scene, () => true);
   paintLivePath(ink, viewport, geometry, scene, () => true);
@@ -62,7 +64,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
     if (seen === null) continue;
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
-    targetMark(ink, at, colour, 1);
+    if (!target.hasSize) targetMark(ink, at, colour, 1);
     names.name(ink, target.name, at, colour, viewport.size);
   }
   paintWallMarks(ink, viewport, geometry, scene, () => true);

@@ -10,11 +10,12 @@ import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path
 import { startOf } from "../state/path-search";
 import { marksByPen } from "../state/pen";
 import { pointsBetween } from "../state/route";
+import type { Surface } from "../state/section";
 import { type Armed, isBrush, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { Carm, EditLine, RouteInfo, Slab, Uncertainty } from "../wire/messages";
+import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, Uncertainty } from "../wire/messages";
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
@@ -22,6 +23,15 @@ export interface SceneTarget {
   lps: Vec3;
   name: string;
   reachable: boolean;
+  chosen: boolean;
+  hasSize: boolean;
+}
+
+/** A target with a size. */
+export interface SceneLesion {
+  name: string;
+  centre: Vec3;
+  surface: Surface;
   chosen: boolean;
 }
 
@@ -40,6 +50,9 @@ export interface Scene {
   tree: BranchTree | null;
   pathMm: number | null;
   targets: readonly SceneTarget[];
+  lesions: readonly SceneLesion[];
+  /** The last leg of the route, from the scope's tip into the target, and how far the tip has still to go there. */
+  needle: { tip: Vec3; aim: Vec3; toGoMm: number | null } | null;
   root: Vec3 | null;
   /** Where a path begins that is searched through any scan, while such paths are chosen. */
   start: Vec3 | null;
@@ -79,6 +92,41 @@ export interface Scene {
   note: { lines: readonly string[]; warns: boolean } | null;
   brush: { radiusMm: number; erase: boolean } | null;
   stroke: readonly Vec3[];
+}
+
+let surfacesOf: PlansMessage | null = null;
+let surfaces: ReadonlyMap<string, Omit<SceneLesion, "name" | "chosen">> = new Map();
+
+function lesionsOf(state: AppState): SceneLesion[] {
+  if (state.plans !== surfacesOf) {
+    surfacesOf = state.plans;
+    surfaces = new Map(
+      (state.plans?.targets ?? []).map((target) => [
+        target.target_id,
+        {
+          centre: asVec3(target.centre_lps),
+          surface: { vertices: target.surface.vertices_lps.map(asVec3), triangles: target.surface.triangles },
+        },
+      ]),
+    );
+  }
+  return (state.session?.targets ?? []).flatMap((target) => {
+    const known = surfaces.get(target.target_id);
+    return known === undefined
+      ? []
+      : [{ ...known, name: target.name, chosen: target.target_id === state.route?.target_id }];
+  });
+}
+
+function needleOf(state: AppState): Scene["needle"] {
+  const needle = state.route?.needle ?? null;
+  if (needle === null || state.route === null) return null;
+  const at = pathMm(state);
+  return {
+    tip: asVec3(needle.ends_lps[0]),
+    aim: asVec3(needle.ends_lps[1]),
+    toGoMm: at === null ? null : state.route.length_mm - at,
+  };
 }
 
 let partsOf: BranchTree | null = null;
@@ -232,6 +280,8 @@ const MADE = [
   "tip",
   "crosshair",
   "targets",
+  "lesions",
+  "needle",
   "root",
   "start",
   "hovered",
@@ -285,7 +335,10 @@ function madeOf(state: AppState): Scene {
         name: target.name,
         reachable: target.problem === null,
         chosen: target.target_id === state.route?.target_id,
+        hasSize: target.has_size,
       })) ?? [],
+    lesions: lesionsOf(state),
+    needle: needleOf(state),
     root: state.session?.root_lps == null ? null : asVec3(state.session.root_lps),
     start: state.ui.pathCost === "lumen" ? null : startOf(state.ui, state.session),
     airwayShape: shapeOf(state.look.outline),

@@ -558,6 +558,33 @@ export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
+/** Plan the way to a target anew. */
+export interface SetPlanOptionsMessage {
+  readonly type: "set_plan_options";
+  readonly scope?: string;
+  readonly tool?: string;
+  readonly vessel_margin_mm?: number;
+  readonly moved_mm?: number | null;
+  readonly entry_mm?: number | null;
+  readonly target_id: string;
+}
+
+/** Name a target, and say something about it. */
+export interface DescribeTargetMessage {
+  readonly type: "describe_target";
+  readonly target_id: string;
+  readonly called: string;
+  readonly remark?: string;
+  readonly rank?: number;
+}
+
+/** Take one of the routes that were planned to a target: the flight leads to where the scope stands there. */
+export interface ChoosePlannedRouteMessage {
+  readonly type: "choose_planned_route";
+  readonly target_id: string;
+  readonly number?: number;
+}
+
 /** First message of a client. */
 export interface ClientHelloMessage {
   readonly type: "hello";
@@ -1001,6 +1028,9 @@ export interface Target {
   readonly problem: string | null;
   readonly outside_mm: number | null;
   readonly value_range: readonly [number, number] | null;
+  readonly note: string;
+  readonly priority: number;
+  readonly has_size: boolean;
   readonly cost: "lumen" | "paper" | "walls";
   readonly root_lps: readonly [number, number, number] | null;
 }
@@ -1088,6 +1118,12 @@ export interface RouteSpan {
   readonly kind: "bridge" | "manual" | "tracked";
 }
 
+/** The last leg of a planned route: straight from the scope's tip into the target. */
+export interface NeedleLine {
+  readonly ends_lps: readonly [readonly [number, number, number], readonly [number, number, number]];
+  readonly to_target_mm: number;
+}
+
 /** The way that is flown; lists are parallel, root to tip. */
 export interface RouteInfo {
   readonly length_mm: number;
@@ -1106,6 +1142,7 @@ export interface RouteInfo {
   readonly lookouts_mm: readonly number[];
   readonly spans: readonly RouteSpan[];
   readonly lumen_known: boolean;
+  readonly needle: NeedleLine | null;
 }
 
 /** The route, when it changed. */
@@ -1320,6 +1357,91 @@ export interface KeyFramesMessage {
   readonly frames: readonly ShownKeyFrame[];
   readonly duration_s: number;
   readonly problem: string | null;
+}
+
+/** The boundary of a target, for drawing. */
+export interface TargetSurface {
+  readonly vertices_lps: readonly (readonly [number, number, number])[];
+  readonly triangles: readonly number[];
+}
+
+/** With what a target is to be reached, and what counts against a route. */
+export interface PlanOptions {
+  readonly scope: string;
+  readonly tool: string;
+  readonly vessel_margin_mm: number;
+  readonly moved_mm: number | null;
+  readonly entry_mm: number | null;
+}
+
+/** A stretch of one tissue on a needle's way, from the scope's tip. */
+export interface NeedleTissue {
+  readonly tissue: string;
+  readonly ends_mm: readonly [number, number];
+}
+
+/** A planned route. */
+export interface RouteOffer {
+  readonly branch_id: number;
+  readonly branch_name: string;
+  readonly from_carina_mm: number | null;
+  readonly narrowest_mm: number;
+  readonly outlook: string;
+  readonly limits: readonly string[];
+  readonly needle: NeedleLine;
+  readonly angle_deg: number;
+  readonly in_target_mm: number;
+  readonly vessel_mm: number | null;
+  readonly hit_share: number;
+  readonly hit_share_moved: number | null;
+  readonly crossed: readonly NeedleTissue[];
+  readonly score: number;
+  readonly doubts: readonly string[];
+}
+
+/** A target with a size, and the routes to it. */
+export interface TargetPlan {
+  readonly target_id: string;
+  readonly centre_lps: readonly [number, number, number];
+  readonly size: string;
+  readonly where: string | null;
+  readonly surface: TargetSurface;
+  readonly options: PlanOptions;
+  readonly moved_mm: number | null;
+  readonly bronchus_sign: string | null;
+  readonly routes: readonly RouteOffer[];
+  readonly problem: string | null;
+  readonly notes: readonly string[];
+  readonly chosen: number | null;
+}
+
+/** One thing that an instrument must be able to do. */
+export interface ScopeCheck {
+  readonly name: string;
+  readonly answer: "no" | "perhaps" | "unknown" | "yes";
+  readonly words: string;
+  readonly basis: string;
+}
+
+/** What one instrument can do on the route that is chosen. */
+export interface ScopeVerdict {
+  readonly scope: string;
+  readonly title: string;
+  readonly outcome: string;
+  readonly words: string;
+  readonly share: number | null;
+  readonly would: string | null;
+  readonly checks: readonly ScopeCheck[];
+}
+
+/** The plans, when they changed. */
+export interface PlansMessage {
+  readonly type: "plans";
+  readonly targets: readonly TargetPlan[];
+  readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly verdicts: readonly ScopeVerdict[];
+  readonly verdicts_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly tools: readonly (readonly [string, string])[];
 }
 
 /** A branch of a `carina-tree` document. */
@@ -1657,6 +1779,9 @@ export type ClientMessage =
   | SetMethodMessage
   | AnswerMaskMessage
   | DismissMaskMessage
+  | SetPlanOptionsMessage
+  | DescribeTargetMessage
+  | ChoosePlannedRouteMessage
   | ClientHelloMessage
   | OpenUploadMessage
   | ImportMaskMessage
@@ -1705,6 +1830,7 @@ export type ServerMessage =
   | EditPreviewMessage
   | NoEvidenceMessage
   | KeyFramesMessage
+  | PlansMessage
   | TreeMessage
   | LivePathMessage
   | BranchDetailMessage;

@@ -15,7 +15,7 @@ from carina.track.levels import air_scale
 from carina.track.stages import Cancel, Progress
 from carina.volume.model import Volume
 
-__all__ = ["Mesh", "lumen_mask", "lumen_mesh"]
+__all__ = ["Mesh", "lumen_mask", "lumen_mesh", "mask_mesh"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +91,32 @@ def lumen_mesh(
         cancel=cancel,
         progress=share,
     )
+    return Mesh(vertices, triangles)
+
+
+def mask_mesh(inside_zyx: NDArray[np.bool_], lps_from_ijk: NDArray[np.float64]) -> Mesh:
+    """The surface of a small mask, half-way between its voxels and their neighbours.
+
+    Parameters
+    ----------
+    inside_zyx
+        (nz, ny, nx), true inside; what reaches the faces of the box is closed there.
+    lps_from_ijk
+        (4, 4) of that box.
+
+    Raises
+    ------
+    NoResultError
+        If the mask is empty.
+
+    References
+    ----------
+    Lorensen and Cline 1987 (marching cubes).
+    """
+    lumen = np.pad(np.asarray(inside_zyx, dtype=np.uint8), 1)
+    padded = np.array(lps_from_ijk, dtype=np.float64)
+    padded[:3, 3] -= padded[:3, :3].sum(axis=1)
+    vertices, triangles = _core.lumen_mesh(np.zeros(lumen.shape, np.int16), padded, lumen, levels=None)
     return Mesh(vertices, triangles)
 
 

@@ -1,9 +1,12 @@
 import { routeDoubts } from "../../state/branch-words";
 import { mm } from "../../state/format";
+import { planOf } from "../../state/plan";
 import { narrowest } from "../../state/route";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
+import { LesionCard } from "./LesionCard";
+import { PlannedRoutes } from "./PlannedRoutes";
 import { TargetRow } from "./TargetStep";
 
 export function RouteStep() {
@@ -13,16 +16,21 @@ export function RouteStep() {
   const doubts = route === null ? null : routeDoubts(route.spans);
   const known = route?.lumen_known ?? false;
   const narrow = route === null || !known ? null : narrowest(route);
+  const plan = useApp((state) => planOf(state.plans, state.route?.target_id ?? null));
+  const planned = targets?.find((target) => target.target_id === plan?.target_id) ?? null;
   const generation = known ? (route?.spans.at(-1)?.generation ?? null) : null;
   return (
     <>
+      {planned !== null && plan !== null ? <PlannedRoutes target={planned} plan={plan} /> : null}
       {route === null ? (
         <p className="empty">No route yet. Choose a branch in the list above, or a target below.</p>
       ) : (
         <>
-          <p>
-            To <strong>{route.title}</strong>
-          </p>
+          {planned === null ? (
+            <p>
+              To <strong>{route.title}</strong>
+            </p>
+          ) : null}
           {doubts === null ? null : (
             <p className="warning-text" data-testid="route-doubts">
               <Icon name="warning" /> {doubts}
@@ -50,7 +58,7 @@ export function RouteStep() {
                 <dd className="numbers">{generation} (trachea is 0)</dd>
               </div>
             )}
-            {narrow === null ? null : (
+            {narrow === null || planned !== null ? null : (
               <div>
                 <dt>Narrowest</dt>
                 <dd className="numbers">
@@ -62,7 +70,7 @@ export function RouteStep() {
         </>
       )}
       <Act
-        kind="primary"
+        kind={planned === null ? "primary" : "plain"}
         icon="play"
         label="Fly from the start"
         words="Go to the start of this route"
@@ -74,9 +82,13 @@ export function RouteStep() {
       />
       {targets === null || targets.length === 0 ? null : (
         <ul className="targets">
-          {targets.map((target) => (
-            <TargetRow key={target.target_id} target={target} />
-          ))}
+          {targets.map((target) =>
+            target.has_size ? (
+              <LesionCard key={target.target_id} target={target} />
+            ) : (
+              <TargetRow key={target.target_id} target={target} />
+            ),
+          )}
         </ul>
       )}
     </>

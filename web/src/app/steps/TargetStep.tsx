@@ -9,6 +9,7 @@ import { useApp, useStation } from "../context";
 import { Act, Choice, SwitchKey } from "../controls";
 import { Icon } from "../icons";
 import { PenWords } from "../ToolTag";
+import { LesionCard } from "./LesionCard";
 
 export function TargetStep() {
   const station = useStation();
@@ -21,7 +22,7 @@ export function TargetStep() {
         kind="primary"
         icon="target"
         label={armed ? "Click in a view\u2026" : "Mark a target"}
-        words={armed ? "Stop marking" : "Click in any view to mark a target. A line shows the path to it."}
+        words={armed ? "Stop marking" : "Click a nodule, or a place in the airways, in any view."}
         keys={keyOf("arm_target")}
         testId="arm-target"
         onPress={() => station.act("arm_target")}
@@ -32,9 +33,13 @@ export function TargetStep() {
         <p className="empty">Targets appear here, each with its path, or why no path leads there.</p>
       ) : (
         <ul className="targets">
-          {targets.map((target) => (
-            <TargetRow key={target.target_id} target={target} />
-          ))}
+          {targets.map((target) =>
+            target.has_size ? (
+              <LesionCard key={target.target_id} target={target} />
+            ) : (
+              <TargetRow key={target.target_id} target={target} />
+            ),
+          )}
         </ul>
       )}
     </>

@@ -1,0 +1,240 @@
+"""Planned routes flown in the truth: chests with random nodules whose airways are known and are found anew.
+
+``python -m carina_bench.plan_truth FOLDER`` keeps in FOLDER what is slow, the CTs with the airways found in them, so
+that a second run plans alone.
+
+A target is *reachable* if some point of the true centrelines suffices: the scope fits all the way there (true diameter
+at least ``fit_mm``), and the needle, aimed at the nodule's true middle at no more than 100 degrees from the airway,
+meets its true edge within its reach; and the way there bends no more than the scope. The first route *arrives* if in
+the truth the scope fits all the way to where it is parked, all of the found way lies in true lumen (within half a
+voxel), along the true branches that lead there and none that was drawn by hand, and the needle, aimed as planned, meets
+the true nodule within its reach. A route is *told reachable* if its outlook says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.config import load_settings
+from carina.errors import CarinaError
+from carina.plan import Plan, grow_nodule, plan_route
+from carina.plan.routes import MOST_ANGLE_DEG, PlannedRoute
+from carina.scopes import ScopePreset, scope_preset
+from carina.track import AirwayTree
+from carina_bench.plan_cases import PlanCase, Target, TrueTree, found_case, patient_cases, phantom_case
+
+__all__ = ["Flight", "flown", "is_reachable", "run"]
+
+Say = Callable[[str], None]
+Row = dict[str, Any]
+Floats = NDArray[np.float64]
+
+SCOPE, TOOL = "ultrathin", "needle-21g"
+PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
+CONDITION = "medium-25"
+NUM_PER_PATIENT, NUM_PER_PHANTOM = 36, 6
+PHANTOM_SEEDS = range(1, 21)
+LEAST_ARRIVE, MOST_WRONG = 0.94, 0.01
+EDGE_MM = 0.05
+"""Steps along the needle."""
+AT_ALL_MM = 3.0
+"""A true branch shorter than this may be passed without its centreline being met."""
+PASSED = 0.6
+"""Of a true branch's length that the found way must follow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """A first route in the truth."""
+
+    arrives: bool
+    why: str
+    """What went wrong; empty where it arrives."""
+
+
+def is_reachable(truth: TrueTree, target: Target, scope: ScopePreset, reach_mm: float) -> bool:
+    """By an exhaustive search over the true centrelines."""
+    off = np.array(target.centre_lps) - truth.points
+    distance = np.linalg.norm(off, axis=1)
+    cosine = (off * truth.forward).sum(axis=1) / np.maximum(distance, 1e-9)
+    may = truth.narrowest_mm >= scope.fit_mm
+    may &= distance - target.radius_mm <= reach_mm
+    may &= (np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) <= MOST_ANGLE_DEG) | (distance <= target.radius_mm)
+    return bool(may.any())
+
+
+def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePreset, reach_mm: float) -> Flight:
+    """Whether a route arrives in the truth."""
+    assert case.airways is not None
+    truth, tree = case.truth, case.airways.tree
+    way = _way(tree, route)
+    tip = np.array(route.leg.tip_lps)
+    slack_mm = 0.5 * max(case.volume.spacing_mm)
+    outside = np.array([float((np.linalg.norm(truth.points - p, axis=1) - truth.radius_mm).min()) for p in way])
+    # The trachea is no circle.
+    in_trachea = np.arange(len(way)) < len(tree.root.points)
+    if any(branch.kind == "manual" for branch in tree.lineage(route.branch_id)):
+        return Flight(False, "drawn by hand")
+    if outside[-1] > slack_mm:
+        return Flight(False, f"parked {outside[-1]:.1f} mm outside the true lumen")
+    if (outside > slack_mm)[~in_trachea].any():
+        return Flight(False, f"the way leaves the true lumen by {outside[~in_trachea].max():.1f} mm")
+    at = _true_place(truth, way)
+    strayed = _strayed(truth, way, at)
+    if strayed is not None:
+        return Flight(False, strayed)
+    if truth.narrowest_mm[at] < scope.fit_mm:
+        return Flight(False, f"truly {truth.narrowest_mm[at]:.2f} mm wide, told {route.narrowest_mm:.2f}")
+    along = np.array(route.leg.aim_lps) - tip
+    along /= max(float(np.linalg.norm(along)), 1e-9)
+    line = tip + np.arange(0.0, reach_mm + 1e-9, EDGE_MM)[:, None] * along
+    off = np.linalg.norm(line - np.array(target.centre_lps), axis=1) - target.radius_mm
+    if off.min() > 0.0:
+        return Flight(False, f"the needle ends {off.min():.2f} mm short of the target or beside it")
+    return Flight(True, "")
+
+
+def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
+    points = np.concatenate([branch.points for branch in tree.lineage(route.branch_id)])
+    last = int(np.argmin(np.linalg.norm(points - np.array(route.leg.tip_lps), axis=1)))
+    return points[: last + 1]
+
+
+def _true_place(truth: TrueTree, way: Floats) -> int:
+    """The true centreline's point at which the way ends: the nearest by its own radius, of the last branch it is in."""
+    inside = np.linalg.norm(truth.points - way[-1], axis=1) - truth.radius_mm
+    near = np.flatnonzero(inside <= inside.min() + 0.3)
+    return int(near[np.argmin(np.linalg.norm(truth.points[near] - way[-1], axis=1))])
+
+
+def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
+    """Where the way does not follow the true branches that lead to its end; None where it does."""
+    own = int(truth.branch[at])
+    for branch in truth.lineage(own)[1:]:
+        part = truth.branch == branch
+        if branch == own:
+            part &= np.arange(len(part)) <= at
+        points, radius = truth.points[part], truth.radius_mm[part]
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        if length < AT_ALL_MM:
+            continue
+        gap = np.array([float(np.linalg.norm(way - p, axis=1).min()) for p in points])
+        if float((gap <= radius + 0.5).mean()) < PASSED:
+            return f"the true way leads over branch {branch}, the found one does not"
+    return None
+
+
+def judged(case: PlanCase, say: Say) -> Iterator[Row]:
+    """A row for each target: whether it is reachable, what was told of it, and how the first route went."""
+    scope = scope_preset(SCOPE)
+    assert case.airways is not None
+    for number, target in enumerate(case.targets):
+        row: Row = {"case": case.name, "target": number, "radius_mm": round(target.radius_mm, 1)}
+        try:
+            nodule = grow_nodule(case.volume, target.centre_lps)
+            start = time.perf_counter()
+            plan = plan_route(case.volume, case.airways, nodule, scope=scope, tool=TOOL, wall=case.wall)
+            row["seconds"] = round(time.perf_counter() - start, 2)
+        except CarinaError as error:
+            row |= {"reachable": is_reachable(case.truth, target, scope, 15.0), "told": "refused", "arrives": False}
+            row["why"] = str(error)[:100]
+            yield row
+            continue
+        reach_mm = plan.tool.reach_mm
+        row["reachable"] = is_reachable(case.truth, target, scope, reach_mm)
+        row |= _told(plan)
+        flight = Flight(False, plan.why or "")
+        if plan.routes:
+            flight = flown(case, target, plan.routes[0], scope, reach_mm)
+        row |= {"arrives": flight.arrives, "why": flight.why}
+        if (row["reachable"] and not flight.arrives) or (row["told"] == "reaches" and not flight.arrives):
+            say(json.dumps(row))
+        yield row
+
+
+def _told(plan: Plan) -> Row:
+    if not plan.routes:
+        return {"told": "no route"}
+    first = plan.routes[0]
+    return {
+        "told": first.outlook,
+        "branch": first.branch_name,
+        "score": round(first.score, 3),
+        "narrowest_mm": round(first.narrowest_mm, 2),
+        "leg_mm": round(first.leg.to_target_mm, 1),
+        "num_routes": len(plan.routes),
+    }
+
+
+def summary(rows: Sequence[Row], what: str) -> list[Row]:
+    """The figures that are asked for."""
+    reachable = [row for row in rows if row["reachable"]]
+    told = [row for row in rows if row["told"] == "reaches"]
+    wrong = [row for row in told if not row["arrives"]]
+    silent = [row for row in reachable if not row["arrives"] and row["told"] == "reaches"]
+    return [
+        {
+            "what": "reachable targets whose first route arrives in the truth",
+            "case": f"{what}, {len(reachable)} of {len(rows)} targets",
+            "figure": float(np.mean([row["arrives"] for row in reachable])) if reachable else None,
+            "limit": LEAST_ARRIVE,
+            "better": "higher",
+        },
+        {
+            "what": "targets told reachable by a first route that does not arrive",
+            "case": f"{what}, {len(told)} told reachable",
+            "figure": len(wrong) / max(len(rows), 1),
+            "of_told": len(wrong) / max(len(told), 1),
+            "of_reachable": len(silent),
+            "limit": MOST_WRONG,
+            "better": "lower",
+        },
+    ]
+
+
+def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
+    """Rows of painted patients, of phantoms, and of both."""
+    data = load_settings().data_dir
+    patients: list[Row] = []
+    if data is not None:
+        wanted = list(PATIENTS[:1] if quick else PATIENTS)
+        for name, make in patient_cases(data, wanted, CONDITION, NUM_PER_PATIENT, say):
+            patients += judged(found_case(folder, name, make, say), say)
+    phantoms: list[Row] = []
+    for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
+        make = partial(phantom_case, seed, num=NUM_PER_PHANTOM)
+        case = found_case(folder, f"phantom-{seed}", make, say)
+        phantoms += judged(case, say)
+    if folder is not None:
+        (folder / "rows.json").write_text(json.dumps([*patients, *phantoms], indent=0))
+    rows = []
+    for what, part in (("painted", patients), ("phantoms", phantoms), ("all", [*patients, *phantoms])):
+        if part:
+            say(f"{what}: told {dict(Counter(row['told'] for row in part))}")
+            rows += summary(part, what)
+    return rows
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="Where the CTs with their airways are kept.")
+    parser.add_argument("--quick", action="store_true", help="One patient and two phantoms.")
+    options = parser.parse_args()
+    for row in run(options.quick, print, options.folder):
+        print(f"{row['what']} ({row['case']}): {row['figure']:.4f}, limit {row['limit']:g}", row.get("of_told", ""))
+
+
+if __name__ == "__main__":
+    main()

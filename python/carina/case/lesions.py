@@ -1,0 +1,41 @@
+"""A target with a size as a case file holds it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from carina.case.document import Lesion
+from carina.case.trouble import damaged
+from carina.commands.plan import PlanOptions
+from carina.errors import CarinaError
+from carina.plan import PlanTarget
+
+__all__ = ["LesionFacts", "lesion_facts", "made_lesion"]
+
+
+class LesionFacts(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The target as :meth:`carina.plan.PlanTarget.to_record`, and how the way to it is planned."""
+
+    record: dict[str, Any]
+    options: PlanOptions = PlanOptions()
+
+
+def lesion_facts(lesion: Lesion) -> LesionFacts:
+    """What is written."""
+    return LesionFacts(lesion.target.to_record(), lesion.options)
+
+
+def made_lesion(facts: LesionFacts) -> Lesion:
+    """What was written.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    try:
+        return Lesion(PlanTarget.from_record(facts.record), facts.options)
+    except CarinaError as trouble:
+        raise damaged("the boundary of a target", "its record", str(trouble)[:200]) from None

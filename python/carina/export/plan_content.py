@@ -1,0 +1,215 @@
+"""What every file of a plan holds: targets by name, the way of the scope to where it stands, the needle, and the words.
+
+All in LPS, mm. What is not known of a plan is said in its words, never left to a reader to guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.errors import UsageError, check_type
+from carina.plan import Plan, PlannedRoute
+from carina.track import AirwayTree
+
+__all__ = [
+    "NOT_A_DEVICE",
+    "ONE_TARGET",
+    "DrawnRoute",
+    "DrawnTarget",
+    "drawn_plans",
+    "named_plans",
+]
+
+Points = NDArray[np.float64]
+
+ONE_TARGET = "Target"
+"""What a target is called that nobody gave a name."""
+NOT_A_DEVICE = "Not a medical device."
+CORNER_MM = 0.7
+VESSEL_MM = 0.25
+"""A vessel nearer to the needle than half a voxel is met."""
+OFF_ROUTE_MM = 3.0
+"""A tip lies on the tree's own centreline, and smoothing moves a route by less than this."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnRoute:
+    """One route of a plan as lines and words."""
+
+    title: str
+    """Route 1: RB4a"""
+    route: PlannedRoute
+    way_lps: Points
+    """(n, 3) from the tree's beginning along the airways to the scope's tip, about 1 mm apart."""
+    words: str
+    """What must be known of it, in sentences: doubts come first."""
+
+    @property
+    def number_words(self) -> str:
+        """Route 1"""
+        return self.title.partition(":")[0]
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Some of the way was drawn by hand, is a bridge, or may be no airway."""
+        return bool(self.route.doubts)
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnTarget:
+    """One target with its routes, the best first."""
+
+    name: str
+    plan: Plan
+    routes: tuple[DrawnRoute, ...]
+    words: str
+    """Size with errors, what it was cut from, how far it may move, and why there is no route where there is none."""
+
+
+def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
+    """Plans by the names of their targets; one alone is called "Target".
+
+    Raises
+    ------
+    UsageError
+        If there is none, a name is empty, or something is no plan.
+    """
+    found = {ONE_TARGET: plan} if isinstance(plan, Plan) else plan
+    check_type("exporting a plan", "plan", found, Mapping, "get it from carina.plan_route")
+    if not found:
+        raise UsageError("exporting a plan: there is no target; plan a route first", code="plan.no-target")
+    for name, one in found.items():
+        check_type("exporting a plan", f"the plan of {name!r}", one, Plan, "get it from carina.plan_route")
+        if not isinstance(name, str) or not name.strip() or not name.isprintable():
+            raise UsageError(
+                f"exporting a plan: expected a name of one line for each target; found {name!r}", code="plan.name"
+            )
+    return dict(found)
+
+
+def drawn_plans(plan: Plan | Mapping[str, Plan], tree: AirwayTree) -> tuple[DrawnTarget, ...]:
+    """Plans as lines and words.
+
+    Raises
+    ------
+    UsageError
+        If there is no plan, or one was made on another tree (``plan.other-tree``).
+    """
+    check_type("exporting a plan", "tree", tree, AirwayTree, "get it from carina.find_airways")
+    found = named_plans(plan)
+    return tuple(
+        DrawnTarget(
+            name,
+            one,
+            tuple(_drawn(route, number, one, tree) for number, route in enumerate(one.routes, 1)),
+            _target_words(one),
+        )
+        for name, one in found.items()
+    )
+
+
+def _drawn(route: PlannedRoute, number: int, plan: Plan, tree: AirwayTree) -> DrawnRoute:
+    return DrawnRoute(
+        f"Route {number}: {route.branch_name}", route, _way(tree, route, number), _route_words(route, plan)
+    )
+
+
+def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
+    """Along the smooth route, and at its end exactly where the tip stands."""
+    tip = np.array(route.leg.tip_lps)
+    if all(branch.id != route.branch_id for branch in tree.branches):
+        raise _other_tree(f"route {number} ends in branch {route.branch_id}, which this tree does not have")
+    whole = tree.route_to(route.branch_id).points_lps
+    off_mm = np.linalg.norm(whole - tip, axis=1)
+    nearest = int(np.argmin(off_mm))
+    gap_mm = _to_line_mm(whole, tip)
+    if gap_mm > OFF_ROUTE_MM:
+        raise _other_tree(f"the scope tip of route {number} lies {gap_mm:.1f} mm from this tree's branch")
+    # The point before the tip, so that the line does not turn back.
+    if 0 < nearest < len(whole) and _is_past(whole, nearest, tip):
+        nearest -= 1
+    before = whole[: nearest + 1]
+    # The tip lies beside the smooth line: a point next to it would make a corner there.
+    while len(before) > 1 and float(np.linalg.norm(before[-1] - tip)) < CORNER_MM:
+        before = before[:-1]
+    return np.concatenate([before, tip[None]])
+
+
+def _to_line_mm(points: Points, place: Points) -> float:
+    """How far a place lies from a line of points."""
+    if len(points) < 2:
+        return float(np.linalg.norm(points[0] - place))
+    steps = np.diff(points, axis=0)
+    squares = np.maximum((steps**2).sum(axis=1), 1e-12)
+    share = np.clip(((place - points[:-1]) * steps).sum(axis=1) / squares, 0.0, 1.0)
+    return float(np.linalg.norm(points[:-1] + share[:, None] * steps - place, axis=1).min())
+
+
+def _is_past(points: Points, n: int, tip: Points) -> bool:
+    """Whether a point of the way lies farther along it than the tip."""
+    return float((points[n] - tip) @ (points[n] - points[n - 1])) > 0.0
+
+
+def _other_tree(problem: str) -> UsageError:
+    return UsageError(
+        f"exporting a plan: {problem}; expected the airway tree that the plan was made on: export with that tree, or "
+        "plan again",
+        code="plan.other-tree",
+    )
+
+
+def _target_words(plan: Plan) -> str:
+    nodule = plan.nodule
+    ml = nodule.volume_error_mm3 / 1000.0
+    said = [f"{nodule.words} (90 % within {nodule.diameter_error_mm:.1f} mm and {ml:.2f} ml)"]
+    if nodule.touches:
+        said.append(f"touches: {', '.join(nodule.touches)}")
+    if plan.sign_branch is None:
+        said.append("no bronchus sign")
+    else:
+        where = {"into": "leads into it", "beside": "lies against it"}.get(plan.bronchus_sign, plan.bronchus_sign)
+        said.append(f"bronchus sign: {plan.sign_branch} {where}")
+    if plan.why is not None:
+        said.append(plan.why)
+    said += [
+        f"CT at inspiration: in the procedure the target may lie up to {plan.moved_mm:.0f} mm off",
+        *plan.notes,
+    ]
+    return _sentences(said)
+
+
+def _route_words(route: PlannedRoute, plan: Plan) -> str:
+    leg = route.leg
+    said = [f"DOUBTFUL: {doubt}" for doubt in route.doubts]
+    if route.from_carina_mm is not None:
+        said.append(f"scope tip {route.from_carina_mm:.0f} mm beyond the main carina")
+    said.append(f"narrowest place on the way {route.narrowest_mm:.1f} mm")
+    if not route.fits:
+        said.append(f"too narrow for {plan.scope.title}, which needs {plan.scope.fit_mm:.1f} mm")
+    said.append(
+        f"{plan.tool.title}: {leg.to_target_mm:.1f} mm from the tip to the target, {leg.angle_deg:.0f} degrees to the "
+        f"airway, {leg.in_target_mm:.1f} mm in the target"
+    )
+    if leg.vessel_mm is None:
+        said.append("no vessel seen near the needle")
+    elif leg.vessel_mm < VESSEL_MM:
+        said.append("the needle crosses a vessel that the CT shows")
+    else:
+        said.append(f"nearest vessel seen {leg.vessel_mm:.1f} mm from the needle")
+    hits = f"expected hits {100 * leg.hit_share:.0f} %"
+    if leg.hit_share_moved is not None:
+        hits += f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
+    said.append(hits)
+    return _sentences(said)
+
+
+def _sentences(said: list[str]) -> str:
+    parts = [" ".join(one.split()).rstrip(".") for one in [*said, NOT_A_DEVICE]]
+    return ". ".join(one[:1].upper() + one[1:] for one in parts) + "."

@@ -1,0 +1,331 @@
+"""What DICOM files of a plan share: the CT that they refer to, whose they are, and how they are written.
+
+Only files of this folder whose names begin with ``plan_dicom`` load pydicom.
+
+References
+----------
+DICOM PS3.3 C.7.1.1 (patient), C.7.2.1 (study), C.7.5.1 (equipment), C.12.1 (SOP common); PS3.15 E (de-identification).
+"""
+
+from __future__ import annotations
+
+import datetime
+import io
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.multival import MultiValue
+from pydicom.uid import ExplicitVRLittleEndian, generate_uid
+from pydicom.valuerep import DSfloat
+
+from carina.errors import UsageError, VolumeImportError, check_type
+from carina.export.plan_content import ONE_TARGET
+from carina.plan import Nodule
+from carina.version import VERSION
+from carina.volume import Volume, same_geometry
+from carina.volume.dicom import FoundSeries, choose_series
+from carina.volume.dicom_checks import Clipping
+from carina.volume.dicom_headers import IDENTITY, SliceHeader, read_dataset
+from carina.volume.dicom_pixels import decode_slice
+from carina.volume.digest import Geometry
+from carina.volume.opening import find_in, guarded, place_name
+from carina.volume.watch import Watch
+
+__all__ = [
+    "CtImages",
+    "Identity",
+    "check_text",
+    "code_item",
+    "ct_images",
+    "decimals",
+    "named_nodules",
+    "new_object",
+    "packed",
+]
+
+Identity = Literal["from the CT", "none"]
+"""Whose a file is: name, number, birth date and study as the CT says, or nothing of it."""
+
+_WHOSE: Final = (
+    *("PatientName", "PatientID", "IssuerOfPatientID", "PatientBirthDate", "PatientSex"),
+    # Of a CT that is without an identity already.
+    *("PatientIdentityRemoved", "DeidentificationMethod"),
+    *("StudyDate", "StudyTime", "StudyID", "StudyDescription", "AccessionNumber", "ReferringPhysicianName"),
+)
+# Of these a standard object needs the element, though it may be empty (type 2).
+_NEVER_LEFT_OUT: Final = (
+    *("PatientName", "PatientID", "PatientBirthDate", "PatientSex"),
+    *("StudyDate", "StudyTime", "StudyID", "AccessionNumber", "ReferringPhysicianName"),
+)
+_FRAME_OF_REFERENCE = list(IDENTITY).index("FrameOfReferenceUID")
+_LOOKED_AT = 5
+"""Slices whose pixels tell one reconstruction from another of the same geometry."""
+_MOST_CHARS = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CtImages:
+    """The images that a CT's slices came from, in the volume's order. Never printed: it holds UIDs and a name."""
+
+    slices: tuple[SliceHeader, ...]
+    first: Dataset
+    """All of the first slice's file but nothing else; for whose it is."""
+
+    def __repr__(self) -> str:
+        return f"CtImages({len(self.slices)} images)"
+
+    @property
+    def image_class(self) -> str:
+        """SOP class of its images."""
+        return str(self.first.SOPClassUID)
+
+    @property
+    def study_uid(self) -> str:
+        """Study that they belong to."""
+        return str(self.first.StudyInstanceUID)
+
+    @property
+    def series_uid(self) -> str:
+        """Series that they belong to."""
+        return self.slices[0].series_uid
+
+    @property
+    def frame_of_reference_uid(self) -> str:
+        """What their places are told in."""
+        return self.slices[0].identity[_FRAME_OF_REFERENCE]
+
+
+def ct_images(
+    path: Path | str, volume: Volume, *, series: str | None = None, cancel: Callable[[], bool] | None = None
+) -> CtImages:
+    """The DICOM images of a CT: those with the volume's geometry and, where looked at, its very pixels.
+
+    Parameters
+    ----------
+    path
+        The folder of the CT, or one of its files.
+    volume
+        The CT that the plan was made on.
+    series
+        Key of its series; without it the one that the volume came from is found.
+
+    Raises
+    ------
+    UsageError
+        ``plan.not-dicom``: if the CT is no DICOM; ``plan.other-ct``: if none of its series is the volume.
+    VolumeImportError
+        If it cannot be read, or lacks the UIDs that others refer to.
+    CancelledError
+        If ``cancel()`` said so.
+    """
+    check_type("referring to the CT", "volume", volume, Volume, "open a volume with carina.open_volume")
+    watch = Watch(None, cancel)
+    return guarded(Path(path).expanduser(), lambda where: _images(where, volume, series, watch))
+
+
+def _images(path: Path, volume: Volume, series: str | None, watch: Watch) -> CtImages:
+    found = find_in(path, watch)
+    if isinstance(found, str):
+        raise UsageError(
+            f"{path.name} is a {found} file; a DICOM object refers to the images of a DICOM series: name the CT's "
+            "DICOM folder, or save the target as .seg.nrrd",
+            code="plan.not-dicom",
+        )
+    chosen = [choose_series(found, key=series, where=place_name(path))[0]] if series is not None else found
+    for one in chosen:
+        if _is_volume(one, volume, watch):
+            return _referable(path, one)
+    which = "none of its series is" if series is None else "that series is not"
+    raise UsageError(
+        f"{place_name(path)}: {which} the CT that the "
+        "plan was made on (geometry or pixels differ); name the folder of that CT, or plan on this one",
+        code="plan.other-ct",
+    )
+
+
+def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
+    if series.lps_from_ijk is None or series.info.shape_zyx is None:
+        return False
+    # The order of the axes counts too: frames are told by slice.
+    if series.info.shape_zyx != volume.shape_zyx or not np.allclose(
+        series.lps_from_ijk[:3, :3], volume.lps_from_ijk[:3, :3], atol=1e-4
+    ):
+        return False
+    if not same_geometry(Geometry(series.info.shape_zyx, series.lps_from_ijk), volume):
+        return False
+    clipping = Clipping()
+    for k in np.unique(np.linspace(0, len(series.slices) - 1, _LOOKED_AT).astype(int)):
+        watch.step("Comparing the CT")
+        header = series.slices[k]
+        numbers: NDArray[Any] = decode_slice(header).numbers
+        if not np.array_equal(clipping.take(header, np.rint(numbers)).astype(np.int16), volume.hu_zyx[k]):
+            return False
+    return True
+
+
+def _referable(path: Path, series: FoundSeries) -> CtImages:
+    first = series.slices[0]
+    try:
+        dataset = read_dataset(first.path, pixels=True)
+        # Names in the character set of their file; ours is UTF-8.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            dataset.decode()
+    except (ValueError, LookupError) as error:
+        raise VolumeImportError(
+            f"reading {first.path.name}: its header cannot be read ({type(error).__name__}); export the CT again",
+            code="import.header",
+        ) from None
+    missing = [
+        words
+        for words, value in (
+            ("a study", dataset.get("StudyInstanceUID")),
+            ("a series", first.series_uid),
+            ("a frame of reference", first.identity[_FRAME_OF_REFERENCE]),
+            ("a kind of image", dataset.get("SOPClassUID")),
+            ("an identifier of each image", all(header.sop_uid for header in series.slices)),
+        )
+        if not value
+    ]
+    if missing:
+        raise VolumeImportError(
+            f"{place_name(path)}: the CT's files do not name {', '.join(missing)}, so that no other object can refer "
+            "to them; save the target as .seg.nrrd",
+            code="import.identity-missing",
+        )
+    return CtImages(series.slices, dataset)
+
+
+def new_object(
+    kind: str,
+    images: CtImages | None,
+    *,
+    identity: Identity,
+    modality: str,
+    series_number: int,
+    series_words: str,
+    now: datetime.datetime | None = None,
+) -> Dataset:
+    """A DICOM object with all that does not depend on its kind.
+
+    Parameters
+    ----------
+    kind
+        SOP class.
+    images
+        The CT that it refers to: it belongs to its study. None: it stands alone, in a study of its own.
+    identity
+        ``"from the CT"`` copies name, number, birth date, sex and the study's dates and numbers; ``"none"`` leaves them
+        empty and says so in the file. The UIDs of the CT's study, series and images are in every object that refers to
+        it: without them nothing lays it over the CT.
+    now
+        When it was made; else the computer's clock.
+
+    Raises
+    ------
+    UsageError
+        If ``identity`` is another word, or is wanted without a CT.
+    """
+    if identity not in ("from the CT", "none"):
+        raise UsageError(f'identity: expected "from the CT" or "none"; found {identity!r}', code="plan.identity")
+    if identity == "from the CT" and images is None:
+        raise UsageError(
+            'identity: "from the CT" needs the CT\'s DICOM folder; name it, or choose "none"', code="plan.identity"
+        )
+    made = datetime.datetime.now().astimezone() if now is None else now
+    made_on, made_at = made.strftime("%Y%m%d"), made.strftime("%H%M%S")
+    data = Dataset()
+    data.SpecificCharacterSet = "ISO_IR 192"
+    data.SOPClassUID, data.SOPInstanceUID = kind, generate_uid(prefix=None)
+    with warnings.catch_warnings():
+        # They are as they are in the CT: a warning would quote them.
+        warnings.simplefilter("ignore")
+        for keyword in _WHOSE:
+            value = None if images is None or identity == "none" else images.first.get(keyword)
+            if value not in (None, "") or keyword in _NEVER_LEFT_OUT:
+                setattr(data, keyword, _plain(value))
+    if identity == "none":
+        data.PatientIdentityRemoved = "YES"
+        data.DeidentificationMethod = "Not written by Carina; UIDs of a CT referred to are kept"
+    data.StudyInstanceUID = generate_uid(prefix=None) if images is None else images.study_uid
+    data.Modality = modality
+    data.SeriesInstanceUID, data.SeriesNumber = generate_uid(prefix=None), series_number
+    data.SeriesDescription = series_words
+    data.InstanceNumber = 1
+    data.SeriesDate = data.InstanceCreationDate = data.ContentDate = made_on
+    data.SeriesTime = data.InstanceCreationTime = data.ContentTime = made_at
+    data.Manufacturer, data.ManufacturerModelName = "Carina", "Carina virtual bronchoscopy"
+    data.DeviceSerialNumber, data.SoftwareVersions = "none", VERSION
+    return data
+
+
+def _plain(value: Any) -> str | list[str]:
+    """Text, with the names' groups, or texts; never an object that knows the CT's character set."""
+    if isinstance(value, MultiValue):
+        return [str(one) for one in value]
+    return "" if value is None else str(value)
+
+
+def code_item(value: str, scheme: str, meaning: str) -> Dataset:
+    """One coded concept (PS3.3 8.8)."""
+    item = Dataset()
+    item.CodeValue, item.CodingSchemeDesignator, item.CodeMeaning = value, scheme, meaning
+    return item
+
+
+def decimals(values: Sequence[float] | NDArray[np.float64]) -> list[DSfloat]:
+    """Decimal strings of at most 16 characters, as exact as these are."""
+    return [DSfloat(float(value), auto_format=True) for value in values]
+
+
+def check_text(text: str, what: str) -> str:
+    """A text for an element of 64 characters.
+
+    Raises
+    ------
+    UsageError
+        If it is empty, too long, of several lines, or has a backslash, which parts values in DICOM.
+    """
+    if not text.strip() or len(text) > _MOST_CHARS or not text.isprintable() or "\\" in text:
+        raise UsageError(
+            f"{what}: expected one line of at most {_MOST_CHARS} characters without a backslash; found {text!r}",
+            code="plan.name",
+        )
+    return text
+
+
+def named_nodules(targets: Nodule | Mapping[str, Nodule], doing: str) -> dict[str, Nodule]:
+    """Nodules by name; one alone is called "Target".
+
+    Raises
+    ------
+    UsageError
+        If there is none, or a name is no text for DICOM.
+    """
+    named = {ONE_TARGET: targets} if isinstance(targets, Nodule) else dict(targets)
+    if not named:
+        raise UsageError(f"{doing}: there is no target; mark one first", code="plan.no-target")
+    for name, nodule in named.items():
+        check_text(name, "the name of a target")
+        check_type(doing, name, nodule, Nodule, "get it from carina.grow_nodule")
+    return named
+
+
+def packed(data: Dataset) -> bytes:
+    """The whole file, explicit little endian."""
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = data.SOPClassUID, data.SOPInstanceUID
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.file_meta = meta
+    content = io.BytesIO()
+    # As above.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        data.save_as(content, enforce_file_format=True)
+    return content.getvalue()

@@ -1,0 +1,119 @@
+"""A plan's report as an encapsulated PDF, for the archive.
+
+References
+----------
+DICOM PS3.3 A.45.1 and C.24 (encapsulated document).
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from pydicom.sequence import Sequence as Items
+from pydicom.uid import EncapsulatedPDFStorage
+
+from carina.disk import write_whole
+from carina.errors import UsageError
+from carina.export.plan_dicom import Identity, check_text, code_item, ct_images, new_object, packed
+from carina.volume import Volume
+
+__all__ = ["write_plan_pdf"]
+
+_SUFFIX: Final = ".dcm"
+MOST_BYTES: Final = 500_000_000
+"""A report of some pages has a few million."""
+
+
+def write_plan_pdf(
+    path: Path | str,
+    pdf: bytes,
+    *,
+    names_patient: bool,
+    identity: Identity = "none",
+    volume: Volume | None = None,
+    ct: Path | str | None = None,
+    series: str | None = None,
+    title: str = "Bronchoscopy plan",
+    now: datetime.datetime | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Path:
+    """Wrap a report's PDF in a DICOM object.
+
+    Parameters
+    ----------
+    path
+        Ends in ``.dcm``.
+    pdf
+        The whole file.
+    names_patient
+        Whether a patient's name, number or birth date stands in its pages. An archive is told, and a report that names
+        a patient is not written without an identity.
+    identity
+        ``"from the CT"`` files it under the CT's patient and study, for which ``volume`` and ``ct`` are needed; with
+        ``"none"`` it stands in a study of its own, and nothing of the CT is in it.
+    volume, ct, series
+        The CT that the plan was made on, its DICOM folder, and the key of its series.
+    title
+        Of the document, one line.
+    now
+        When it was made; else the computer's clock.
+    cancel
+        Asked whether to stop.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another, it is no PDF, the title is none, the identity does not go with the report, or the CT
+        is not the volume's.
+    VolumeImportError
+        If the CT cannot be read.
+    DiskError
+        If it cannot be written; what was there before stays.
+    """
+    if not Path(path).name.lower().endswith(_SUFFIX):
+        raise UsageError(
+            f"saving the report for an archive: expected a file name that ends in {_SUFFIX}; found {Path(path).name!r}"
+        )
+    check_text(title, "the title of the report")
+    # The end may be followed by a line break or two.
+    if not pdf.startswith(b"%PDF-") or b"%%EOF" not in pdf[-1024:] or len(pdf) > MOST_BYTES:
+        raise UsageError(
+            f"saving the report for an archive: expected a whole PDF of at most {MOST_BYTES} bytes; found {len(pdf)} "
+            f"bytes that begin with {pdf[:5]!r}; make the report again",
+            code="plan.pdf",
+        )
+    if names_patient and identity == "none":
+        raise UsageError(
+            "saving the report for an archive: its pages name the patient, but no identity was asked for; make the "
+            'report without a name, or choose identity "from the CT"',
+            code="plan.identity",
+        )
+    if identity == "from the CT" and (volume is None or ct is None):
+        raise UsageError(
+            'identity: "from the CT" needs the CT and its DICOM folder; name both, or choose "none"',
+            code="plan.identity",
+        )
+    images = None
+    if identity == "from the CT" and volume is not None and ct is not None:
+        images = ct_images(ct, volume, series=series, cancel=cancel)
+    data = new_object(
+        EncapsulatedPDFStorage,
+        images,
+        identity=identity,
+        modality="DOC",
+        series_number=9303,
+        series_words="Carina: report of a bronchoscopy plan",
+        now=now,
+    )
+    data.ConversionType = "WSD"
+    data.BurnedInAnnotation = "YES" if names_patient else "NO"
+    data.AcquisitionDateTime = ""
+    data.DocumentTitle = title
+    data.ConceptNameCodeSequence = Items([code_item("18776-5", "LN", "Plan of care note")])
+    data.MIMETypeOfEncapsulatedDocument = "application/pdf"
+    data.EncapsulatedDocumentLength = len(pdf)
+    data.EncapsulatedDocument = pdf + b"\0" * (len(pdf) % 2)
+    return write_whole(path, packed(data), what="the report")

@@ -1,0 +1,327 @@
+"""Targets as a DICOM segmentation (SEG) that refers to the CT's own images.
+
+References
+----------
+DICOM PS3.3 A.51 and C.8.20 (segmentation), C.7.6.16 (multi-frame functional groups), C.7.6.17 (dimensions); PS3.16
+CID 7150, 7159 and 4031 (codes); PS3.5 8.1.1 (bits packed from the lowest).
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset
+from pydicom.sequence import Sequence as Items
+from pydicom.tag import Tag
+from pydicom.uid import SegmentationStorage, generate_uid
+
+from carina.disk import write_whole
+from carina.errors import NoResultError, UsageError, check_type
+from carina.export.plan_dicom import (
+    CtImages,
+    Identity,
+    code_item,
+    ct_images,
+    decimals,
+    named_nodules,
+    new_object,
+    packed,
+)
+from carina.plan import Nodule
+from carina.track import Airways, drawn_tree, lumen_mask
+from carina.version import VERSION
+from carina.volume import Volume
+
+__all__ = ["TARGET_SEG_SUFFIX", "inside_on_grid", "write_target_seg"]
+
+TARGET_SEG_SUFFIX: Final = ".dcm"
+_HALF = 0.5
+LUMEN_NAME: Final = "Airway lumen"
+_LAB_YELLOW, _LAB_BLUE = (58111, 30069, 51143), (47000, 29000, 24500)
+"""Of a recommended display value, CIELab scaled to 16 bits (PS3.3 C.10.7.1.1)."""
+
+Mask = NDArray[np.bool_]
+_Concept = tuple[str, str, str]
+
+
+def write_target_seg(
+    path: Path | str,
+    targets: Nodule | Mapping[str, Nodule],
+    volume: Volume,
+    ct: Path | str,
+    *,
+    airways: Airways | None = None,
+    identity: Identity = "none",
+    series: str | None = None,
+    now: datetime.datetime | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Path:
+    """Write targets as a binary DICOM segmentation on the CT's grid, a segment for each.
+
+    A voxel of the CT is in the segment where at least half of it is nodule. What was measured of the nodule, which is
+    finer than voxels, stands in the segment's description.
+
+    Parameters
+    ----------
+    path
+        Ends in ``.dcm``.
+    targets
+        A nodule, or several by name; one alone is called "Target".
+    volume
+        The CT that they were marked in.
+    ct
+        Its DICOM folder, or one of its files.
+    airways
+        Their lumen up to the walls becomes a last segment, "Airway lumen".
+    identity
+        ``"none"`` writes no name, number, date or institution; the UIDs of the CT stay, since the segmentation refers
+        to its images. ``"from the CT"`` copies name, number, birth date, sex and the study's numbers, for an archive.
+    series
+        Key of the series, where it is not to be found by its pixels.
+    now
+        When it was made; else the computer's clock.
+    cancel
+        Asked whether to stop.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another, there is no target, a name is none, the CT is no DICOM, or not the volume's.
+    NoResultError
+        If a target does not fill half of any voxel (``plan.too-small``).
+    VolumeImportError
+        If the CT cannot be read.
+    DiskError
+        If it cannot be written; what was there before stays.
+    """
+    if not Path(path).name.lower().endswith(TARGET_SEG_SUFFIX):
+        raise UsageError(
+            f"saving a DICOM segmentation: expected a file name that ends in {TARGET_SEG_SUFFIX}; found "
+            f"{Path(path).name!r}"
+        )
+    named = named_nodules(targets, "saving a DICOM segmentation")
+    images = ct_images(ct, volume, series=series, cancel=cancel)
+    parts = [_nodule_part(name, nodule, volume) for name, nodule in named.items()]
+    if airways is not None:
+        check_type("saving a DICOM segmentation", "airways", airways, Airways, "get it from carina.find_airways")
+        if LUMEN_NAME in named:
+            raise UsageError(
+                f"saving a DICOM segmentation: a target is called {LUMEN_NAME!r}, as the airways are; rename it",
+                code="plan.name",
+            )
+        parts.append(_lumen_part(airways, volume))
+    data = new_object(
+        SegmentationStorage,
+        images,
+        identity=identity,
+        modality="SEG",
+        series_number=9301,
+        series_words="Carina: targets of a bronchoscopy plan",
+        now=now,
+    )
+    _fill(data, parts, images, volume)
+    return write_whole(path, packed(data), what="the segmentation")
+
+
+def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
+    """Which voxels of a CT are at least half nodule, (nz, ny, nx); nothing of it lies outside the CT."""
+    found = np.zeros(volume.shape_zyx, dtype=bool)
+    at = np.argwhere(nodule.inside_zyx)
+    if not len(at):
+        return found
+    # Corners of its voxels, half a voxel beyond the centres.
+    lo, hi = at.min(axis=0)[::-1] - 0.5, at.max(axis=0)[::-1] + 0.5
+    corners = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])
+    ijk = volume.to_ijk(corners @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3])
+    first = np.maximum(np.floor(ijk.min(axis=0)).astype(int), 0)
+    last = np.minimum(np.ceil(ijk.max(axis=0)).astype(int), np.array(volume.shape_zyx[::-1]) - 1)
+    if (last < first).any():
+        return found
+    step_mm = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+    # Points in a voxel of the CT, no farther apart than the nodule's own.
+    within = [
+        np.linspace(-0.5, 0.5, 2 * n + 1)[1::2] for n in (max(2, round(mm / step_mm)) for mm in volume.spacing_mm)
+    ]
+    offsets = np.stack(np.meshgrid(*within, indexing="ij"), axis=-1).reshape(-1, 3)
+    i, j = (np.arange(first[axis], last[axis] + 1) for axis in (0, 1))
+    for k in range(first[2], last[2] + 1):
+        voxels = np.stack(np.meshgrid(i, j, [k], indexing="ij"), axis=-1).reshape(-1, 3)
+        points = volume.to_lps((voxels[:, None] + offsets).reshape(-1, 3))
+        share = nodule.contains(points).reshape(len(voxels), -1).mean(axis=1)
+        filled = voxels[share >= _HALF]
+        found[filled[:, 2], filled[:, 1], filled[:, 0]] = True
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """What becomes a segment."""
+
+    label: str
+    inside: Mask
+    description: str
+    algorithm: tuple[str, str]
+    """Its type and name."""
+    codes: tuple[_Concept, _Concept]
+    """Category and type of what is segmented."""
+    region: _Concept | None
+    """Where it lies, if its type does not say so."""
+    cielab: tuple[int, int, int]
+
+
+def _nodule_part(name: str, nodule: Nodule, volume: Volume) -> _Part:
+    inside = inside_on_grid(nodule, volume)
+    if not inside.any():
+        raise NoResultError(
+            f"saving a DICOM segmentation: {name} does not fill half of any voxel of the CT; save it as .seg.nrrd, "
+            "which keeps its shape",
+            code="plan.too-small",
+        )
+    return _Part(
+        name,
+        inside,
+        f"{nodule.words} as measured (90 % within {nodule.volume_error_mm3 / 1000.0:.2f} ml); the voxels of this "
+        f"segment hold {_ml(inside, volume):.2f} ml",
+        ("SEMIAUTOMATIC", f"Carina {VERSION}, grown from a click"),
+        (("49755003", "SCT", "Morphologically Abnormal Structure"), ("27925004", "SCT", "Nodule")),
+        ("39607008", "SCT", "Lung"),
+        _LAB_YELLOW,
+    )
+
+
+def _lumen_part(airways: Airways, volume: Volume) -> _Part:
+    inside = lumen_mask(volume, airways) != 0
+    drawn = drawn_tree(airways.tree).words
+    said = f"the lumen of the airways found, {_ml(inside, volume):.1f} ml"
+    return _Part(
+        LUMEN_NAME,
+        inside,
+        said if drawn is None else f"{said}; {drawn}: not from the CT",
+        ("AUTOMATIC" if drawn is None else "SEMIAUTOMATIC", f"Carina {VERSION}"),
+        (("123037004", "SCT", "Anatomical Structure"), ("89187006", "SCT", "Airway structure")),
+        None,
+        _LAB_BLUE,
+    )
+
+
+def _ml(inside: Mask, volume: Volume) -> float:
+    return float(np.count_nonzero(inside)) * float(np.prod(volume.spacing_mm)) / 1000.0
+
+
+def _fill(data: Dataset, parts: Sequence[_Part], images: CtImages, volume: Volume) -> None:
+    data.FrameOfReferenceUID = images.frame_of_reference_uid
+    data.PositionReferenceIndicator = ""
+    data.ImageType = ["DERIVED", "PRIMARY"]
+    data.ContentLabel, data.ContentDescription = "TARGETS", "Targets of a bronchoscopy plan; not a medical device"
+    data.ContentCreatorName = ""
+    data.Rows, data.Columns = volume.shape_zyx[1:]
+    data.SamplesPerPixel, data.PhotometricInterpretation, data.PixelRepresentation = 1, "MONOCHROME2", 0
+    data.BitsAllocated, data.BitsStored, data.HighBit = 1, 1, 0
+    data.SegmentationType = "BINARY"
+    data.LossyImageCompression = "00"
+    if images.slices[0].lossy:
+        data.LossyImageCompression = "01"
+        for keyword in ("LossyImageCompressionRatio", "LossyImageCompressionMethod"):
+            if images.first.get(keyword):
+                setattr(data, keyword, images.first.get(keyword))
+    data.SegmentSequence = Items(_segment(number, part) for number, part in enumerate(parts, 1))
+    # Of each segment the slices from its first to its last.
+    frames: list[tuple[int, int]] = []
+    for number, part in enumerate(parts, 1):
+        slices = np.flatnonzero(part.inside.any(axis=(1, 2)))
+        frames += [(number, int(k)) for k in range(slices[0], slices[-1] + 1)]
+    data.NumberOfFrames = len(frames)
+    used = sorted({k for _, k in frames})
+    _refer(data, images, used)
+    _dimensions(data)
+    data.SharedFunctionalGroupsSequence = Items([_shared(images, volume)])
+    places = {k: n for n, k in enumerate(used, 1)}
+    data.PerFrameFunctionalGroupsSequence = Items(_frame(images, number, k, places[k]) for number, k in frames)
+    bits = np.concatenate([parts[number - 1].inside[k].reshape(-1) for number, k in frames])
+    content = np.packbits(bits, bitorder="little").tobytes()
+    data.PixelData = content + b"\0" * (len(content) % 2)
+    data["PixelData"].VR = "OB"
+
+
+def _segment(number: int, part: _Part) -> Dataset:
+    item = Dataset()
+    item.SegmentNumber, item.SegmentLabel, item.SegmentDescription = number, part.label, part.description
+    item.SegmentAlgorithmType, item.SegmentAlgorithmName = part.algorithm
+    category, kind = part.codes
+    item.SegmentedPropertyCategoryCodeSequence = Items([code_item(*category)])
+    item.SegmentedPropertyTypeCodeSequence = Items([code_item(*kind)])
+    if part.region is not None:
+        item.AnatomicRegionSequence = Items([code_item(*part.region)])
+    item.TrackingID, item.TrackingUID = part.label, generate_uid(prefix=None)
+    item.RecommendedDisplayCIELabValue = list(part.cielab)
+    return item
+
+
+def _refer(data: Dataset, images: CtImages, used: Sequence[int]) -> None:
+    series = Dataset()
+    series.SeriesInstanceUID = images.series_uid
+    series.ReferencedInstanceSequence = Items(_instance(images, k) for k in used)
+    data.ReferencedSeriesSequence = Items([series])
+
+
+def _instance(images: CtImages, k: int) -> Dataset:
+    item = Dataset()
+    item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = images.image_class, images.slices[k].sop_uid
+    return item
+
+
+def _dimensions(data: Dataset) -> None:
+    """Frames are ordered by segment, then by place."""
+    uid = generate_uid(prefix=None)
+    organisation = Dataset()
+    organisation.DimensionOrganizationUID = uid
+    data.DimensionOrganizationSequence = Items([organisation])
+    pointers: tuple[tuple[str, str, str], ...] = (
+        ("ReferencedSegmentNumber", "SegmentIdentificationSequence", "Segment"),
+        ("ImagePositionPatient", "PlanePositionSequence", "Place of the slice"),
+    )
+    items = []
+    for element, group, words in pointers:
+        item = Dataset()
+        item.DimensionOrganizationUID = uid
+        item.DimensionIndexPointer, item.FunctionalGroupPointer = Tag(element), Tag(group)
+        item.DimensionDescriptionLabel = words
+        items.append(item)
+    data.DimensionIndexSequence = Items(items)
+
+
+def _shared(images: CtImages, volume: Volume) -> Dataset:
+    first = images.slices[0]
+    gap_mm = volume.spacing_mm[2]
+    measures, orientation = Dataset(), Dataset()
+    # Distance of rows, then of columns.
+    measures.PixelSpacing = decimals((first.spacing_mm[1], first.spacing_mm[0]))
+    measures.SliceThickness, measures.SpacingBetweenSlices = decimals((gap_mm, gap_mm))
+    orientation.ImageOrientationPatient = decimals((*first.row_lps, *first.column_lps))
+    shared = Dataset()
+    shared.PixelMeasuresSequence, shared.PlaneOrientationSequence = Items([measures]), Items([orientation])
+    return shared
+
+
+def _frame(images: CtImages, number: int, k: int, place: int) -> Dataset:
+    content, position, segment, derived = Dataset(), Dataset(), Dataset(), Dataset()
+    content.DimensionIndexValues = [number, place]
+    position.ImagePositionPatient = decimals(images.slices[k].position_lps)
+    segment.ReferencedSegmentNumber = number
+    source: Any = _instance(images, k)
+    source.PurposeOfReferenceCodeSequence = Items(
+        [code_item("121322", "DCM", "Source image for image processing operation")]
+    )
+    source.SpatialLocationsPreserved = "YES"
+    derived.SourceImageSequence = Items([source])
+    derived.DerivationCodeSequence = Items([code_item("113076", "DCM", "Segmentation")])
+    frame = Dataset()
+    frame.FrameContentSequence, frame.PlanePositionSequence = Items([content]), Items([position])
+    frame.SegmentIdentificationSequence, frame.DerivationImageSequence = Items([segment]), Items([derived])
+    return frame

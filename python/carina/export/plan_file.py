@@ -1,0 +1,146 @@
+"""A plan to any file, by its suffix."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from carina.errors import UsageError
+from carina.export.plan_content import named_plans
+from carina.export.plan_markups import PLAN_MARKUPS_SUFFIX, write_plan_markups
+from carina.export.plan_nrrd import TARGET_NRRD_SUFFIX, write_target_nrrd
+from carina.plan import Plan
+from carina.track import Airways, AirwayTree
+from carina.volume import Note, Volume
+
+if TYPE_CHECKING:
+    from carina.export.plan_dicom import Identity
+
+__all__ = ["PLAN_FORMATS", "export_plan"]
+
+_SEG, _SR = ".seg.dcm", ".sr.dcm"
+
+PLAN_FORMATS: Final[dict[str, str]] = {
+    PLAN_MARKUPS_SUFFIX: "Targets, routes and needles for 3D Slicer",
+    TARGET_NRRD_SUFFIX: "The target as a segmentation for 3D Slicer",
+    _SEG: "The targets as a DICOM segmentation of the CT",
+    _SR: "Measurements of the targets as a DICOM report",
+}
+"""Suffixes that :func:`export_plan` knows, with who reads the file, for a person who chooses."""
+
+
+def export_plan(
+    path: Path | str,
+    plan: Plan | Mapping[str, Plan],
+    tree: AirwayTree | None = None,
+    *,
+    volume: Volume | None = None,
+    ct: Path | str | None = None,
+    series: str | None = None,
+    airways: Airways | None = None,
+    segmentation: Path | str | None = None,
+    identity: Identity = "none",
+    badges: Sequence[Note] = (),
+    now: datetime.datetime | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Path:
+    """Write a plan for other software; the suffix says what, all of it in LPS, mm.
+
+    ``.mrk.json``: targets, routes, needles and scope positions for 3D Slicer. ``.seg.nrrd``: the target as a
+    segmentation for 3D Slicer, one target a file. ``.seg.dcm``: the targets as a DICOM segmentation that refers to the
+    CT's images. ``.sr.dcm``: what was measured of them as a DICOM report. The airways are written by
+    :func:`carina.export_airways`.
+
+    Parameters
+    ----------
+    path
+        Where to.
+    plan
+        A plan, or several by the names of their targets.
+    tree
+        The airway tree that it was made on; for ``.mrk.json``.
+    volume, ct
+        The CT that it was made on and its DICOM folder; for DICOM.
+    series
+        Key of the CT's series, where it is not to be found by its pixels.
+    airways
+        For ``.seg.dcm``: their lumen becomes a segment of its own.
+    segmentation
+        A ``.seg.dcm`` of the same targets that a ``.sr.dcm`` refers to.
+    identity
+        ``"none"`` writes nothing of the patient into DICOM but the CT's UIDs; ``"from the CT"`` copies name, number,
+        birth date, sex and the study's numbers.
+    badges
+        The lasting notes of the case; for ``.mrk.json``.
+    now
+        When a DICOM file was made; else the computer's clock.
+    cancel
+        Asked whether to stop.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another, what the format needs was not given, or the plan does not go with it.
+    NoResultError
+        If a target does not fill half of any voxel of the CT (DICOM segmentation).
+    VolumeImportError
+        If the CT cannot be read.
+    DiskError
+        If it cannot be written; what was there before stays.
+
+    Examples
+    --------
+    >>> import carina
+    >>> from carina.export import export_plan
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> found = carina.find_airways(made.volume)
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> export_plan("plan.mrk.json", plan, found.tree).name
+    'plan.mrk.json'
+    """
+    name = Path(path).name
+    suffix = next((one for one in PLAN_FORMATS if name.lower().endswith(one)), None)
+    if suffix is None:
+        known = ", ".join(PLAN_FORMATS)
+        raise UsageError(f"a plan: expected a file name that ends in {known}; found {name!r}")
+    plans = named_plans(plan)
+    if suffix == PLAN_MARKUPS_SUFFIX:
+        if tree is None:
+            raise UsageError(f"{name}: routes need the airway tree that the plan was made on", code="plan.other-tree")
+        return write_plan_markups(path, plans, tree, badges=badges)
+    if suffix == TARGET_NRRD_SUFFIX:
+        if len(plans) > 1:
+            raise UsageError(
+                f"{name}: a segmentation of this kind holds one target and the plan has {len(plans)}; write a file for "
+                f"each, or all of them into one {_SEG}",
+                code="plan.several",
+            )
+        ((title, only),) = plans.items()
+        return write_target_nrrd(path, only.nodule, name=title)
+    if volume is None or ct is None:
+        raise UsageError(
+            f"{name}: a DICOM file refers to the CT's images: give the CT (volume) and its DICOM folder (ct)",
+            code="plan.not-dicom",
+        )
+    # Only now: nobody else waits for a reader of DICOM.
+    from carina.export.plan_dicom_seg import write_target_seg
+    from carina.export.plan_dicom_sr import write_target_report
+
+    nodules = {title: one.nodule for title, one in plans.items()}
+    if suffix == _SEG:
+        return write_target_seg(
+            path, nodules, volume, ct, airways=airways, identity=identity, series=series, now=now, cancel=cancel
+        )
+    return write_target_report(
+        path,
+        nodules,
+        volume,
+        ct,
+        segmentation=segmentation,
+        identity=identity,
+        series=series,
+        now=now,
+        cancel=cancel,
+    )

@@ -1,0 +1,19 @@
+"""The few colours of a report: black on white, one accent, one colour for the last leg, red for warnings."""
+
+from __future__ import annotations
+
+__all__ = ["ACCENT", "INK", "LEG", "ON_CT", "PALE", "QUIET", "TREE", "WARNING"]
+
+INK = "#14181c"
+QUIET = "#5a646e"
+PALE = "#dfe4e8"
+ACCENT = "#0b5a8f"
+"""The route along the airways."""
+LEG = "#d35400"
+"""Target and last leg."""
+WARNING = "#c1001f"
+"""What was drawn by hand, and what forbids something: nothing else is red."""
+TREE = "#b3bcc4"
+"""Airways that are not on the route."""
+ON_CT = {"target": "#ffd23f", "leg": "#ff8c2b", "lumen": "#59bdff", "text": "#ffffff", "halo": "#000000"}
+"""The same, bright enough for a slice."""

@@ -1,0 +1,160 @@
+"""What of a plan is uncertain, and what of it a person drew, in sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carina.plan.needle import NeedleErrors
+from carina.plan.nodule import Nodule
+from carina.plan.places import branch_title
+from carina.plan.routes import Plan, PlannedRoute
+from carina.plan.turns import TurnList
+from carina.plan.verdict import Verdict
+from carina.track import Airways, Branch, drawn_tree
+from carina.volume import Volume
+
+__all__ = ["by_hand", "movement_words", "uncertain"]
+
+THICK_MM = 1.5
+"""Slices farther apart than this hide small airways and blur boundaries."""
+NEAR_MM = 25.0
+"""Doubts about airways so near to the target are told, too."""
+
+
+def movement_words(plan: Plan) -> str:
+    """The sentence on every page: how far the target may lie from where the CT shows it."""
+    return (
+        "CT taken at inspiration: in the procedure the target may lie up to "
+        f"{plan.moved_mm:.0f} mm from where it is shown here."
+    )
+
+
+def uncertain(
+    volume: Volume,
+    airways: Airways,
+    plan: Plan,
+    *,
+    route: PlannedRoute | None,
+    turns: TurnList | None,
+    verdicts: tuple[Verdict, ...],
+) -> tuple[str, ...]:
+    """Sentences, what matters most first."""
+    found = [movement_words(plan) + _aimed_again(route), *_of_target(plan.nodule)]
+    if route is not None:
+        found += [f"{doubt}." for doubt in _doubts(route)]
+        found += _of_leg(route)
+    found += _of_ct(volume)
+    found += _of_airways(airways, plan, route)
+    if verdicts:
+        found.append(
+            "The probabilities of the instruments follow from assumed errors of lumen width, instrument and needle; "
+            "they have not been compared with procedures."
+        )
+    if turns is None and route is not None:
+        found.append("Clock hours and control moves were not calculated for this report.")
+    elif turns is not None:
+        found += [_sentence(note) for note in turns.notes]
+        if any(turn.moves is None for turn in turns.turns):
+            found.append("What the hand does at each fork was not calculated: no drive of an instrument is known.")
+    found += [_sentence(note) for note in plan.notes]
+    return tuple(dict.fromkeys(found))
+
+
+def by_hand(airways: Airways, plan: Plan, route: PlannedRoute | None) -> tuple[str, ...]:
+    """What rests on a person's hand and not on the CT: of the route first, then of other routes and the whole tree."""
+    found = []
+    if route is not None:
+        for branch in airways.tree.lineage(route.branch_id):
+            if branch.kind != "tracked":
+                found.append(f"This route leads through {_drawn(branch)}.")
+    for number, other in enumerate(plan.routes, 1):
+        names = [branch_title(one) for one in airways.tree.lineage(other.branch_id) if one.kind != "tracked"]
+        if names and other is not route:
+            found.append(f"Route {number} leads through what the CT does not show: {', '.join(names)}.")
+    whole = drawn_tree(airways.tree).words
+    if whole is not None:
+        found.append(f"Of the airway tree: {whole}.")
+    if airways.edits:
+        edits = "1 edit" if len(airways.edits) == 1 else f"{len(airways.edits)} edits"
+        found.append(f"The airway tree was changed by hand ({edits}).")
+    return tuple(found)
+
+
+def _aimed_again(route: PlannedRoute | None) -> str:
+    if route is None or route.leg.hit_share_moved is None:
+        return ""
+    leg = route.leg
+    return (
+        f" Aimed as planned, {100 * leg.hit_share:.0f} % of needle passes hit if it has not moved and "
+        f"{100 * (leg.hit_share_moved or 0.0):.0f} % if it may lie anywhere within that distance; confirm its position "
+        "before each pass."
+    )
+
+
+def _of_target(nodule: Nodule) -> list[str]:
+    found = [
+        f"Volume {nodule.volume_mm3 / 1000:.2f} \u00b1 {nodule.volume_error_mm3 / 1000:.2f} ml and diameters "
+        f"\u00b1 {nodule.diameter_error_mm:.1f} mm: intervals that should hold the true value nine times of ten."
+    ]
+    words = {
+        "pleura": "the pleura or mediastinum (the CT does not tell them apart)",
+        "vessel": "a vessel",
+        "edge of the CT": "the edge of the scan",
+    }
+    touched = [words.get(what, what) for what in nodule.touches]
+    if touched:
+        found.append(f"The target touches {' and '.join(touched)}: its boundary there is an estimate.")
+    return found
+
+
+def _doubts(route: PlannedRoute) -> list[str]:
+    return [doubt[0].upper() + doubt[1:] for doubt in route.doubts]
+
+
+def _of_leg(route: PlannedRoute) -> list[str]:
+    errors, leg = NeedleErrors(), route.leg
+    found = [
+        f"Needle passes are calculated with errors of {errors.angle_deg:g}\u00b0 and {errors.tip_mm:g} mm unless the "
+        "plan was made with others (assumed, not measured), and with a straight needle.",
+        "Vessels narrower than about 1 mm are not visible on CT; arteries and veins are not distinguished, and vessels "
+        "in the mediastinum cannot be told from it without contrast. Fissures were not searched for.",
+    ]
+    if any(one.tissue == "not examined" for one in leg.crossed):
+        found.append("Part of the needle's way lies beyond the scan and was not examined.")
+    if route.from_carina_mm is None:
+        found.append("The main carina was not recognised: distances from it cannot be given.")
+    return found
+
+
+def _of_ct(volume: Volume) -> list[str]:
+    coarsest = max(volume.spacing_mm)
+    if coarsest <= THICK_MM:
+        return []
+    return [
+        f"Slices are {coarsest:.1f} mm apart. Planning needs 1 mm or less: small airways, narrow places and the "
+        "target's boundary are less certain than on a thin-slice CT."
+    ]
+
+
+def _of_airways(airways: Airways, plan: Plan, route: PlannedRoute | None) -> list[str]:
+    centre = np.array(plan.nodule.centre_lps)
+    lineage = set() if route is None else {branch.id for branch in airways.tree.lineage(route.branch_id)}
+    names = {branch.id: branch_title(branch) for branch in airways.tree.branches}
+    found = []
+    for place in airways.uncertain:
+        away = float(np.linalg.norm(np.array(place.lps) - centre))
+        if place.branch_id is None:
+            found.append(_sentence(place.reason))
+        elif place.branch_id in lineage or away <= NEAR_MM:
+            where = names.get(place.branch_id, "an airway")
+            found.append(f"{where[0].upper()}{where[1:]}, {away:.0f} mm from the target: {place.reason}.")
+    return found
+
+
+def _drawn(branch: Branch) -> str:
+    what = "a bridge across an obstruction" if branch.kind == "bridge" else "a branch drawn by hand"
+    return f"{branch_title(branch)}, {what}: {branch.length_mm:.0f} mm that the CT does not show"
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:] + ("" if words.endswith(".") else ".")

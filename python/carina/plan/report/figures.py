@@ -1,0 +1,212 @@
+"""Drawings of a report: slices with their outlines, the needle's way as a bar, the tree from two sides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.last_leg import Crossed, LastLeg, Tissue
+from carina.plan.report.colours import ACCENT, INK, LEG, ON_CT, PALE, QUIET, TREE, WARNING
+from carina.plan.report.drawing import Disc, Drawing, Label, Pen, Place, Raster, Shape, Stroke
+from carina.plan.report.sheet import Fork
+from carina.plan.report.slices import SlicePicture
+from carina.plan.report.tree_shape import TreeShape
+from carina.plan.report.wording import text_width
+from carina.plan.tools import Tool
+
+__all__ = ["needle_bar", "slice_drawing", "tree_drawing"]
+
+Points = NDArray[np.float64]
+FILLS: dict[Tissue, str] = {
+    "lumen": "#ffffff",
+    "airway wall": "#8b949c",
+    "lung": "#e6ebef",
+    "vessel": "#7b1fa2",
+    "target": LEG,
+    "mediastinum or chest wall": "#6d4c41",
+    "not examined": "#ffffff",
+}
+SIDES = {
+    "front": (np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0]), ("R", "L")),
+    "left": (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]), ("A", "P")),
+}
+"""Right and down of a drawing as LPS directions: from the front the patient's right is on the left, from the patient's
+left side the front is."""
+
+
+def slice_drawing(one: SlicePicture) -> Drawing:
+    """A slice with target, airways and needle as lines over it, letters at its edges and a scale."""
+    width, height = float(one.width_px), float(one.height_px)
+    shapes: list[Shape] = [Raster((0.0, 0.0), (width, height), one.png)]
+    shapes += [Stroke(line, Pen(ON_CT["lumen"], 1.4)) for line in one.lumen]
+    shapes += [Stroke(line, Pen(ON_CT["target"], 2.2), closed=True) for line in one.target]
+    for piece, lies_in in one.needle:
+        shapes.append(Stroke(piece, Pen(ON_CT["leg"], 3.0, dash=None if lies_in else (2.0, 6.0))))
+    if one.tip is not None:
+        shapes.append(Disc(one.tip, 4.5, Pen("#000000", 1.2, fill=ON_CT["leg"])))
+    if one.cross is not None:
+        x, y = one.cross
+        for a, b in (((-16, 0), (-7, 0)), ((7, 0), (16, 0)), ((0, -16), (0, -7)), ((0, 7), (0, 16))):
+            shapes.append(Stroke(((x + a[0], y + a[1]), (x + b[0], y + b[1])), Pen(ON_CT["leg"], 2.2)))
+    left, right, upper, lower = one.letters
+    shapes += [
+        _on_ct((9.0, height / 2 + 7), left, "start"),
+        _on_ct((width - 9, height / 2 + 7), right, "end"),
+        _on_ct((width / 2, 24.0), upper, "middle"),
+        _on_ct((width / 2, height - 10), lower, "middle"),
+        _on_ct((9.0, 24.0), one.title, "start"),
+    ]
+    bar_px = 10.0 / one.mm_per_px
+    end = width - 14.0
+    shapes.append(Stroke(((end - bar_px, height - 14), (end, height - 14)), Pen("#000000", 6.0)))
+    shapes.append(Stroke(((end - bar_px, height - 14), (end, height - 14)), Pen(ON_CT["text"], 3.0)))
+    shapes.append(_on_ct((end, height - 24), "10 mm", "end"))
+    says = f"{one.title} slice, {left} on the left, {right} on the right"
+    return Drawing(width, height, (*shapes, _frame(width, height)), says)
+
+
+def _on_ct(at: Place, text: str, anchor: str) -> Label:
+    side = {"start": "start", "end": "end"}.get(anchor, "middle")
+    return Label(at, text, 19.0, ON_CT["text"], side, bold=True, halo=ON_CT["halo"])  # type: ignore[arg-type]
+
+
+def _frame(width: float, height: float) -> Stroke:
+    return Stroke(((0, 0), (width, 0), (width, height), (0, height)), Pen("#000000", 1.0), closed=True)
+
+
+def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
+    """What a needle crosses, in order, as a bar in mm from the scope's tip, and how far it reaches."""
+    total = max(leg.crossed[-1].end_mm, tool.reach_mm) if leg.crossed else tool.reach_mm
+    scale = (width - 20.0) / total
+    rows = _label_rows(leg.crossed, scale)
+    top = 14.0 * (max(rows, default=0) + 1) + 6.0
+    bar, left = 22.0, 10.0
+    shapes: list[Shape] = []
+    for one, row in zip(leg.crossed, rows, strict=True):
+        x0, x1 = left + one.start_mm * scale, left + one.end_mm * scale
+        dash = (3.0, 2.0) if one.tissue == "not examined" else None
+        box = ((x0, top), (x1, top), (x1, top + bar), (x0, top + bar))
+        shapes.append(Stroke(box, Pen(INK, 0.7, fill=FILLS[one.tissue], dash=dash), closed=True))
+        base = top - 6.0 - 14.0 * row
+        middle = x0 + 0.5 * (x1 - x0)
+        if row > 0:
+            shapes.append(Stroke(((middle, top), (middle, base + 2.0)), Pen(QUIET, 0.5)))
+        shapes.append(_bar_label(one, middle, base, left, width))
+    reach = left + tool.reach_mm * scale
+    shapes.append(Stroke(((reach, top - 3), (reach, top + bar + 3)), Pen(ACCENT, 1.8)))
+    words = f"the needle reaches {tool.reach_mm:g} mm"
+    half = 0.5 * text_width(words, 8.0)
+    shapes.append(Label((min(reach, width - half), top + bar + 26), words, 8.0, ACCENT, "middle"))
+    step = 5 if total <= 50 else 10
+    for mm in range(0, int(total) + 1, step):
+        x = left + mm * scale
+        shapes.append(Stroke(((x, top + bar), (x, top + bar + 4)), Pen(INK, 0.7)))
+        shapes.append(Label((x, top + bar + 13), f"{mm}", 8.0, QUIET, "middle"))
+    said = ", ".join(f"{one.tissue} {one.length_mm:.1f} mm" for one in leg.crossed)
+    return Drawing(width, top + bar + 31.0, tuple(shapes), f"Needle path from the tip: {said}")
+
+
+def _bar_label(one: Crossed, middle: float, base: float, left: float, width: float) -> Label:
+    text = _bar_words(one)
+    half = 0.5 * text_width(text, 8.5)
+    at = min(max(middle, left + half), width - half)
+    colour = INK if one.tissue in {"lumen", "lung", "not examined", "airway wall"} else FILLS[one.tissue]
+    return Label((at, base), text, 8.5, colour, "middle", bold=one.tissue in {"target", "vessel"})
+
+
+def _bar_words(one: Crossed) -> str:
+    return f"{one.tissue} {one.length_mm:.1f}"
+
+
+def _label_rows(crossed: Sequence[Crossed], scale: float) -> list[int]:
+    """In which row above the bar each name stands, so that none covers another."""
+    ends: list[float] = []
+    rows = []
+    for one in crossed:
+        half = 0.5 * text_width(_bar_words(one), 8.5)
+        middle = 10.0 + (one.start_mm + 0.5 * one.length_mm) * scale
+        start = max(middle - half, 10.0)
+        row = next((n for n, end in enumerate(ends) if end + 5.0 <= start), len(ends))
+        if row == len(ends):
+            ends.append(0.0)
+        ends[row] = start + 2.0 * half
+        # A line to a name in a higher row would cross what stands below it.
+        rows.append(row)
+    return rows
+
+
+def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: float, height: float) -> Drawing:
+    """The airway tree seen from the front or from the patient's left, with the route, its forks and the target."""
+    right, down, (left_letter, right_letter) = SIDES[side]
+    everything = np.concatenate([*(one.points_lps for one in shape.branches), shape.vertices_lps])
+    flat = np.stack([everything @ right, everything @ down], axis=1)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    margin = 16.0
+    scale = float(min((width - 2 * margin) / (high[0] - low[0]), (height - 2 * margin) / (high[1] - low[1])))
+    shift = 0.5 * (np.array([width, height]) - scale * (low + high))
+
+    def placed(points: Points) -> tuple[Place, ...]:
+        at = np.stack([points @ right, points @ down], axis=1) * scale + shift
+        return tuple((float(x), float(y)) for x, y in at)
+
+    shapes: list[Shape] = []
+    inwards = np.cross(right, down)
+    by_depth = sorted(shape.branches, key=lambda one: -float((one.points_lps @ inwards).mean()))
+    for one in by_depth:
+        wide = max(2.0 * float(np.median(one.radius_mm)) * scale, 0.8)
+        pen = Pen(TREE, wide) if one.is_found else Pen(WARNING, wide, dash=(3.0, 2.0))
+        shapes.append(Stroke(placed(one.points_lps), pen))
+    if len(shape.route_lps):
+        shapes.append(Stroke(placed(shape.route_lps), Pen(ACCENT, 2.4)))
+    if len(shape.vertices_lps):
+        shapes.append(Stroke(_hull(placed(shape.vertices_lps)), Pen(LEG, 1.0, fill=LEG, opacity=0.55), closed=True))
+    if len(shape.needle_lps):
+        shapes.append(Stroke(placed(shape.needle_lps), Pen(LEG, 2.0)))
+    taken: list[Place] = []
+    for fork in forks:
+        (at,) = placed(np.array([fork.place_lps]))
+        # Forks that lie over one another are told by the list.
+        if any(math.dist(at, other) < 9.5 for other in taken):
+            continue
+        taken.append(at)
+        shapes.append(Disc(at, 4.8, Pen(ACCENT, 0.9, fill="#ffffff")))
+        shapes.append(Label((at[0], at[1] + 2.4), str(fork.number), 6.6, ACCENT, "middle", bold=True))
+    shapes += [
+        Label((3.0, height / 2), left_letter, 11.0, INK, "start", bold=True),
+        Label((width - 3.0, height / 2), right_letter, 11.0, INK, "end", bold=True),
+    ]
+    says = f"Airway tree from the {'front' if side == 'front' else 'patient left side'}, {left_letter} on the left"
+    return Drawing(width, height, (*shapes, *_scale_bar(scale, width, height)), says)
+
+
+def _scale_bar(scale: float, width: float, height: float) -> tuple[Shape, ...]:
+    end, base = width - 8.0, height - 5.0
+    return (
+        Stroke(((end - 20.0 * scale, base), (end, base)), Pen(INK, 1.2)),
+        Label((end, base - 4.0), "20 mm", 7.5, QUIET, "end"),
+        Stroke(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)), Pen(PALE, 0.6), closed=True),
+    )
+
+
+def _hull(places: Sequence[Place]) -> tuple[Place, ...]:
+    """The convex hull of places, in order (Andrew's monotone chain)."""
+    ordered = sorted(set(places))
+    if len(ordered) < 3:
+        return tuple(ordered)
+
+    def half(row: Sequence[Place]) -> list[Place]:
+        kept: list[Place] = []
+        for x, y in row:
+            while len(kept) > 1 and _turn(kept[-2], kept[-1], (x, y)) <= 0.0:
+                kept.pop()
+            kept.append((x, y))
+        return kept[:-1]
+
+    return tuple(half(ordered) + half(ordered[::-1]))
+
+
+def _turn(a: Place, b: Place, c: Place) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -1,0 +1,402 @@
+"""The sections of a report in the order in which a surgeon asks: target, route, turns, instruments, proof, doubts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from carina.plan.fork_view import Operator
+from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.drawing import Drawing, Raster
+from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
+from carina.plan.report.png_size import png_size
+from carina.plan.report.sheet import PlanSheet, target_words
+from carina.plan.report.tracing import tracing_drawings
+from carina.plan.report.wording import (
+    SIGNS,
+    carina_words,
+    per_cent,
+)
+from carina.plan.routes import PlannedRoute, ScoreWeights
+from carina.plan.turn_words import hour_words, joined, moves_words
+from carina.plan.turns import Turn
+
+__all__ = ["sections", "tracing_sections"]
+
+PART_WORDS = {
+    "misses": "needle passes that miss",
+    "way": "distance outside the lumen",
+    "angle": "angle to the airway",
+    "narrow": "narrowest place",
+    "vessels": "vessel within the margin",
+    "shallow": "short length in the target",
+}
+CHECKS = ("diameter", "bend", "length", "channel", "pointing")
+LEGEND = (
+    "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on "
+    "the left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies "
+    "outside the slice. Blue: airway lumen."
+)
+ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
+
+
+def sections(sheet: PlanSheet) -> tuple[Section, ...]:
+    """All of a report."""
+    found = [_target(sheet), _way(sheet), *_route(sheet), *_sign(sheet)]
+    found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet)]
+    found += [_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), _provenance(sheet)]
+    return (*found, *_figures_behind(sheet), *tracing_sections(sheet))
+
+
+def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
+    """The sheet for the theatre alone."""
+    drawings = tracing_drawings(sheet)
+    several = len(drawings) > 1
+    return tuple(
+        Section(
+            "tracing" if n == 0 else f"tracing-{n + 1}",
+            "Tracing sheet" + (f", {n + 1} of {len(drawings)}" if several else ""),
+            (*_red(sheet), Figure(drawing)),
+            starts_page=True,
+        )
+        for n, drawing in enumerate(drawings)
+    )
+
+
+def _red(sheet: PlanSheet) -> tuple[Block, ...]:
+    """What must be said of a route wherever it is shown."""
+    route = sheet.route
+    if route is None or not route.doubts:
+        return ()
+    return (Words("Route over doubtful airway: " + "; ".join(route.doubts) + ".", "warning"),)
+
+
+def _target(sheet: PlanSheet) -> Section:
+    nodule, place = sheet.plan.nodule, sheet.place
+    ml = nodule.volume_mm3 / 1000.0
+    digits = 2 if ml >= 0.1 else 3
+    diameters = f"{nodule.long_mm:.1f} \u00d7 {nodule.short_mm:.1f} mm, each \u00b1 {nodule.diameter_error_mm:.1f} mm"
+    rows = [
+        ("Kind", f"{nodule.kind} nodule, {nodule.density_hu:.0f} HU"),
+        ("Volume", f"{ml:.{digits}f} \u00b1 {nodule.volume_error_mm3 / 1000.0:.{digits}f} ml"),
+        ("Diameters (axial)", diameters),
+        ("Lobe", place.lobe or "not known"),
+        ("Nearest airway", place.nearest_branch or "an unnamed branch"),
+        ("To pleura or mediastinum", place.pleura_words),
+        (
+            "Bronchus sign",
+            SIGNS[sheet.plan.bronchus_sign] + (f" ({sheet.plan.sign_branch})" if sheet.plan.sign_branch else ""),
+        ),
+        ("Centre (LPS)", ", ".join(f"{v:.1f}" for v in nodule.centre_lps) + " mm"),
+    ]
+    if nodule.kind == "part-solid":
+        rows.insert(2, ("Of which solid", f"{nodule.solid_mm3 / 1000.0:.{digits}f} ml"))
+    figures = tuple(Figure(slice_drawing(one)) for one in sheet.slices)
+    blocks = (
+        *_red(sheet),
+        Words(_lead(sheet), "lead"),
+        Facts(tuple(rows)),
+        Figures(figures, 3),
+        Words(LEGEND, "quiet"),
+    )
+    return Section("target", "Target", blocks)
+
+
+def _lead(sheet: PlanSheet) -> str:
+    """What the whole report comes to."""
+    plan, route = sheet.plan, sheet.route
+    nodule = target_words(sheet)
+    nodule = nodule[0].upper() + nodule[1:]
+    if route is None:
+        return f"{nodule}. No route with {plan.tool.title} was found."
+    park_mm = sheet.carina_mm(route)
+    where = "" if park_mm is None else f", {park_mm:.0f} mm beyond the carina"
+    said = f"{nodule}. Tip in {route.branch_name}{where}, then {route.leg.to_target_mm:.0f} mm with the needle."
+    if not sheet.verdicts:
+        return said
+    num = {name: sum(one.outcome == name for one in sheet.verdicts) for name in ("reaches", "may reach", "cannot say")}
+    best = next((one for name in num for one in sheet.verdicts if one.outcome == name), None)
+    first = (
+        ""
+        if best is None or best.outcome == "cannot say"
+        else f" First choice: {best.scope.title}, which {best.outcome}."
+    )
+    counts = f"{num['reaches']} reach, {num['may reach']} may reach"
+    more = f", of {num['cannot say']} this cannot be said" if num["cannot say"] else ""
+    return f"{said} Of {_instruments(len(sheet.verdicts))} {counts}{more}.{first}"
+
+
+def _instruments(num: int) -> str:
+    return "1 instrument" if num == 1 else f"{num} instruments"
+
+
+def _way(sheet: PlanSheet) -> Section:
+    words = "Blue: the route, with its forks by number. Orange: last leg and target. Red: drawn by hand or bridged."
+    return Section("airways", "Airways and route", (Words(words, "quiet"), _tree_figures(sheet)))
+
+
+def _route(sheet: PlanSheet) -> list[Section]:
+    plan, route = sheet.plan, sheet.route
+    if route is None:
+        why = (plan.why or "No route was found.").capitalize() if plan.why is None else plan.why
+        text = why[0].upper() + why[1:] + ("" if why.endswith(".") else ".")
+        return [Section("route", "No route", (Words(text, "warning"),))]
+    leg = route.leg
+    fits = f"{route.narrowest_mm:.1f} mm; {plan.scope.title} needs {plan.scope.fit_mm:.1f} mm"
+    least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
+    vessel = "none seen nearby" if leg.vessel_mm is None else f"{leg.vessel_mm:.1f} mm from the needle's line"
+    beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
+    rows = (
+        ("Tip of the scope", f"in {route.branch_name}"),
+        ("Beyond the main carina", carina_words(sheet.carina_mm(route))),
+        ("Narrowest place", fits),
+        ("Tool", plan.tool.title),
+        ("To the target's edge", f"{leg.to_target_mm:.1f} mm, of which {leg.outside_mm:.1f} mm outside the lumen"),
+        ("Angle to the airway", f"{leg.angle_deg:.0f}\u00b0"),
+        ("Length in the target", least),
+        ("Beyond the target", f"{beyond} to pleura or mediastinum"),
+        ("Nearest vessel", vessel),
+        ("Needle passes that hit", f"{per_cent(leg.hit_share)} where the CT shows the target"),
+        ("If the target has moved", f"{per_cent(leg.hit_share_moved)}, anywhere within {plan.moved_mm:.0f} mm"),
+    )
+    first = "First route" if sheet.route_number == 1 else f"Route {sheet.route_number}"
+    title = f"{first} at a glance"
+    blocks: list[Block] = [*_red(sheet)]
+    if not route.fits:
+        text = f"The narrowest place on the way is {fits}: this scope may not pass. See the instruments below."
+        blocks.append(Words(text, "warning"))
+    into = [one for one in leg.crossed if one.tissue == "vessel" and one.start_mm < leg.to_target_mm + leg.in_target_mm]
+    if into:
+        text = f"The needle's way crosses a vessel {into[0].start_mm:.0f} mm from the scope's tip."
+        blocks.append(Words(text, "warning"))
+    blocks += [
+        Facts(rows),
+        Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way in order, mm from the scope's tip."),
+    ]
+    if sheet.needle_slice is not None:
+        words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
+        blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
+    return [Section("route", title, tuple(blocks), starts_page=True)]
+
+
+def _tree_figures(sheet: PlanSheet) -> Figures:
+    sides = (("front", "From the front"), ("left", "From the patient's left"))
+    drawn = [
+        Figure(tree_drawing(sheet.shape, sheet.forks, side, width=255.0, height=160.0), words) for side, words in sides
+    ]
+    return Figures(tuple(drawn), 2)
+
+
+def _sign(sheet: PlanSheet) -> list[Section]:
+    if not sheet.sign_slices:
+        return []
+    text = (
+        f"Bronchus sign {SIGNS[sheet.plan.bronchus_sign]} ({sheet.plan.sign_branch}). The cross marks where it shows."
+    )
+    figures = tuple(Figure(slice_drawing(one)) for one in sheet.sign_slices)
+    return [Section("bronchus-sign", "Bronchus sign", (Words(text), Figures(figures, 3)))]
+
+
+def _turns(sheet: PlanSheet) -> list[Section]:
+    if sheet.turns is None or sheet.route is None:
+        return []
+    other_operator: Operator = "facing" if sheet.operator == "head" else "head"
+    rows: list[tuple[str, ...]] = []
+    warned = []
+    for number, turn in enumerate(sheet.turns.turns, 1):
+        if turn.doubts:
+            warned.append(number - 1)
+        rows.append(
+            (
+                str(number),
+                _enter_words(turn, sheet.operator),
+                _hour(turn, sheet.operator),
+                _hour(turn, other_operator),
+                "carina" if turn.at_main_carina else _rounded(turn.from_carina_mm),
+                f"{turn.from_fork_mm:.0f}",
+                f"{turn.diameter_mm:.1f}",
+                f"{turn.angle_deg:.0f}\u00b0",
+                "not calculated" if turn.moves is None else moves_words(turn.moves),
+            )
+        )
+    park = _rounded(sheet.turns.park_from_carina_mm)
+    doing = moves_words(sheet.turns.park_moves or ())
+    rows.append(("", "stop: tip of the scope", "", "", park, f"{sheet.turns.park_from_fork_mm:.0f}", "", "", doing))
+    first, second = (name.capitalize() for name in (sheet.operator, other_operator))
+    head = ("", "Enter", first, second, "From carina, mm", "From last fork, mm", "Opening, mm", "Turn", "Hand")
+    shares = (0.04, 0.18, 0.075, 0.075, 0.09, 0.095, 0.09, 0.065, 0.29)
+    said = (
+        "Clock hours as seen by an operator at the patient's head, and facing the patient. Distances along the route."
+    )
+    blocks: list[Block] = [*_red(sheet), Words(said, "quiet"), Grid(head, tuple(rows), shares, tuple(warned))]
+    if sheet.turns.carina_depth_mm is not None:
+        deep = sheet.turns.depth_mm(sheet.turns.park_from_carina_mm)
+        stop = "" if deep is None else f"; the tip stops at about {deep / 10.0:.0f} cm"
+        depth = f"Main carina at {sheet.turns.carina_depth_mm / 10.0:.1f} cm from nose or mouth{stop} (estimates)."
+        blocks.append(Words(depth, "quiet"))
+    if sheet.turn_pictures:
+        stills = tuple(
+            Figure(_still(png), f"{n}. {turn.to_branch}, {hour_words(turn.hour(sheet.operator))}")
+            for n, (turn, png) in enumerate(zip(sheet.turns.turns, sheet.turn_pictures, strict=True), 1)
+        )
+        blocks.append(Figures(stills, 4))
+    return [Section("turns", "Turns", tuple(blocks), starts_page=True)]
+
+
+def _enter_words(turn: Turn, operator: Operator) -> str:
+    """RB4a, just past RB4, not RB4b (9 o'clock)"""
+    said = [turn.to_branch]
+    if turn.through:
+        said.append(f"just past {joined(turn.through)}")
+    if turn.others:
+        said.append(f"not {joined([f'{one.name} ({hour_words(one.hour(operator))})' for one in turn.others])}")
+    doubts = f" ({'; '.join(turn.doubts)})" if turn.doubts else ""
+    return ", ".join(said) + doubts
+
+
+def _hour(turn: Turn, operator: Operator) -> str:
+    hour = turn.hour(operator)
+    return "ahead" if hour is None else str(hour)
+
+
+def _rounded(mm: float | None) -> str:
+    return "not known" if mm is None else f"{mm:.0f}"
+
+
+def _still(png: bytes) -> Drawing:
+    width, height = png_size(png)
+    return Drawing(width, height, (Raster((0.0, 0.0), (width, height), png),), "View at the fork")
+
+
+def _verdicts(sheet: PlanSheet) -> list[Section]:
+    if not sheet.verdicts:
+        return []
+    order = {"reaches": 0, "may reach": 1, "cannot say": 2, "does not reach": 3}
+    ranked = sorted(sheet.verdicts, key=lambda one: (order[one.outcome], -(one.share or 0.0)))
+    rows = []
+    for one in ranked:
+        answers = {str(check.name): ANSWERS[check.answer] for check in one.checks}
+        chance = (
+            "" if one.share is None or one.outcome in {"reaches", "does not reach"} else f" ({per_cent(one.share)})"
+        )
+        rows.append(
+            (
+                one.scope.title,
+                f"{one.outcome}{chance}",
+                *(answers.get(name, "") for name in CHECKS),
+                one.words.removeprefix(f"{one.outcome}: "),
+            )
+        )
+    head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
+    shares = (0.19, 0.14, 0.07, 0.06, 0.07, 0.085, 0.06, 0.325)
+    said = (
+        f"On this route, with {sheet.plan.tool.title}. ?: not known. The figures behind each answer, and what they "
+        "rest on, are listed at the end."
+    )
+    return [
+        Section("instruments", "Instruments", (Words(said, "quiet"), Grid(head, tuple(rows), shares)), starts_page=True)
+    ]
+
+
+def _others(sheet: PlanSheet) -> list[Section]:
+    routes = sheet.plan.routes
+    if not routes:
+        return []
+    head = (
+        "",
+        *(f"Route {n}" + (" (this report)" if n == sheet.route_number else "") for n in range(1, len(routes) + 1)),
+    )
+    rows = [(name, *(tell(sheet, route) for route in routes)) for name, tell in _COMPARED]
+    doubts = [f"Route {n}: {doubt}." for n, route in enumerate(routes, 1) for doubt in route.doubts]
+    share = 0.76 / len(routes)
+    blocks: list[Block] = [Grid(head, tuple(rows), (0.24, *(share,) * len(routes)))]
+    if doubts:
+        blocks.append(Bullets(tuple(doubts), "warning"))
+    return [Section("routes", "Routes side by side", tuple(blocks))]
+
+
+_COMPARED = (
+    ("Tip of the scope in", lambda _, r: r.branch_name),
+    ("Beyond the carina", lambda s, r: carina_words(s.carina_mm(r))),
+    (
+        "Narrowest place",
+        lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})"),
+    ),
+    ("To the target's edge", lambda _, r: f"{r.leg.to_target_mm:.1f} mm"),
+    ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
+    ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),
+    ("Nearest vessel", lambda _, r: "none seen" if r.leg.vessel_mm is None else f"{r.leg.vessel_mm:.1f} mm"),
+    ("Needle passes that hit", lambda _, r: per_cent(r.leg.hit_share)),
+    ("If the target has moved", lambda _, r: per_cent(r.leg.hit_share_moved)),
+    ("Tissue on the way", lambda _, r: _crossed_words(r)),
+    ("Score (1 is best)", lambda _, r: f"{r.score:.2f}"),
+)
+
+
+def _crossed_words(route: PlannedRoute) -> str:
+    names = []
+    for one in route.leg.crossed:
+        names.append(one.tissue)
+        if one.tissue == "target":
+            break
+    return ", ".join(names)
+
+
+def _by_hand(sheet: PlanSheet) -> Section:
+    none = Words("Nothing: every airway of this report was found in the CT.")
+    return Section("by-hand", "Drawn by hand", (Bullets(sheet.by_hand, "warning") if sheet.by_hand else none,))
+
+
+def _uncertain(sheet: PlanSheet) -> Section:
+    return Section("uncertain", "What is uncertain", (Bullets(sheet.uncertain),))
+
+
+def _notes(sheet: PlanSheet) -> list[Section]:
+    return [Section("notes", "Notes", (Bullets(sheet.notes),))] if sheet.notes else []
+
+
+def _score(sheet: PlanSheet) -> list[Section]:
+    if sheet.route is None:
+        return []
+    weights = sheet.weights
+    total = sum(getattr(weights, field.name) for field in dataclasses.fields(ScoreWeights))
+    rows = []
+    for name, part in sheet.route.parts.items():
+        weight = getattr(weights, name) / total
+        rows.append((PART_WORDS.get(name, name), f"{part:.2f}", f"{100 * weight:.0f} %", f"{weight * part:.3f}"))
+    rows.append(("score: 1 less the sum", "", "", f"{sheet.route.score:.2f}"))
+    said = (
+        "Each part is 0 at its best and 1 at its worst. The weights are a choice, not fitted to outcomes; they can be "
+        "changed when planning."
+    )
+    grid = Grid(("Part", "Value", "Weight", "Costs"), tuple(rows), (0.49, 0.17, 0.17, 0.17))
+    return [Section("score", "How the route was scored", (Words(said, "quiet"), grid))]
+
+
+def _figures_behind(sheet: PlanSheet) -> list[Section]:
+    if not sheet.verdicts:
+        return []
+    rows: list[tuple[str, ...]] = []
+    for one in sheet.verdicts:
+        for n, check in enumerate(one.checks):
+            name = one.scope.title if n == 0 else ""
+            rows.append((name, check.name, ANSWERS[check.answer], check.words, check.basis))
+        if one.would is not None:
+            rows.append(("", "", "", one.would, ""))
+    said = "Basis of a figure: s, read in a published source; k, common knowledge that was not checked with the maker."
+    head = ("Instrument", "Check", "Answer", "What was found", "Rests on")
+    grid = Grid(head, tuple(rows), (0.17, 0.09, 0.09, 0.36, 0.29))
+    return [Section("figures", "Figures behind the verdicts", (Words(said, "quiet"), grid))]
+
+
+def _provenance(sheet: PlanSheet) -> Section:
+    made, plan = sheet.provenance, sheet.plan
+    (nz, ny, nx), (sx, sy, sz) = made.shape_zyx, made.spacing_mm
+    rows = [
+        ("Made by", f"Carina {made.version}, {made.made_on}"),
+        ("Scan", f"{made.scan_format}" + (f", {made.series}" if made.series else "")),
+        ("Voxels", f"{nx} \u00d7 {ny} \u00d7 {nz} of {sx:.2f} \u00d7 {sy:.2f} \u00d7 {sz:.2f} mm"),
+        ("Digest of the voxels", made.ct_digest),
+        ("Planned for", f"{plan.scope.title} ({plan.scope.basis}), {plan.tool.title} ({plan.tool.basis})"),
+        ("Space", "LPS, mm: x to the patient's left, y to the back, z to the head"),
+    ]
+    return Section("provenance", "How this report was made", (Facts(tuple(rows)),))

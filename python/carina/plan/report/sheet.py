@@ -1,0 +1,440 @@
+"""All that a report tells of a plan, as one value: page, PDF and JSON are made from it and from nothing else."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from carina.display import one_line
+from carina.errors import CancelledError, UsageError, check_type
+from carina.plan.fork_view import Operator
+from carina.plan.nodule import Nodule
+from carina.plan.places import branch_doubts, branch_title
+from carina.plan.report.doubt import by_hand, uncertain
+from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
+from carina.plan.report.tree_shape import TreeShape, tree_shape
+from carina.plan.routes import Plan, PlannedRoute, ScoreWeights
+from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.turns import Turn, TurnList
+from carina.plan.verdict import Verdict
+from carina.render import Renderer
+from carina.scopes import WallField
+from carina.track import Airways, LumenOutline, branch_side_and_lobe, wall_field
+from carina.version import VERSION
+from carina.volume import Volume, ct_digest
+
+__all__ = ["Fork", "PlanSheet", "Provenance", "TargetPlace", "make_sheet", "target_words"]
+
+AROUND_MM = 30.0
+"""So far round a target pleura is looked for."""
+TOUCHES_MM = 2.0
+"""Tissue nearer than this to a nodule cannot be told from its own blurred edge."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class TargetPlace:
+    """Where a target lies."""
+
+    lobe: str | None
+    """By the nearest airway; None where that is not known."""
+    nearest_branch: str | None
+    pleura_mm: float | None
+    """From its edge to the nearest tissue that is thicker than a vessel; None where there is none within ``looked_mm``,
+    or the CT ends before."""
+    looked_mm: float
+    is_cut: bool
+    """The CT ends within ``looked_mm``, nearer than any such tissue."""
+
+    @property
+    def pleura_words(self) -> str:
+        """12 mm"""
+        if self.is_cut:
+            return "not known: the CT ends close to the target"
+        if self.pleura_mm is None:
+            return f"more than {self.looked_mm:.0f} mm"
+        return "in contact" if self.pleura_mm <= TOUCHES_MM else f"{self.pleura_mm:.0f} mm"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return {
+            "lobe": self.lobe,
+            "nearest_branch": self.nearest_branch,
+            "pleura_mm": self.pleura_mm,
+            "looked_mm": self.looked_mm,
+            "ct_ends_nearby": self.is_cut,
+        }
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What a report was made from and by, without anything that names a patient."""
+
+    version: str
+    made_on: str
+    """ISO date."""
+    scan_format: str
+    series: str | None
+    """Its modality and number in the study; never its text, which can name a patient."""
+    ct_digest: str
+    """Of the voxels: the same CT has the same one."""
+    shape_zyx: tuple[int, int, int]
+    spacing_mm: tuple[float, float, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return {
+            "carina": self.version,
+            "made_on": self.made_on,
+            "format": self.scan_format,
+            "series": self.series,
+            "ct_digest": self.ct_digest,
+            "shape_zyx": list(self.shape_zyx),
+            "spacing_mm": list(self.spacing_mm),
+        }
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Fork:
+    """A fork of the route with the branches that are not taken there."""
+
+    number: int
+    """From 1."""
+    from_name: str
+    to_name: str
+    to_branch_id: int
+    place_lps: tuple[float, float, float]
+    carina_mm: float | None
+    """From the main carina along the route; 0 at it, below 0 before it, None where it is not known."""
+    others: tuple[str, ...]
+    warnings: tuple[str, ...]
+    turn: Turn | None
+    """Clock hours and moves, where the list of turns was made."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanSheet:
+    """What a report tells: a plan, one of its routes in full, and the pictures that prove it (`make_sheet`)."""
+
+    plan: Plan
+    route_number: int | None
+    """Of the route that is told in full, from 1; None where the plan has none."""
+    verdicts: tuple[Verdict, ...]
+    turns: TurnList | None
+    turn_pictures: tuple[bytes, ...] = field(repr=False)
+    """A PNG for each turn, or none at all."""
+    forks: tuple[Fork, ...]
+    operator: Operator
+    weights: ScoreWeights
+    """By which the routes were scored."""
+    place: TargetPlace
+    slices: tuple[SlicePicture, ...]
+    needle_slice: SlicePicture | None
+    sign_slices: tuple[SlicePicture, ...]
+    """What proves the bronchus sign."""
+    shape: TreeShape
+    uncertain: tuple[str, ...]
+    by_hand: tuple[str, ...]
+    """What a person drew: to be shown in red."""
+    notes: tuple[str, ...]
+    """Of the person who plans."""
+    patient: str | None
+    provenance: Provenance
+
+    @property
+    def route(self) -> PlannedRoute | None:
+        """The route that is told in full."""
+        return None if self.route_number is None else self.plan.routes[self.route_number - 1]
+
+    def carina_mm(self, route: PlannedRoute) -> float | None:
+        """Where a route's scope stands, counted from the zero of the list of turns where there is one."""
+        told = self.route
+        if route.from_carina_mm is None or told is None or told.from_carina_mm is None or self.turns is None:
+            return route.from_carina_mm
+        if self.turns.park_from_carina_mm is None:
+            return route.from_carina_mm
+        return route.from_carina_mm - (told.from_carina_mm - self.turns.park_from_carina_mm)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types: the plan as ``carina plan`` writes it, and under ``report`` what only the report tells."""
+        return self.plan.to_json() | {
+            "verdicts": [verdict.to_json() for verdict in self.verdicts],
+            "turns": None if self.turns is None else self.turns.to_json(),
+            "report": {
+                "route": self.route_number,
+                "operator": self.operator,
+                "weights": {one.name: getattr(self.weights, one.name) for one in fields(ScoreWeights)},
+                "place": self.place.to_json(),
+                "uncertain": list(self.uncertain),
+                "by_hand": list(self.by_hand),
+                "notes": list(self.notes),
+                "patient": self.patient,
+                "provenance": self.provenance.to_json(),
+            },
+        }
+
+
+def make_sheet(
+    volume: Volume,
+    airways: Airways,
+    plan: Plan,
+    *,
+    route_number: int = 1,
+    verdicts: Sequence[Verdict] = (),
+    turns: TurnList | None = None,
+    turn_pictures: Sequence[bytes] = (),
+    notes: Sequence[str] = (),
+    patient: str | None = None,
+    operator: Operator = "head",
+    weights: ScoreWeights | None = None,
+    made_on: datetime.date | None = None,
+    wall: WallField | None = None,
+    progress: Callable[[float], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> PlanSheet:
+    """Render the pictures of a plan, and gather all that its report tells.
+
+    Parameters
+    ----------
+    volume, airways, plan
+        The CT, its airways, and what `plan_route` found in them.
+    route_number
+        Of the plan's routes, from 1: the one that is told in full.
+    verdicts
+        What instruments can do on that route (`judge_scopes`).
+    turns, turn_pictures
+        Its list of turns, and a PNG for each; without pictures the list has none.
+    notes
+        The planner's own, shown as they are.
+    patient
+        A name or number to be printed; nothing names the patient unless told.
+    operator
+        Where the operator stands: clock hours are for this position first.
+    weights
+        Of the score, where the plan was made with others than the usual.
+    made_on
+        Date of the report; today unless told.
+    wall
+        The airways' wall where it is at hand; else it is made.
+    progress, cancel
+        Told the share done; asked whether to stop.
+
+    Returns
+    -------
+    PlanSheet
+        To be written with `write_report`.
+
+    Raises
+    ------
+    UsageError
+        If there is no such route, or not as many pictures as turns.
+    CancelledError
+        If ``cancel()`` said so.
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> found = carina.find_airways(made.volume)
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> sheet = make_sheet(made.volume, found, plan)
+    >>> sheet.place.lobe is not None, sheet.patient
+    (True, None)
+    """
+    check_type("make_sheet", "volume", volume, Volume, "open a volume with carina.open_volume")
+    check_type("make_sheet", "airways", airways, Airways, "get airways from carina.find_airways")
+    check_type("make_sheet", "plan", plan, Plan, "get a plan from carina.plan_route")
+    route = _chosen(plan, route_number)
+    if turn_pictures and (turns is None or len(turn_pictures) != len(turns.turns)):
+        num = 0 if turns is None else len(turns.turns)
+        raise UsageError(
+            f"report: expected a picture for each of {num} turns; found {len(turn_pictures)}", code="plan.pictures"
+        )
+    used = weights or ScoreWeights()
+    _check_weights(route, used)
+    _check_turns(airways, route, turns)
+    told = _Steps(progress, cancel)
+    told(0.0)
+    wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
+    told(0.4)
+    place = _place(volume, airways, plan.nodule, wall)
+    told(0.6)
+    renderer, outline = Renderer(volume), LumenOutline(volume, airways)
+    leg = None if route is None else route.leg
+    slices = target_slices(renderer, plan.nodule, leg, outline)
+    told(0.8)
+    along = None if route is None else needle_slice(renderer, plan.nodule, route.leg, route.forward, outline)
+    proof = () if plan.sign_lps is None else place_slices(renderer, plan.sign_lps, plan.nodule, outline)
+    told(0.95)
+    sheet = PlanSheet(
+        plan=plan,
+        route_number=None if route is None else route_number,
+        verdicts=tuple(verdicts),
+        turns=turns,
+        turn_pictures=tuple(turn_pictures),
+        forks=() if route is None else _forks(airways, route, turns),
+        operator=operator,
+        weights=used,
+        place=place,
+        slices=slices,
+        needle_slice=along,
+        sign_slices=proof,
+        shape=tree_shape(airways.tree, plan.nodule, route),
+        uncertain=uncertain(volume, airways, plan, route=route, turns=turns, verdicts=tuple(verdicts)),
+        by_hand=by_hand(airways, plan, route),
+        notes=tuple(notes),
+        patient=patient,
+        provenance=_provenance(volume, made_on),
+    )
+    told(1.0)
+    return sheet
+
+
+def target_words(sheet: PlanSheet) -> str:
+    """What and where the target is, in a few words: solid nodule, 12.4 x 10.1 mm, 0.74 ml, RUL."""
+    return sheet.plan.nodule.words + (f", {sheet.place.lobe}" if sheet.place.lobe else "")
+
+
+class _Steps:
+    def __init__(self, progress: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
+        self._progress, self._cancel = progress, cancel
+
+    def __call__(self, share: float) -> None:
+        if self._cancel is not None and self._cancel():
+            raise CancelledError("the report was cancelled")
+        if self._progress is not None:
+            self._progress(share)
+
+
+def _chosen(plan: Plan, number: int) -> PlannedRoute | None:
+    if not plan.routes:
+        return None
+    if not 1 <= number <= len(plan.routes):
+        raise UsageError(
+            f"route_number: expected 1 to {len(plan.routes)}, the routes of this plan; found {number}",
+            code="plan.route-number",
+        )
+    return plan.routes[number - 1]
+
+
+def _check_weights(route: PlannedRoute | None, weights: ScoreWeights) -> None:
+    """Refuse weights that do not make the route's score: the report would tell others than were used."""
+    if route is None:
+        return
+    total = sum(getattr(weights, name) for name in route.parts)
+    score = 1.0 - sum(getattr(weights, name) * part for name, part in route.parts.items()) / total
+    if abs(score - route.score) > 1e-6:
+        raise UsageError(
+            f"report: these weights give the route a score of {score:.3f}, the plan says {route.score:.3f}; pass the "
+            "weights that the plan was made with",
+            code="plan.weights",
+        )
+
+
+def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) -> TargetPlace:
+    centre = np.array(nodule.centre_lps)
+    branch, _, _ = airways.tree.nearest_branch(centre)
+    lobe = branch_side_and_lobe(airways.tree)[branch.id]
+    around = surroundings(volume, centre, 0.5 * nodule.long_mm + AROUND_MM, nodule, wall)
+    rim = np.argwhere(nodule.inside_zyx)[:, ::-1] @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3]
+    nearest = float(around.read(around.thick_mm, rim).min())
+    if "pleura" in nodule.touches:
+        nearest = 0.0
+    # A corner of the box lies farther away than its faces, which is as far as is looked.
+    nearest = nearest if nearest <= AROUND_MM else math.inf
+    is_cut = _to_edge_mm(around, nodule) < min(nearest, AROUND_MM)
+    return TargetPlace(
+        lobe=lobe,
+        nearest_branch=branch.name,
+        pleura_mm=nearest if math.isfinite(nearest) and not is_cut else None,
+        looked_mm=AROUND_MM,
+        is_cut=is_cut,
+    )
+
+
+def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
+    """From a nodule to where the CT ends in the box round it."""
+    unknown = np.argwhere(~around.box.known)
+    if not len(unknown):
+        return math.inf
+    step = around.box.step_mm
+    points = unknown[:, ::-1] * step + around.box.lps_from_ijk[:3, 3]
+    return float(np.linalg.norm(points - np.array(nodule.centre_lps), axis=1).min()) - 0.5 * nodule.long_mm
+
+
+def _check_turns(airways: Airways, route: PlannedRoute | None, turns: TurnList | None) -> None:
+    """Refuse a list of turns that leads elsewhere."""
+    if turns is None:
+        return
+    lineage = set() if route is None else {branch.id for branch in airways.tree.lineage(route.branch_id)}
+    wrong = next((turn for turn in turns.turns if turn.to_branch_id not in lineage), None)
+    if wrong is not None or route is None:
+        where = (
+            "the plan has no route" if wrong is None else f"it turns into {wrong.to_branch}, which is not on the route"
+        )
+        raise UsageError(f"report: the list of turns is that of another route: {where}", code="plan.turns")
+
+
+def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tuple[Fork, ...]:
+    tree = airways.tree
+    if turns is not None:
+        return tuple(
+            Fork(
+                number=number,
+                from_name=turn.from_branch,
+                to_name=turn.to_branch,
+                to_branch_id=turn.to_branch_id,
+                place_lps=turn.fork_lps,
+                carina_mm=0.0 if turn.at_main_carina else turn.from_carina_mm,
+                others=tuple(other.name for other in turn.others),
+                warnings=turn.doubts,
+                turn=turn,
+            )
+            for number, turn in enumerate(turns.turns, 1)
+        )
+    carina_mm = None if route.from_carina_mm is None else route.along_mm - route.from_carina_mm
+    found: list[Fork] = []
+    along = 0.0
+    for before, branch in itertools.pairwise(tree.lineage(route.branch_id)):
+        along += before.length_mm
+        others = [tree.branch(child) for child in before.children if child != branch.id]
+        if not others:
+            continue
+        x, y, z = (float(v) for v in branch.points[0])
+        found.append(
+            Fork(
+                number=len(found) + 1,
+                from_name=branch_title(before),
+                to_name=branch_title(branch),
+                to_branch_id=branch.id,
+                place_lps=(x, y, z),
+                carina_mm=None if carina_mm is None else along - carina_mm,
+                others=tuple(branch_title(one) for one in others),
+                warnings=branch_doubts(branch),
+                turn=None,
+            )
+        )
+    return tuple(found)
+
+
+def _provenance(volume: Volume, made_on: datetime.date | None) -> Provenance:
+    series = volume.source.series
+    day = datetime.datetime.now(tz=datetime.UTC).astimezone().date() if made_on is None else made_on
+    return Provenance(
+        version=VERSION,
+        made_on=day.isoformat(),
+        scan_format=volume.source.format,
+        series=None if series is None else f"{series.modality} series {series.key}, {series.num_slices} slices",
+        ct_digest=ct_digest(volume)[:16],
+        shape_zyx=volume.shape_zyx,
+        spacing_mm=volume.spacing_mm,
+    )

@@ -1,0 +1,106 @@
+"""The airway tree as a shape to be drawn and turned: centrelines with radii, a route on it, and a target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.plan.nodule import Nodule
+from carina.plan.report.outline import surface_of
+from carina.plan.routes import PlannedRoute
+from carina.track import AirwayTree, Branch
+
+__all__ = ["ShapedBranch", "TreeShape", "tree_shape"]
+
+Points = NDArray[np.float64]
+EVERY_MM = 2.5
+"""Distance of the points that are kept of a centreline."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapedBranch:
+    """A branch with few points; (n, 3) LPS mm and (n,) radii."""
+
+    id: int
+    name: str | None
+    points_lps: Points
+    radius_mm: Points
+    on_route: bool
+    is_found: bool
+    """The CT shows it; what was drawn by hand or bridged is not found."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeShape:
+    """All of it."""
+
+    branches: tuple[ShapedBranch, ...]
+    route_lps: Points
+    """(n, 3) along the route to the scope's tip; (0, 3) without a route."""
+    needle_lps: Points
+    """(2, 3) from tip to aim; (0, 3) without a route."""
+    vertices_lps: Points
+    """(n, 3) of the target's surface."""
+    quads: NDArray[np.int64]
+    """(m, 4)"""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types, in 0.1 mm, for the page's own drawing."""
+        return {
+            "branches": [
+                {
+                    "name": one.name,
+                    "points": np.round(one.points_lps, 1).tolist(),
+                    "radius": np.round(one.radius_mm, 1).tolist(),
+                    "route": one.on_route,
+                    "found": one.is_found,
+                }
+                for one in self.branches
+            ],
+            "route": np.round(self.route_lps, 1).tolist(),
+            "needle": np.round(self.needle_lps, 1).tolist(),
+            "vertices": np.round(self.vertices_lps, 1).tolist(),
+            "quads": self.quads.tolist(),
+        }
+
+
+def tree_shape(tree: AirwayTree, nodule: Nodule, route: PlannedRoute | None) -> TreeShape:
+    """The shape of a tree with one of a plan's routes."""
+    lineage = [] if route is None else tree.lineage(route.branch_id)
+    on_route = {branch.id for branch in lineage}
+    way = np.empty((0, 3))
+    needle = np.empty((0, 3))
+    if route is not None:
+        points = np.concatenate([branch.points for branch in lineage])
+        at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        way = _few(points[at <= route.along_mm + 1e-6])
+        needle = np.array([route.leg.tip_lps, route.leg.aim_lps])
+    vertices, quads = surface_of(nodule)
+    return TreeShape(tuple(_shaped(one, one.id in on_route) for one in tree.branches), way, needle, vertices, quads)
+
+
+def _shaped(branch: Branch, on_route: bool) -> ShapedBranch:
+    rows = _rows(branch.points)
+    return ShapedBranch(
+        branch.id, branch.name, branch.points[rows], branch.radius[rows], on_route, branch.kind == "tracked"
+    )
+
+
+def _few(points: Points) -> Points:
+    few: Points = points[_rows(points)]
+    return few
+
+
+def _rows(points: Points) -> NDArray[np.intp]:
+    """Indices of points some mm apart, with both ends."""
+    if len(points) < 3:
+        return np.arange(len(points))
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    num = max(round(float(at[-1]) / EVERY_MM), 1) + 1
+    return np.unique(np.searchsorted(at, np.linspace(0.0, float(at[-1]), num) - 1e-9).clip(0, len(points) - 1))

@@ -1,0 +1,105 @@
+"""A report from what a plan was made of: with the list of turns, and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from carina.display import one_line
+from carina.plan.fork_view import Operator
+from carina.plan.report.sheet import PlanSheet, make_sheet
+from carina.plan.route_turns import main_carina_ridge_mm, turn_list
+from carina.plan.routes import Plan
+from carina.plan.turn_pictures import turn_pictures
+from carina.plan.turns import TurnList
+from carina.plan.verdict import Verdict
+from carina.scopes import WallField
+from carina.track import Airways
+from carina.volume import Volume
+
+__all__ = ["PlanMaterials", "whole_sheet"]
+
+PICTURES_SHARE = 0.6
+"""Of the work, where there are turns."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanMaterials:
+    """What a report is made from."""
+
+    volume: Volume
+    airways: Airways
+    wall: WallField
+    plan: Plan
+    route_number: int = 1
+    """Of the route that is told in full, from 1."""
+    verdicts: tuple[Verdict, ...] = ()
+    """On that route."""
+    operator: Operator = "head"
+    carina_depth_mm: float | None = None
+    """Depth of the main carina at nose or mouth, as the user has it."""
+    notes: tuple[str, ...] = ()
+
+
+def whole_sheet(
+    materials: PlanMaterials,
+    *,
+    patient: str | None = None,
+    progress: Callable[[float], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> PlanSheet:
+    """The report of a plan, with the list of turns of its route.
+
+    Parameters
+    ----------
+    materials
+        CT, airways and plan.
+    patient
+        A name or number to be printed; none unless told.
+    progress, cancel
+        Told the share done; asked whether to stop.
+
+    Raises
+    ------
+    CancelledError
+        If ``cancel()`` said so.
+    """
+    made, plan = materials, materials.plan
+    turns: TurnList | None = None
+    pictures: tuple[bytes, ...] = ()
+    pictures_share = PICTURES_SHARE if plan.routes else 0.0
+    if plan.routes:
+        route = plan.routes[made.route_number - 1]
+        turns = turn_list(
+            made.airways.tree,
+            route,
+            carina_ridge_mm=main_carina_ridge_mm(made.volume, made.airways, route),
+            carina_depth_mm=made.carina_depth_mm,
+        )
+        pictures = tuple(
+            picture.png()
+            for picture in turn_pictures(
+                made.volume,
+                made.airways,
+                turns,
+                operator=made.operator,
+                progress=None if progress is None else lambda share: progress(share * PICTURES_SHARE),
+                cancel=cancel,
+            )
+        )
+    return make_sheet(
+        made.volume,
+        made.airways,
+        plan,
+        route_number=made.route_number,
+        verdicts=made.verdicts,
+        turns=turns,
+        turn_pictures=pictures,
+        notes=made.notes,
+        patient=patient,
+        operator=made.operator,
+        wall=made.wall,
+        progress=None if progress is None else lambda share: progress(pictures_share + share * (1.0 - pictures_share)),
+        cancel=cancel,
+    )

@@ -1,0 +1,59 @@
+"""Values in the words of a report, one way for all of its parts."""
+
+from __future__ import annotations
+
+from carina.plan.routes import BronchusSign
+
+__all__ = [
+    "NOT_A_DEVICE",
+    "SIGNS",
+    "carina_words",
+    "lines_of",
+    "per_cent",
+    "text_width",
+]
+
+NOT_A_DEVICE = "Not a medical device."
+SIGNS: dict[BronchusSign, str] = {
+    "into": "positive: an airway leads into the target",
+    "beside": "an airway lies against the target",
+    "none": "negative: no airway found leads to the target",
+}
+AVERAGE_ADVANCE = 0.52
+"""Width of a letter, of its size, averaged over text in the fonts of page and PDF."""
+
+
+def carina_words(mm: float | None) -> str:
+    """Where on the route, from the main carina.
+
+    Examples
+    --------
+    >>> carina_words(41.6), carina_words(0.2), carina_words(-12.0), carina_words(None)
+    ('42 mm', 'at the carina', '12 mm above', 'not known')
+    """
+    if mm is None:
+        return "not known"
+    if abs(mm) < 0.5:
+        return "at the carina"
+    return f"{mm:.0f} mm" if mm > 0.0 else f"{-mm:.0f} mm above"
+
+
+def per_cent(share: float | None) -> str:
+    """92 %"""
+    return "not calculated" if share is None else f"{100.0 * share:.0f} %"
+
+
+def text_width(text: str, size: float) -> float:
+    """About how wide a line of text is, in the unit of its size."""
+    return AVERAGE_ADVANCE * size * len(text)
+
+
+def lines_of(text: str, size: float, width: float) -> list[str]:
+    """Text in lines that fit a width, broken at spaces."""
+    lines: list[str] = []
+    for word in text.split():
+        if lines and text_width(f"{lines[-1]} {word}", size) <= width:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines

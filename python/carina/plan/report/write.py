@@ -1,0 +1,106 @@
+"""A report as a file, by the file's suffix."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from carina.disk import write_whole
+from carina.errors import CancelledError, UsageError, check_type
+from carina.plan.report.html_page import html_page
+from carina.plan.report.pdf_pages import Paper, pdf_pages
+from carina.plan.report.sections import sections, tracing_sections
+from carina.plan.report.sheet import PlanSheet
+
+__all__ = ["ReportKind", "write_report"]
+
+ReportKind = Literal["report", "tracing"]
+
+
+def write_report(
+    path: Path | str,
+    sheet: PlanSheet,
+    *,
+    kind: ReportKind = "report",
+    paper: Paper = "A4",
+    progress: Callable[[float], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Path:
+    """Write the report of a plan.
+
+    Parameters
+    ----------
+    path
+        ``.html`` (one page that opens anywhere, without a network), ``.pdf`` or ``.json``.
+    sheet
+        What it tells: `make_sheet`.
+    kind
+        All of it, or ``tracing``: the one-page sheet for the theatre alone. JSON is always all of it.
+    paper
+        Of a PDF: ``A4`` or ``Letter``. The HTML page prints on both.
+    progress, cancel
+        Told the share done; asked whether to stop.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        If the suffix, kind or paper is unknown (``plan.report-format``), the plan has no route to trace
+        (``plan.no-route``), or the font of a PDF lacks a character (``plan.report-characters``).
+    CarinaError
+        If a PDF is asked for and its library is not installed (``plan.no-pdf``).
+    DiskError
+        If the file cannot be written.
+    CancelledError
+        If ``cancel()`` said so; nothing is written.
+
+    Examples
+    --------
+    >>> import carina, tempfile
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> found = carina.find_airways(made.volume)
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> sheet = make_sheet(made.volume, found, plan)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_report(f"{folder}/plan.html", sheet).suffix
+    '.html'
+    """
+    check_type("write_report", "sheet", sheet, PlanSheet, "make one with carina.plan.make_sheet")
+    suffix = Path(path).suffix.lower()
+    if suffix not in {".html", ".htm", ".pdf", ".json"}:
+        found = suffix or "no suffix"
+        raise UsageError(
+            f"write_report: expected a file name that ends in .html, .pdf or .json; found {found}",
+            code="plan.report-format",
+        )
+    for name, value, known in (("kind", kind, ("report", "tracing")), ("paper", paper, ("A4", "Letter"))):
+        if value not in known:
+            raise UsageError(
+                f"write_report: {name}: expected {' or '.join(known)}; found {value!r}", code="plan.report-format"
+            )
+    if kind == "tracing" and sheet.route is None and suffix != ".json":
+        raise UsageError("write_report: the plan has no route to trace", code="plan.no-route")
+
+    def told(share: float) -> None:
+        if cancel is not None and cancel():
+            raise CancelledError("writing the report was cancelled")
+        if progress is not None:
+            progress(share)
+
+    told(0.0)
+    if suffix == ".json":
+        content = (json.dumps(sheet.to_json(), indent=1) + "\n").encode()
+    else:
+        parts = tracing_sections(sheet) if kind == "tracing" else sections(sheet)
+        told(0.3)
+        content = html_page(sheet, parts).encode() if suffix != ".pdf" else pdf_pages(sheet, parts, paper=paper)
+    told(0.9)
+    written = write_whole(path, content, what="the report")
+    told(1.0)
+    return written

@@ -1,0 +1,157 @@
+"""By what routes are ranked: first by whether the planned scope gets there, then by a score whose parts are told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.plan.last_leg import LastLeg
+from carina.plan.nodule import Nodule
+from carina.scopes import ScopePreset
+
+__all__ = ["Demands", "Judge", "Outlook", "ScoreWeights", "Worst"]
+
+Outlook = Literal["reaches", "may reach", "does not reach"]
+RANK: dict[Outlook, int] = {"reaches": 0, "may reach": 1, "does not reach": 2}
+
+DEEP_MM = 8.0
+"""So much of a needle's way in the target is enough for a sample."""
+SURE_SIGMA = 1.2816
+"""Nine of ten lie below the mean and this many standard deviations."""
+EXCESS_SIGMA_MM = 0.15
+"""Of a scope's true size: ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the deviation is our estimate)."""
+ROOM_SHARE = 0.2
+"""Standard deviation of a lumen's width, of the CT's coarsest spacing (k)."""
+BEND_SIGMA_DEG = 8.0
+"""Of the angle that a route asks of the bending section (k)."""
+MEDIASTINUM_MM = 2.0
+"""Where the needle crosses more of it, a vessel may lie there unseen."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ScoreWeights:
+    """What each part of a route's score counts. A part is 0 at its best and 1 where it is as bad as can be."""
+
+    misses: float = 0.25
+    """Needle positions that miss."""
+    way: float = 0.15
+    """Way outside the lumen, of the tool's reach."""
+    angle: float = 0.15
+    """Angle between needle and airway, of 90 degrees."""
+    narrow: float = 0.3
+    """What the narrowest place on the way lacks for the scope, of the scope's own size; 1 where it lacks a quarter."""
+    vessels: float = 0.1
+    """What the nearest vessel lacks of the margin; 1 where mediastinum is crossed, whose vessels are not seen."""
+    shallow: float = 0.15
+    """What the needle's way in the target lacks of 8 mm, or of the target's own length."""
+
+    def __post_init__(self) -> None:
+        values = [getattr(self, name) for name in self.__slots__]
+        if not all(math.isfinite(v) and v >= 0.0 for v in values) or sum(values) <= 0.0:
+            raise UsageError(f"weights: expected numbers from 0 up, not all 0; found {values}", code="plan.weights")
+
+    def to_json(self) -> dict[str, float]:
+        """Plain JSON types."""
+        return {name: float(getattr(self, name)) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The worst place on a way."""
+
+    value: float
+    at_mm: float
+    """From the root."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """What the way to a place asks of a scope."""
+
+    room_mm: Worst
+    """The narrowest place: diameter of the largest ball that passes."""
+    bend_deg: Worst
+    """The sharpest turn over the length of rigid tip and bending section; where that ends."""
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """By what a route is judged."""
+
+    scope: ScopePreset
+    margin_mm: float
+    weights: ScoreWeights
+    reach_mm: float
+    """How far the tool works beyond the scope's tip."""
+    spacing_mm: float
+    """The CT's coarsest: how sure a lumen's width is."""
+
+    def parts(self, leg: LastLeg, narrowest_mm: float, nodule: Nodule) -> dict[str, float]:
+        """Of the score, each 0 to 1 (`ScoreWeights`)."""
+        near = 0.0 if self.margin_mm <= 0.0 or leg.vessel_mm is None else 1.0 - leg.vessel_mm / self.margin_mm
+        found = {
+            "misses": 1.0 - leg.hit_share,
+            "way": leg.outside_mm / self.reach_mm,
+            "angle": leg.angle_deg / 90.0,
+            "narrow": 4.0 * (1.0 - narrowest_mm / self.scope.fit_mm),
+            "vessels": 1.0 if self.margin_mm > 0.0 and leg.mediastinum_mm > MEDIASTINUM_MM else near,
+            "shallow": 1.0 - leg.in_target_mm / min(DEEP_MM, 0.9 * nodule.short_mm),
+        }
+        return {name: float(np.clip(part, 0.0, 1.0)) for name, part in found.items()}
+
+    def score(self, parts: dict[str, float]) -> float:
+        """0 to 1, 1 the best."""
+        total = sum(getattr(self.weights, name) for name in parts)
+        lost = sum(getattr(self.weights, name) * part for name, part in parts.items())
+        return 1.0 - float(lost) / float(total)
+
+    def outlook(self, way: Demands) -> tuple[Outlook, tuple[str, ...]]:
+        """Whether the scope gets there, as far as diameters, bends and doubts say; and what stands against it."""
+        found: Outlook = "may reach" if way.doubts else "reaches"
+        limits = []
+        for answer, words in (self._room(way), self._bend(way)):
+            if answer != "reaches":
+                limits.append(words)
+            found = max(found, answer, key=lambda one: RANK[one])
+        return found, tuple(limits)
+
+    def _room(self, way: Demands) -> tuple[Outlook, str]:
+        needs = self.scope.fit_mm
+        sigma = math.hypot(ROOM_SHARE * self.spacing_mm, EXCESS_SIGMA_MM)
+        words = (
+            f"the narrowest place, {way.room_mm.at_mm:.0f} mm along the route, is {way.room_mm.value:.1f} \u00b1 "
+            f"{1.645 * sigma:.1f} mm wide; {self.scope.title} needs {needs:.1f} mm"
+        )
+        return _answer(way.room_mm.value - needs, sigma), words
+
+    def _bend(self, way: Demands) -> tuple[Outlook, str]:
+        if self.scope.flexion_deg is None or self.scope.bending_mm is None:
+            return "may reach", f"it is not known how far {self.scope.title} flexes"
+        most = max(self.scope.flexion_deg)
+        words = (
+            f"the bend {way.bend_deg.at_mm:.0f} mm along the route requires {way.bend_deg.value:.0f} degrees of "
+            f"flexion; {self.scope.title} has {most:.0f}"
+        )
+        return _answer(most - way.bend_deg.value, BEND_SIGMA_DEG), words
+
+
+def bending_mm(scope: ScopePreset) -> float | None:
+    """Length of rigid tip and bending section; None where it is not known."""
+    return None if scope.bending_mm is None else float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
+
+
+def order(route: Any) -> tuple[Any, ...]:
+    """The better of two routes comes first: what the scope gets to, then the score."""
+    return RANK[route.outlook], -route.score, route.branch_id, route.aim
+
+
+def _answer(spare: float, sigma: float) -> Outlook:
+    bar = SURE_SIGMA * sigma
+    return "reaches" if spare >= bar else "does not reach" if spare <= -bar else "may reach"

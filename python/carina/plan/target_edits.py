@@ -1,0 +1,211 @@
+"""A target's boundary changed by hand: by its diameter, with a brush, or set as a ball where the CT shows none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carina.errors import UsageError, check_type
+from carina.plan.boundary_measures import diameters
+from carina.plan.box import Box, ball_distance, box_step_mm, component_at, smoothed
+from carina.plan.mask_measures import measured_mask
+from carina.plan.nodule_value import Nodule
+from carina.volume import Volume
+
+__all__ = ["brushed", "resized", "sphere"]
+
+Mask = NDArray[np.bool_]
+Place = NDArray[np.float64]
+
+DIAMETERS_MM = (1.0, 150.0)
+BRUSH_MM = (0.5, 40.0)
+RESIZED, BRUSHED, SPHERE = (
+    "boundary set by hand to a diameter",
+    "boundary edited by hand",
+    "a sphere set by hand: the CT shows no boundary that was used",
+)
+ROUNDS = 30
+SPHERE_OFF_MM = 2.0
+"""How far the boundary of a ball set by hand may be off, beyond what a drawn one may (k)."""
+
+
+def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
+    """The same nodule with its boundary moved outward or inward everywhere alike, to a long axial diameter.
+
+    Parameters
+    ----------
+    nodule, volume
+        The nodule, and its CT: kind stays, density and volume are measured anew.
+    diameter_mm
+        The new ``long_mm``, 1 to 150 mm.
+
+    Raises
+    ------
+    UsageError
+        If the diameter is out of range, so small that nothing is left, or reaches out of the CT by more than half
+        (code ``plan.edit``).
+
+    Examples
+    --------
+    >>> import carina
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
+    >>> nodule = carina.grow_nodule(made.volume, made.truth["nodule"]["center_lps"])
+    >>> wider = resized(nodule, made.volume, nodule.long_mm + 4.0)
+    >>> round(wider.long_mm - nodule.long_mm)
+    4
+    """
+    _check(volume, diameter_mm, DIAMETERS_MM, "diameter")
+    step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+    grow_mm = max(0.5 * (diameter_mm - nodule.long_mm), 0.0)
+    inside, matrix = _padded(nodule, grow_mm + 3.0 * step)
+    # Positive inside: the boundary lies at 0. Distances of voxels jump; smoothed they do not.
+    depth = smoothed(ball_distance(inside, step) - ball_distance(~inside, step), 1.0)
+    # What is measured of the voxels may differ from what the nodule was told to have (partial volumes).
+    told = nodule.long_mm - diameters(inside, step)[0]
+    low, high = -(grow_mm + 2.0 * step), float(depth.max())
+    for _ in range(ROUNDS):
+        level = 0.5 * (low + high)
+        kept = depth > level
+        found = diameters(kept, step)[0] + told if kept.any() else 0.0
+        low, high = (level, high) if found > diameter_mm else (low, level)
+    kept = depth > 0.5 * (low + high)
+    if not kept.any():
+        raise _refused("nothing of the target would be left; choose a larger diameter")
+    return _edited(nodule, volume, _in_ct(volume, _main_piece(kept), matrix), matrix, RESIZED)
+
+
+def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: float, *, add: bool = True) -> Nodule:
+    """The same nodule with a ball added to it, or taken from it.
+
+    What a ball cuts off from the largest part goes with it.
+
+    Parameters
+    ----------
+    centre_lps, radius_mm
+        The brush: (3,) LPS mm in the CT, and 0.5 to 40 mm.
+
+    Raises
+    ------
+    UsageError
+        If the brush lies outside the CT, does not touch the nodule, or leaves nothing of it (code ``plan.edit``).
+    """
+    _check(volume, radius_mm, BRUSH_MM, "brush radius")
+    centre = _point_in(volume, centre_lps)
+    step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+    inside, matrix = _padded(nodule, 2.0 * step, also=(centre, radius_mm) if add else None)
+    ball = _off(inside.shape, matrix, centre) <= radius_mm
+    if not add:
+        if not (inside & ball).any():
+            raise _refused("the brush does not touch the target")
+        left = inside & ~ball
+        if not left.any():
+            raise _refused("nothing of the target would be left; use a smaller brush, or remove the target")
+        return _edited(nodule, volume, _main_piece(left), matrix, BRUSHED)
+    if not (inside & _near(ball, step)).any():
+        raise _refused("the brush does not touch the target; a target is one piece")
+    return _edited(nodule, volume, _in_ct(volume, inside | ball, matrix), matrix, BRUSHED)
+
+
+def sphere(volume: Volume, centre_lps: ArrayLike, diameter_mm: float) -> Nodule:
+    """A ball as a target, where the CT shows no boundary: a node in the mediastinum, a place in a consolidation.
+
+    Parameters
+    ----------
+    centre_lps, diameter_mm
+        (3,) LPS mm in the CT, and 1 to 150 mm.
+
+    Raises
+    ------
+    UsageError
+        If one of them is out of range (code ``plan.edit``).
+    """
+    _check(volume, diameter_mm, DIAMETERS_MM, "diameter")
+    centre = _point_in(volume, centre_lps)
+    step = box_step_mm(volume)
+    half = math.ceil(0.5 * diameter_mm / step) + 2
+    matrix = np.diag([step, step, step, 1.0])
+    matrix[:3, 3] = centre - half * step
+    inside = _off((2 * half + 1,) * 3, matrix, centre) <= 0.5 * diameter_mm
+    inside[half, half, half] = True
+    return measured_mask(volume, _in_ct(volume, inside, matrix), matrix, notes=(SPHERE,), off_mm=SPHERE_OFF_MM)
+
+
+def _edited(nodule: Nodule, volume: Volume, inside: Mask, matrix: Place, note: str) -> Nodule:
+    notes = (*(one for one in nodule.notes if one != note), note)
+    return measured_mask(volume, inside, matrix, kind=nodule.kind, notes=notes, touches=nodule.touches)
+
+
+def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
+    """The nodule's voxels in a box that is larger by a margin, and holds a ball as well."""
+    matrix = nodule.lps_from_ijk
+    step = float(np.linalg.norm(matrix[:3, 0]))
+    low = np.zeros(3, dtype=int)
+    high = np.array(nodule.inside_zyx.shape[::-1]) - 1
+    if also is not None:
+        ijk = np.linalg.inv(matrix[:3, :3]) @ (also[0] - matrix[:3, 3])
+        low = np.minimum(low, np.floor(ijk - also[1] / step).astype(int))
+        high = np.maximum(high, np.ceil(ijk + also[1] / step).astype(int))
+    margin = math.ceil(margin_mm / step)
+    before, after = margin - low, high - (np.array(nodule.inside_zyx.shape[::-1]) - 1) + margin
+    if np.prod((high - low + 1 + 2 * margin).astype(float)) * step**3 > DIAMETERS_MM[1] ** 3 * 4.0:
+        raise _refused("the brush lies far from the target")
+    inside = np.pad(nodule.inside_zyx, [(int(before[a]), int(after[a])) for a in (2, 1, 0)])
+    placed = matrix.copy()
+    placed[:3, 3] -= matrix[:3, :3] @ before
+    return inside, placed
+
+
+def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
+    """What of it lies in the CT: at least half."""
+    known = Box.at(volume, matrix, inside.shape).known
+    kept = inside & known
+    if kept.sum() < 0.5 * inside.sum():
+        raise _refused("more than half of the target would lie outside the CT")
+    return kept
+
+
+def _main_piece(mask: Mask) -> Mask:
+    """The piece with most voxels."""
+    left, best = mask.copy(), np.zeros_like(mask)
+    while left.sum() > best.sum():
+        first = np.unravel_index(int(left.argmax()), left.shape)
+        piece = component_at(left, tuple(int(k) for k in first))
+        left &= ~piece
+        if piece.sum() > best.sum():
+            best = piece
+    return best
+
+
+def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.float64]:
+    """Distances of all voxels from a point, mm."""
+    k, j, i = np.indices(shape)
+    places = np.stack([i, j, k], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
+    off: NDArray[np.float64] = np.linalg.norm(places - point, axis=-1)
+    return off
+
+
+def _near(mask: Mask, step_mm: float) -> Mask:
+    """A mask and the voxels beside it."""
+    return ball_distance(~mask, step_mm) <= 1.1 * step_mm
+
+
+def _check(volume: Volume, mm: float, limits: tuple[float, float], what: str) -> None:
+    check_type("target", "volume", volume, Volume, "open a volume with carina.open_volume")
+    if not (math.isfinite(mm) and limits[0] <= mm <= limits[1]):
+        raise _refused(f"expected a {what} of {limits[0]:g} to {limits[1]:g} mm; found {mm:g}")
+
+
+def _point_in(volume: Volume, at_lps: ArrayLike) -> Place:
+    try:
+        point = np.asarray(at_lps, dtype=np.float64).reshape(3)
+    except (TypeError, ValueError):
+        raise UsageError(f"target: expected a point x,y,z in LPS mm; found {at_lps!r}", code="plan.point") from None
+    if not np.isfinite(point).all() or not volume.contains_lps(point):
+        raise _refused("the point lies outside the CT")
+    return point
+
+
+def _refused(problem: str) -> UsageError:
+    return UsageError(f"editing the target: {problem}", code="plan.edit")

@@ -1,0 +1,234 @@
+"""A target from a file: a mask, a DICOM segmentation, or a structure set, each only where it belongs to the CT."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from carina.errors import VolumeImportError, check_type
+from carina.plan.contours import OutlineError, drawn_in
+from carina.plan.mask_measures import drawn_nodule
+from carina.plan.nodule_value import Nodule
+from carina.plan.target import NAME_CHARS, PlanTarget, TargetSource
+from carina.plan.target_mask import nodule_from_mask, one_piece, target_of
+from carina.scopes import WallField
+from carina.volume import MaskLabel, MaskLabelError, Volume, open_mask
+from carina.volume.dicom_headers import looks_like_dicom
+from carina.volume.dicom_structures import (
+    References,
+    Structure,
+    ct_references,
+    is_structure_set,
+    read_references,
+    read_structures,
+    refused,
+)
+from carina.volume.opening import guarded
+from carina.volume.watch import Watch
+
+__all__ = ["target_from_file"]
+
+LEAST_MM2 = 0.01
+"""An outline that encloses less is a point or a line."""
+UNCHECKED = "its file does not say on which CT it was drawn; only its position was checked"
+NO_DICOM = "whether it was drawn on this very CT could not be checked; only its position was"
+PART_OF_SCAN = "the segmentation covers only part"
+SISTER = "it was drawn on another series of the same examination, which has the same coordinates"
+
+
+def target_from_file(
+    path: str | Path,
+    volume: Volume,
+    *,
+    structure: int | str | None = None,
+    at_lps: ArrayLike | None = None,
+    ct: str | Path | None = None,
+    target_id: str = "target",
+    name: str | None = None,
+    resample: bool = False,
+    wall: WallField | None = None,
+    progress: Callable[[str, float | None], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> PlanTarget:
+    """A target from a mask (NIfTI, NRRD, MetaImage), a DICOM SEG or an RTSTRUCT.
+
+    Parameters
+    ----------
+    path
+        The file.
+    volume
+        The CT that the target is planned in.
+    structure
+        Number or name of the structure (label, segment, ROI). Needed only where the file holds several.
+    at_lps
+        (3,) LPS mm: which part, where the structure has several.
+    ct
+        The folder or a file from which the CT was opened: then the references in a DICOM file are compared with it.
+        What refers to a CT with other coordinates is refused; without this the position alone is checked, and the
+        target says so.
+    name
+        The target's name; that of the structure where none is given.
+    resample
+        Take a mask on another grid all the same (not from outlines).
+    wall
+        The airways' wall, where it is known: it tells whether the target lies in an airway.
+
+    Raises
+    ------
+    VolumeImportError
+        If the file is damaged, is of another CT or another grid (codes as `open_mask` has them), or if it holds
+        several structures and none is chosen (`MaskLabelError`).
+    NoResultError
+        If the structure is empty, or has several parts and no point says which.
+    CancelledError
+        If ``cancel()`` returned true.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> ct, lumen, _ = carina.write_phantom(phantom, "phantom")
+    >>> target_from_file(lumen, phantom.volume, name="a mask").source
+    'mask'
+    """
+    check_type("target_from_file", "volume", volume, Volume, "open a volume with carina.open_volume")
+    watch = Watch(progress, cancel)
+    file = Path(path).expanduser()
+    source: TargetSource = "mask"
+    ours: References | None = None
+    if file.is_file() and looks_like_dicom(file):
+        source = "rtstruct" if is_structure_set(file) else "seg"
+        ours = None if ct is None else ct_references(Path(ct).expanduser(), volume, watch)
+    if source == "rtstruct":
+        nodule, named = guarded(
+            file, lambda where: _from_structures(where, volume, structure, at_lps, ours=ours, watch=watch)
+        )
+    else:
+        notes = _belonging(file, read_references(file), ours) if source == "seg" else ()
+        number, named = _label(file, volume, structure, resample=resample)
+        mask = open_mask(file, volume, label=number, resample=resample, progress=progress, cancel=cancel)
+        nodule = nodule_from_mask(volume, mask, at_lps=at_lps)
+        # A nodule's file need not cover the scan.
+        told = (note for note in nodule.notes if not note.startswith(PART_OF_SCAN))
+        nodule = replace(nodule, notes=(*told, *notes))
+    given = named[:NAME_CHARS] if name is None else name
+    return target_of(volume, nodule, source, target_id=target_id, name=given, wall=wall)
+
+
+def _label(file: Path, volume: Volume, structure: int | str | None, *, resample: bool) -> tuple[int | None, str]:
+    """The number and the name of the label that is meant; the name is empty where the file has none."""
+    try:
+        # No file has this label: the refusal lists those that it has.
+        open_mask(file, volume, label=-1, resample=resample)
+    except MaskLabelError as error:
+        labels = error.labels
+    else:
+        return None, ""
+    if isinstance(structure, str):
+        chosen = _named(file, structure, labels)
+    elif structure is None and len(labels) == 1:
+        chosen = labels[0]
+    else:
+        found = [label for label in labels if label.number == structure]
+        if not found:
+            why = "choose the nodule" if structure is None else f"{structure} is not among them"
+            raise _several(file, labels, why)
+        chosen = found[0]
+    return chosen.number, chosen.name or ""
+
+
+def _named(file: Path, name: str, labels: tuple[MaskLabel, ...]) -> MaskLabel:
+    found = [label for label in labels if (label.name or "").casefold() == name.strip().casefold()]
+    if len(found) != 1:
+        raise _several(file, labels, f"{len(found)} of them are named {name}" if found else f"none is named {name}")
+    return found[0]
+
+
+def _several(file: Path, labels: tuple[MaskLabel, ...], why: str) -> MaskLabelError:
+    listed = ", ".join(f"{label.number} ({label.name})" if label.name else str(label.number) for label in labels[:12])
+    more = f" and {len(labels) - 12} more" if len(labels) > 12 else ""
+    return MaskLabelError(
+        f"reading {file.name}: it contains the structures {listed}{more}; {why}; choose one by its number or name",
+        labels,
+    )
+
+
+def _from_structures(
+    file: Path,
+    volume: Volume,
+    wanted: int | str | None,
+    at_lps: ArrayLike | None,
+    *,
+    ours: References | None,
+    watch: Watch,
+) -> tuple[Nodule, str]:
+    """The nodule of a structure set, and the structure's name."""
+    chosen = _chosen(file, read_structures(file, watch).structures, wanted, volume)
+    if not chosen.contours:
+        problem = f"the structure {_told(chosen)} is empty"
+        if chosen.num_open:
+            problem = f"the structure {_told(chosen)} holds only points or open lines, which enclose nothing"
+        raise refused(file, problem, "choose another structure, or click on the nodule")
+    notes = _belonging(file, chosen.references, ours)
+    watch.step("Placing the outlines", None)
+    closed = [contour for contour in chosen.contours if contour.area_mm2 >= LEAST_MM2]
+    if not closed:
+        raise refused(file, f"the structure {_told(chosen)} encloses no area", "export it again")
+    try:
+        drawn, said, off_mm = drawn_in(volume, closed)
+    except OutlineError as error:
+        raise refused(file, str(error), "open the CT that it was drawn on", code=error.code) from None
+    drawn, left = one_piece(volume, drawn, at_lps)
+    if chosen.num_open:
+        left = (*left, f"{chosen.num_open} of its points or open lines left out")
+    return drawn_nodule(volume, drawn, notes=(*notes, *said, *left), off_mm=off_mm), chosen.name
+
+
+def _chosen(file: Path, structures: tuple[Structure, ...], wanted: int | str | None, volume: Volume) -> Structure:
+    """The one that was asked for, or the only one that is drawn."""
+    labels = tuple(MaskLabel(one.number, one.name or None, _about_ml(one, volume)) for one in structures)
+    if wanted is None:
+        drawn = [one for one in structures if one.contours]
+        if len(drawn) == 1:
+            return drawn[0]
+        if not drawn:
+            problem = "all of its structures are empty" if len(structures) > 1 else "its structure is empty"
+            raise refused(file, problem, "export it with the outline of the nodule")
+        raise _several(file, tuple(label for label in labels if label.volume_ml > 0.0), "choose the nodule")
+    number = _named(file, wanted, labels).number if isinstance(wanted, str) else wanted
+    for one in structures:
+        if one.number == number:
+            return one
+    raise _several(file, labels, f"{number} is not among them")
+
+
+def _about_ml(structure: Structure, volume: Volume) -> float:
+    """Area times the distance of slices; holes are not looked at."""
+    return sum(contour.area_mm2 for contour in structure.contours) * volume.spacing_mm[2] / 1000.0
+
+
+def _belonging(file: Path, theirs: References, ours: References | None) -> tuple[str, ...]:
+    """Notes on which CT a file belongs to; what belongs to another one is refused."""
+    if not (theirs.frames or theirs.series or theirs.images):
+        return (UNCHECKED,)
+    if ours is None:
+        return (NO_DICOM,)
+    same_series = bool(theirs.series & ours.series) or bool(theirs.images & ours.images)
+    other_frame = bool(theirs.frames) and bool(ours.frames) and not theirs.frames & ours.frames
+    other_study = bool(theirs.studies) and bool(ours.studies) and not theirs.studies & ours.studies
+    if other_frame or (not same_series and other_study):
+        raise VolumeImportError(
+            f"reading {file.name}: it was drawn on another CT (its frame of reference or its examination differs), "
+            "perhaps an earlier or a later scan; open the CT that it was drawn on, or mark the target in this one",
+            code="import.other-ct",
+        )
+    if same_series:
+        return ()
+    return (SISTER,) if theirs.frames & ours.frames else (NO_DICOM,)
+
+
+def _told(structure: Structure) -> str:
+    return f"{structure.number} ({structure.name})" if structure.name else str(structure.number)

@@ -1,0 +1,99 @@
+"""Where a target lies, in words: lung, pleura, airway, mediastinum or chest wall, outside the body."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.boundary import SMOOTH_MM
+from carina.plan.box import Box, ball_distance, smoothed
+from carina.plan.nodule_value import Nodule
+from carina.scopes import WallField
+from carina.volume import Volume, canonical_geometry
+from carina.volume.digest import canonical_axes
+
+__all__ = ["WHERE_WORDS", "Whereabouts", "is_outside_body", "whereabouts"]
+
+Whereabouts = Literal["lung", "beside pleura", "mediastinum or chest wall", "in an airway", "outside the body"]
+
+WHERE_WORDS: dict[Whereabouts, str] = {
+    "lung": "in the lung",
+    "beside pleura": "beside the pleura",
+    "mediastinum or chest wall": "in the mediastinum or the chest wall",
+    "in an airway": "in an airway",
+    "outside the body": "outside the body",
+}
+
+TISSUE_HU, OUTER_AIR_HU = -300.0, -940.0
+"""Air round a body is darker than a lung at full inspiration (about -860 HU) and than most emphysema."""
+WALL_HU = -400.0
+THICK_MM = 3.5
+"""What an opening by this radius leaves is no vessel, but chest wall, mediastinum or diaphragm."""
+LOOK_MM = 12.0
+"""So far from a target its surroundings are looked at."""
+SHELL_MM = (2.0, 4.0)
+"""Blur of the target's own edge ends before it."""
+BURIED, BESIDE = 0.6, 0.06
+"""Share of that shell in thick tissue: round a target in the mediastinum, and round one on the pleura."""
+IN_LUMEN = 0.3
+"""Share of the voxels within 2 mm of its boundary that lie in a lumen, from which on a target lies in an airway."""
+
+
+def whereabouts(volume: Volume, nodule: Nodule, *, wall: WallField | None = None) -> Whereabouts:
+    """Where a target lies.
+
+    Pleura is chest wall, mediastinum or diaphragm: without contrast the CT shows no difference. An airway is told only
+    where its wall is known.
+    """
+    step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
+    pad = int(np.ceil(LOOK_MM / step))
+    inside = np.pad(nodule.inside_zyx, pad)
+    matrix = nodule.lps_from_ijk.copy()
+    matrix[:3, 3] -= matrix[:3, :3] @ np.full(3, float(pad))
+    if is_outside_body(volume, np.array(nodule.middle_lps), radius_mm=0.5 * nodule.long_mm + 2.0):
+        return "outside the body"
+    away = ball_distance(~inside, step)
+    if wall is not None:
+        near = np.argwhere((away <= SHELL_MM[0]) & (ball_distance(inside, step) <= SHELL_MM[0]))
+        to_wall = wall.distance_mm(near[:, ::-1] @ matrix[:3, :3].T + matrix[:3, 3])
+        if float((to_wall > 0.0).mean()) >= IN_LUMEN:
+            return "in an airway"
+    box = Box.at(volume, matrix, inside.shape)
+    dense = (smoothed(box.hu_zyx, SMOOTH_MM / step) > WALL_HU) & ~inside & box.known
+    core = ball_distance(dense, step) > THICK_MM
+    thick = dense & (ball_distance(~core, step) <= THICK_MM + step) if core.any() else np.zeros_like(dense)
+    shell = (away > SHELL_MM[0]) & (away <= SHELL_MM[1]) & box.known
+    share = float(thick[shell].mean()) if shell.any() else 0.0
+    if share >= BURIED:
+        return "mediastinum or chest wall"
+    return "beside pleura" if share >= BESIDE or "pleura" in nodule.touches else "lung"
+
+
+def is_outside_body(volume: Volume, point_lps: NDArray[np.float64], *, radius_mm: float = 2.0) -> bool:
+    """Whether, in its axial slice, there is only the air round the patient on two sides of a place or more.
+
+    Where the CT is cut to a part of the chest its sides end in lung: then it is not.
+
+    Parameters
+    ----------
+    point_lps
+        (3,) LPS mm.
+    radius_mm
+        What is nearer than this is the thing itself.
+    """
+    axes = canonical_axes(volume.lps_from_ijk)
+    geometry = canonical_geometry(volume)
+    values = axes.view(volume.hu_zyx)
+    to_ijk = np.linalg.inv(geometry.lps_from_ijk)
+    top = np.array(values.shape[::-1]) - 1
+    i, j, k = np.clip(np.rint(to_ijk[:3, :3] @ point_lps + to_ijk[:3, 3]).astype(int), 0, top)
+    skip_i, skip_j, _ = (int(np.ceil(radius_mm / s)) for s in np.linalg.norm(geometry.lps_from_ijk[:3, :3], axis=0))
+    row, column = values[k, j], values[k, :, i]
+    sides = (row[: max(i - skip_i, 0)], row[i + 1 + skip_i :], column[: max(j - skip_j, 0)], column[j + 1 + skip_j :])
+    return sum(_is_outer_air(side) for side in sides) >= 2
+
+
+def _is_outer_air(side: NDArray[np.int16]) -> bool:
+    return side.size > 0 and not (side > TISSUE_HU).any() and float(np.median(side)) < OUTER_AIR_HU

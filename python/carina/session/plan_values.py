@@ -1,0 +1,314 @@
+"""What follows from targets with a size: the plan of each, and what instruments can do on the route that is chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carina.case.document import Document, Lesion, Target
+from carina.commands.plan import PlanOptions
+from carina.errors import CancelledError, CarinaError
+from carina.session.derived import Attempt, Derived, Standing
+from carina.session.jobs import JobRunner
+from carina.session.parts import Parts
+from carina.track import Mesh, mask_mesh
+
+if TYPE_CHECKING:
+    from carina.plan import Nodule, Plan, Verdict
+    from carina.track import Airways
+    from carina.volume import Volume
+
+__all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "nodule_surface"]
+
+MOST_SHOWN = 36
+"""Voxels along a nodule's box that are shown of it: finer is not seen."""
+SAME_PLACE_MM = 0.05
+
+
+PlanTask = tuple["Nodule", tuple[tuple[float, float, float], ...], PlanOptions]
+"""What a plan is made from beside the airways: nodule, aims and options. Words about a target change no plan."""
+
+
+def task_of(lesion: Lesion) -> PlanTask:
+    """Of a target."""
+    return lesion.nodule, lesion.target.aims, lesion.options
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetPlan:
+    """What came of planning for one target."""
+
+    task: PlanTask
+    plan: Plan | None
+    problem: str | None
+    """Why there is no plan."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MadePlans:
+    """The plans of all targets in the same airways."""
+
+    airways: Airways
+    wall: Any
+    plans: tuple[TargetPlan, ...]
+
+    def of(self, task: PlanTask) -> TargetPlan | None:
+        """Its plan."""
+        return next((one for one in self.plans if one.task == task), None)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTarget:
+    """A target with a size, and its plan once it is made."""
+
+    target: Target
+    planned: TargetPlan | None
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningInfo:
+    """The plans of a case's targets, and the verdicts on the route that is chosen."""
+
+    targets: tuple[PlannedTarget, ...]
+    standing: Standing
+    verdicts: tuple[Verdict, ...]
+    verdicts_standing: Standing
+    document: Document
+
+
+PlanInputs = tuple[Any, ...]
+"""Airways, then the tasks."""
+VerdictInputs = tuple[Any, ...]
+"""A plan, the number of a route in it, the airways' wall, and the options."""
+
+
+class CasePlanning:
+    """The plans of a case's targets, and the verdicts on the route that is chosen.
+
+    Parameters
+    ----------
+    volume, parts, jobs, lock
+        As for every derived value (`carina.session.derived`).
+    changed
+        Told when a plan or a verdict is news.
+    """
+
+    def __init__(
+        self,
+        volume: Volume,
+        parts: Parts,
+        *,
+        jobs: JobRunner,
+        lock: AbstractContextManager[Any],
+        changed: Callable[[], None],
+    ) -> None:
+        self._volume = volume
+        self._parts = parts
+        self._lock = lock
+        self._changed = changed
+        self._plans: Derived[PlanInputs, MadePlans] = Derived(
+            jobs,
+            lock,
+            kind="plan",
+            title="planning the routes",
+            make=self._make_plans,
+            same=_same_inputs,
+            settled=self._settled,
+        )
+        self._verdicts: Derived[VerdictInputs, tuple[Verdict, ...]] = Derived(
+            jobs,
+            lock,
+            kind="verdicts",
+            title="simulating the instruments",
+            make=self._make_verdicts,
+            same=_same,
+            settled=changed,
+        )
+        self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
+        """Verdicts that are there already while others are being made."""
+        self._document: Document | None = None
+
+    # ------------------------------------------------------------ what is asked
+
+    def of(self, lesion: Lesion) -> TargetPlan | None:
+        """The plan of a target of the document, if it is there."""
+        made = self.made
+        return None if made is None else made.of(task_of(lesion))
+
+    def standing(self) -> Standing:
+        """What has become of the plans."""
+        inputs = self._inputs(self._document)
+        return "unwanted" if inputs is None else self._plans.standing(inputs)
+
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """On the route that is chosen, as far as they are made."""
+        inputs = self._verdict_inputs()
+        if inputs is None:
+            return ()
+        made = self._verdicts.of(inputs)
+        if made is not None:
+            return made
+        with self._lock:
+            early = self._early
+            return early[1] if early is not None and _same(early[0], inputs) else ()
+
+    def verdicts_standing(self) -> Standing:
+        """What has become of them."""
+        inputs = self._verdict_inputs()
+        return "unwanted" if inputs is None else self._verdicts.standing(inputs)
+
+    def again(self) -> None:
+        """A person asks: also what was stopped or failed is tried again."""
+        self._plans.again()
+        self._verdicts.again()
+        if self._document is not None:
+            self.follow(self._document)
+
+    # ------------------------------------------------------------ what is said
+
+    def follow(self, document: Document) -> None:
+        """Plan for what the document has now, with the session locked."""
+        self._document = document
+        self._plans.want(self._inputs(document))
+        self._verdicts.want(self._verdict_inputs())
+
+    def discard(self) -> None:
+        """The case is closed."""
+        self._plans.discard()
+        self._verdicts.discard()
+        self._document = self._early = None
+
+    # ------------------------------------------------------------ how it is made
+
+    def _settled(self) -> None:
+        if self._document is not None:
+            self._verdicts.want(self._verdict_inputs())
+        self._changed()
+
+    def _inputs(self, document: Document | None) -> PlanInputs | None:
+        if document is None or document.airways is None:
+            return None
+        tasks = tuple(task_of(target.lesion) for target in document.targets if target.lesion is not None)
+        return (document.airways, *tasks) if tasks else None
+
+    @property
+    def made(self) -> MadePlans | None:
+        """The plans of the document, once they are there."""
+        return self._plans.of(self._inputs(self._document))
+
+    def _verdict_inputs(self) -> VerdictInputs | None:
+        document, made = self._document, self.made
+        if document is None or made is None or document.route is None:
+            return None
+        target = next((t for t in document.targets if t.target_id == document.route.target_id), None)
+        if target is None or target.lesion is None:
+            return None
+        planned = made.of(task_of(target.lesion))
+        number = None if planned is None or planned.plan is None else chosen_number(document, planned.plan)
+        return None if number is None or planned is None else (planned.plan, number, made.wall, target.lesion.options)
+
+    def _make_plans(self, inputs: PlanInputs, attempt: Attempt[MadePlans]) -> MadePlans:
+        airways, *tasks = inputs
+        before = attempt.before
+        same = before is not None and before.airways.lumen_zyx is airways.lumen_zyx
+        wall = before.wall if before is not None and same else None
+        if wall is None:
+            attempt.progress("measuring the airway wall", None)
+            wall = self._parts.wall_field(self._volume, airways, cancel=attempt.cancel)
+        plans: list[TargetPlan] = []
+        for n, task in enumerate(tasks):
+            known = None if before is None or before.airways is not airways else before.of(task)
+            if known is not None:
+                plans.append(known)
+                continue
+            what = "looking at every place from which the target can be reached"
+
+            def say(share: float, n: int = n, what: str = what) -> None:
+                attempt.progress(what, (n + share) / len(tasks))
+
+            nodule, aims, options = task
+            try:
+                plan = self._parts.plan_route(
+                    self._volume,
+                    airways,
+                    nodule,
+                    scope=options.scope,
+                    tool=options.tool,
+                    vessel_margin_mm=options.vessel_margin_mm,
+                    moved_mm=options.moved_mm,
+                    aims=aims,
+                    wall=wall,
+                    progress=say,
+                    cancel=attempt.cancel,
+                )
+                plans.append(TargetPlan(task, plan, plan.why))
+            except CancelledError:
+                raise
+            except CarinaError as trouble:
+                plans.append(TargetPlan(task, None, str(trouble)))
+        return MadePlans(airways, wall, tuple(plans))
+
+    def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
+        plan, number, wall, options = inputs
+        with self._lock:
+            made = self.made
+        if made is None:
+            raise CancelledError("the airways have changed")
+        found: list[Verdict] = []
+        # The instrument that was planned with first: its answer is the one that is waited for.
+        presets = sorted(self._parts.scope_presets(), key=lambda preset: preset.name != plan.scope.name)
+        for n, preset in enumerate(presets):
+            attempt.progress(preset.title, n / len(presets))
+            found.append(
+                self._parts.judge_scope(
+                    made.airways.tree,
+                    plan,
+                    wall,
+                    preset,
+                    route=plan.routes[number - 1],
+                    spacing_mm=float(max(self._volume.spacing_mm)),
+                    entry_mm=options.entry_mm,
+                )
+            )
+            with self._lock:
+                self._early = (inputs, tuple(found))
+                self._changed()
+        return tuple(found)
+
+
+def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:
+    return a[0] is b[0] and a[1:] == b[1:]
+
+
+def _same(a: VerdictInputs, b: VerdictInputs) -> bool:
+    return len(a) == len(b) and all(x is y or x == y for x, y in zip(a, b, strict=True))
+
+
+def chosen_number(document: Document, plan: Plan) -> int | None:
+    """Which of a plan's routes the document's route is, from 1."""
+    needle = None if document.route is None else document.route.needle
+    if needle is None:
+        return None
+    for number, route in enumerate(plan.routes, 1):
+        away = np.subtract((route.leg.tip_lps, route.leg.aim_lps), needle.ends_lps)
+        if float(np.abs(away).max()) < SAME_PLACE_MM:
+            return number
+    return None
+
+
+def nodule_surface(nodule: Nodule) -> Mesh:
+    """Its boundary, no finer than is seen."""
+    inside, lps_from_ijk = nodule.inside_zyx, np.array(nodule.lps_from_ijk, dtype=np.float64)
+    step = -(-max(inside.shape) // MOST_SHOWN)
+    if step > 1:
+        room = [-(-size // step) * step for size in inside.shape]
+        padded = np.pad(inside, [(0, after - size) for after, size in zip(room, inside.shape, strict=True)])
+        nz, ny, nx = (size // step for size in room)
+        inside = padded.reshape(nz, step, ny, step, nx, step).mean(axis=(1, 3, 5)) >= 0.5
+        lps_from_ijk[:3, 3] += lps_from_ijk[:3, :3] @ np.full(3, 0.5 * (step - 1))
+        lps_from_ijk[:3, :3] *= step
+    return mask_mesh(inside, lps_from_ijk)

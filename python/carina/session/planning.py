@@ -1,0 +1,141 @@
+"""Targets with a size: how the way to them is planned, and which way is taken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from carina import commands as c
+from carina.case.document import Document, Target
+from carina.case.routes import NeedleLine, route_to_parking
+from carina.errors import NoResultError, UsageError
+from carina.plan import tool
+from carina.plan.report import PlanMaterials
+from carina.scopes import scope_preset
+from carina.session.case import OpenCase, as_point
+from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number
+from carina.session.subject import Subject, answers, does
+from carina.session.targets import needed_target
+
+__all__ = ["Planning"]
+
+
+class Planning(Subject):
+    """The steps *Target* and *Route* for what lies outside the airways."""
+
+    def follow(self, case: OpenCase) -> None:
+        """Plan for what the document has now, with the session locked."""
+        case.planning.follow(case.document)
+        self.core.changed("plan")
+
+    @does(c.SetPlanOptions)
+    def set_plan_options(self, command: c.SetPlanOptions) -> None:
+        """Its routes are planned anew; a route that was taken stays until another one is."""
+        scope_preset(command.scope)
+        tool(command.tool)
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, target = case.document, needed_target(case.document, command.target_id)
+            if target.lesion is None:
+                raise UsageError(f"{target.name} lies in the airways: there is no needle to plan", code="plan.target")
+            named = {name: getattr(command, name) for name in c.PlanOptions.__struct_fields__}
+            options = c.PlanOptions(**named)
+            if options == target.lesion.options:
+                case.planning.again()
+                return
+            changed = replace(target, lesion=replace(target.lesion, options=options))
+            self.core.change(
+                case,
+                f"plan the way to {target.name}",
+                _with_target(document, changed),
+                gesture=("plan", target.target_id),
+            )
+
+    @does(c.DescribeTarget)
+    def describe_target(self, command: c.DescribeTarget) -> None:
+        """Its name goes with its route."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, target = case.document, needed_target(case.document, command.target_id)
+            changed = target.described(command.called, command.remark, command.rank)
+            if (target.name, target.note, target.priority) == (command.called, command.remark, command.rank):
+                return
+            chosen = document.route
+            if chosen is not None and chosen.target_id == target.target_id:
+                chosen = changed.route if chosen is target.route else replace(chosen, title=command.called)
+            self.core.change(
+                case,
+                f"describe {command.called}",
+                replace(_with_target(document, changed), route=chosen),
+                gesture=("describe", target.target_id),
+            )
+
+    @does(c.ChoosePlannedRoute)
+    def choose_planned_route(self, command: c.ChoosePlannedRoute) -> None:
+        """The flight leads to where the scope stands; the needle's line goes with it."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            document, target = case.document, needed_target(case.document, command.target_id)
+            planned = None if target.lesion is None else case.planning.of(target.lesion)
+            if planned is None or document.airways is None:
+                raise NoResultError(
+                    f"the routes to {target.name} have not been planned yet: wait for the plan", code="plan.no-plan"
+                )
+            if planned.plan is None or not planned.plan.routes:
+                raise NoResultError(f"{target.name}: {planned.problem}", code="plan.no-route")
+            routes = planned.plan.routes
+            if command.number > len(routes):
+                raise UsageError(
+                    f"the plan has {len(routes)} routes to {target.name}; there is no route {command.number}",
+                    code="plan.no-route",
+                )
+            leg = routes[command.number - 1].leg
+            needle = NeedleLine((as_point(leg.tip_lps), as_point(leg.aim_lps)), float(leg.to_target_mm))
+            route = route_to_parking(document.airways.tree, needle, target.target_id, target.name)
+            self.core.change(case, f"route {command.number} to {target.name}", replace(document, route=route))
+
+    @answers(c.PlanningOf)
+    def planning_of(self, _question: c.PlanningOf) -> PlanningInfo:
+        """As far as it is made."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            targets = tuple(
+                PlannedTarget(target, case.planning.of(target.lesion))
+                for target in case.document.targets
+                if target.lesion is not None
+            )
+            return PlanningInfo(
+                targets=targets,
+                standing=case.planning.standing(),
+                verdicts=case.planning.verdicts(),
+                verdicts_standing=case.planning.verdicts_standing(),
+                document=case.document,
+            )
+
+    @answers(c.PlanToTakeAway)
+    def plan_to_take_away(self, question: c.PlanToTakeAway) -> PlanMaterials:
+        """Of the route that is chosen, else of the best."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            document, target = case.document, needed_target(case.document, question.target_id)
+            lesion = target.lesion
+            made, planned = case.planning.made, None if lesion is None else case.planning.of(lesion)
+            if lesion is None or made is None or planned is None or planned.plan is None:
+                why = "" if planned is None or planned.problem is None else f": {planned.problem}"
+                raise NoResultError(f"{target.name} has no plan yet{why}", code="plan.no-plan")
+            mine = document.route is not None and document.route.target_id == target.target_id
+            number = chosen_number(document, planned.plan) if mine else None
+            return PlanMaterials(
+                volume=case.info.volume,
+                airways=made.airways,
+                wall=made.wall,
+                plan=planned.plan,
+                route_number=number or 1,
+                verdicts=case.planning.verdicts() if number is not None else (),
+                operator=document.look.operator,
+                notes=tuple(note for note in (target.name, target.note) if note),
+            )
+
+
+def _with_target(document: Document, changed: Target) -> Document:
+    targets = tuple(changed if one.target_id == changed.target_id else one for one in document.targets)
+    return replace(document, targets=targets)

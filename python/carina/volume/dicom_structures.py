@@ -1,0 +1,227 @@
+"""DICOM structure sets (RTSTRUCT, PS3.3 A.19, C.8.8.5, C.8.8.6): outlines in patient space, and the CT they belong to.
+
+Nothing is put on a grid here, and no UID leaves these values for a message or a log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset
+
+from carina.display import one_line
+from carina.errors import VolumeImportError
+from carina.volume.dicom_files import read_headers
+from carina.volume.dicom_headers import IDENTITY, read_dataset
+from carina.volume.model import Volume
+from carina.volume.watch import Watch
+
+__all__ = [
+    "Contour",
+    "References",
+    "Structure",
+    "StructureSet",
+    "ct_references",
+    "is_structure_set",
+    "read_references",
+    "read_structures",
+    "refused",
+]
+
+_STRUCTURE_SET_STORAGE = "1.2.840.10008.5.1.4.1.1.481.3"
+_CLOSED = {"CLOSED_PLANAR": False, "CLOSEDPLANAR_XOR": True}
+_MOST_POINTS = 5_000_000
+_LARGEST_LPS = 1e5
+# Of a voxel: the first pixel of a slice lies on a voxel's centre of its own CT.
+_ON_GRID = 0.05
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class References:
+    """Which images something belongs to; empty where its file does not say. Never printed: UIDs."""
+
+    frames: frozenset[str] = field(default=frozenset(), repr=False)
+    """Frames of reference: what has one in common lies in one coordinate system."""
+    studies: frozenset[str] = field(default=frozenset(), repr=False)
+    series: frozenset[str] = field(default=frozenset(), repr=False)
+    images: frozenset[str] = field(default=frozenset(), repr=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contour:
+    """One closed outline."""
+
+    points_lps: NDArray[np.float64]
+    """(n, 3) LPS mm; the last point joins the first."""
+    is_xor: bool
+    """What lies in an even number of outlines of its plane is outside (PS3.3 C.8.8.6.3)."""
+
+    @property
+    def area_mm2(self) -> float:
+        """What it encloses."""
+        points = self.points_lps - self.points_lps[0]
+        return 0.5 * float(np.linalg.norm(np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)))
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """One region of interest."""
+
+    number: int
+    name: str
+    contours: tuple[Contour, ...]
+    num_open: int
+    """Points and open lines, which enclose nothing."""
+    references: References
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class StructureSet:
+    """All regions of a file."""
+
+    structures: tuple[Structure, ...]
+
+
+def read_structures(path: Path, watch: Watch) -> StructureSet:
+    """The regions of an RTSTRUCT file.
+
+    Raises
+    ------
+    VolumeImportError
+        If it is no structure set or is damaged (code ``import.mask``).
+    """
+    watch.step("Reading the structure set")
+    try:
+        data = read_dataset(path, pixels=True)
+    except ValueError as error:
+        raise refused(path, f"it {error}", "copy or export it again") from None
+    if str(data.get("SOPClassUID", "")) != _STRUCTURE_SET_STORAGE:
+        raise refused(path, "it is DICOM, but not a structure set (RTSTRUCT)", "choose the RTSTRUCT file")
+    whole = _references(data)
+    try:
+        regions = {int(item.ROINumber): item for item in data.get("StructureSetROISequence") or []}
+        drawn: dict[int, list[Dataset]] = {}
+        for item in data.get("ROIContourSequence") or []:
+            drawn.setdefault(int(item.ReferencedROINumber), []).extend(item.get("ContourSequence") or [])
+        found = tuple(_structure(path, item, drawn.get(number, []), whole) for number, item in regions.items())
+    except (AttributeError, TypeError, ValueError, OverflowError):
+        raise refused(path, "one of its structures is damaged", "export it again") from None
+    if not found:
+        raise refused(path, "it contains no structures", "export it with the outline of the nodule")
+    return StructureSet(found)
+
+
+def _structure(path: Path, region: Dataset, items: list[Dataset], whole: References) -> Structure:
+    contours, num_open, num_points = [], 0, 0
+    images = set()
+    for item in items:
+        kind = str(item.get("ContourGeometricType", "CLOSED_PLANAR")).strip().upper()
+        values = item.get("ContourData")
+        points = np.array([] if values is None else values, dtype=np.float64).reshape(-1, 3)
+        num_points += len(points)
+        if num_points > _MOST_POINTS:
+            raise refused(path, "a structure has implausibly many points", "export it again")
+        if not np.isfinite(points).all() or (points.size and np.abs(points).max() > _LARGEST_LPS):
+            raise ValueError(kind)
+        images.update(_uids(item, "ContourImageSequence", "ReferencedSOPInstanceUID"))
+        if kind in _CLOSED and len(points) >= 3:
+            contours.append(Contour(points, _CLOSED[kind]))
+        elif len(points):
+            num_open += 1
+    frame = str(region.get("ReferencedFrameOfReferenceUID") or "")
+    references = References(
+        frozenset({frame}) if frame else whole.frames, whole.studies, whole.series, frozenset(images) or whole.images
+    )
+    name = "".join(c if c.isprintable() else " " for c in str(region.get("ROIName") or "")[:64]).strip()
+    return Structure(int(region.ROINumber), name, tuple(contours), num_open, references)
+
+
+def read_references(path: Path) -> References:
+    """Which images a DICOM object (RTSTRUCT, SEG) says that it belongs to; empty where it cannot be read."""
+    try:
+        return _references(read_dataset(path, pixels=True))
+    except (ValueError, AttributeError, TypeError):
+        return References()
+
+
+def _references(data: Dataset) -> References:
+    frames, studies, series, images = set(), set(), set(), set()
+    if data.get("FrameOfReferenceUID"):
+        frames.add(str(data.FrameOfReferenceUID))
+    for frame in data.get("ReferencedFrameOfReferenceSequence") or []:
+        if frame.get("FrameOfReferenceUID"):
+            frames.add(str(frame.FrameOfReferenceUID))
+        for study in frame.get("RTReferencedStudySequence") or []:
+            studies.update(_uid(study, "ReferencedSOPInstanceUID"))
+            for one in study.get("RTReferencedSeriesSequence") or []:
+                series.update(_uid(one, "SeriesInstanceUID"))
+                images.update(_uids(one, "ContourImageSequence", "ReferencedSOPInstanceUID"))
+    for one in data.get("ReferencedSeriesSequence") or []:
+        series.update(_uid(one, "SeriesInstanceUID"))
+        images.update(_uids(one, "ReferencedInstanceSequence", "ReferencedSOPInstanceUID"))
+    if not studies:
+        studies.update(_uid(data, "StudyInstanceUID"))
+    return References(frozenset(frames), frozenset(studies), frozenset(series), frozenset(images))
+
+
+def _uid(item: Dataset, name: str) -> set[str]:
+    value = str(item.get(name) or "").strip("\0 ")
+    return {value} if value else set()
+
+
+def _uids(item: Dataset, sequence: str, name: str) -> set[str]:
+    return {uid for one in item.get(sequence) or [] for uid in _uid(one, name)}
+
+
+def ct_references(path: Path, volume: Volume, watch: Watch) -> References | None:
+    """Of the DICOM series from which a CT was opened; None where its files are no DICOM, or none of them fits it.
+
+    Parameters
+    ----------
+    path
+        The folder or a file of the CT.
+    volume
+        The CT: of several series in the folder those that have its slices are meant.
+    """
+    folder = path if path.is_dir() else path.parent
+    try:
+        headers = read_headers(folder, recursive=path.is_dir(), watch=watch)
+    except (VolumeImportError, OSError):
+        return None
+    limits = np.array(volume.shape_zyx[::-1]) - 0.5
+    kept = []
+    for header in headers:
+        ijk = volume.to_ijk(np.array(header.position_lps))
+        if np.abs(ijk - np.rint(ijk)).max() <= _ON_GRID and (ijk > -0.5).all() and (ijk < limits).all():
+            kept.append(header)
+    if not kept:
+        return None
+    names = list(IDENTITY)
+    frame, study = names.index("FrameOfReferenceUID"), names.index("StudyInstanceUID")
+    return References(
+        frozenset({header.identity[frame] for header in kept} - {""}),
+        frozenset({header.identity[study] for header in kept} - {""}),
+        frozenset({header.series_uid for header in kept} - {""}),
+        frozenset({header.sop_uid for header in kept} - {""}),
+    )
+
+
+def refused(path: Path, problem: str, way_out: str, *, code: str = "import.mask") -> VolumeImportError:
+    """A structure set that is not taken."""
+    return VolumeImportError(f"reading the structure set {path.name}: {problem}; {way_out}", code=code)
+
+
+def is_structure_set(path: Path) -> bool:
+    """Whether a DICOM file is an RTSTRUCT."""
+    try:
+        data: Any = read_dataset(path, pixels=False)
+    except ValueError:
+        return False
+    return str(data.get("SOPClassUID", "")) == _STRUCTURE_SET_STORAGE

@@ -1,0 +1,103 @@
+"""From a CT to a printed plan as a newcomer goes: open, click the nodule, take the first route, read, print."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import carina
+from made import made_phantom
+
+pytestmark = pytest.mark.browser
+
+CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
+MOST_CLICKS = 6
+
+
+@pytest.fixture
+def opens(tmp_path):
+    """A chest with a nodule."""
+    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    return {"path": str(tmp_path / "ct.nii.gz")}
+
+
+def scroll_to(workstation, lps) -> None:
+    """Leaf through the axial slices with the wheel until the target's is shown."""
+    canvas = workstation.page.locator("canvas[data-view=axial]")
+    box = canvas.bounding_box()
+    workstation.page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.6 * box["height"])
+    for _ in range(400):
+        at = workstation.page.evaluate("() => window.__carina.state.frames.axial.lps_from_pixel[11]")
+        if abs(at - lps[2]) < 1.0:
+            return
+        workstation.page.mouse.wheel(0, 100 if at > lps[2] else -100)
+        workstation.wait_for("(at) => Math.abs(window.__carina.state.frames.axial.lps_from_pixel[11] - at) > 0.01", at)
+    raise AssertionError("the wheel does not lead to the slice")
+
+
+def place_in_slice(workstation, view: str, lps) -> list[float]:
+    """Where a point shows in a slice, in page coordinates."""
+    return workstation.page.evaluate(
+        """([view, p]) => {
+            const { lps_from_pixel: m, width, height } = window.__carina.state.frames[view];
+            const d = [p[0] - m[3], p[1] - m[7], p[2] - m[11]];
+            const along = (c) => (d[0] * m[c] + d[1] * m[4 + c] + d[2] * m[8 + c])
+                / (m[c] ** 2 + m[4 + c] ** 2 + m[8 + c] ** 2);
+            const box = document.querySelector(`canvas[data-view=${view}]`).getBoundingClientRect();
+            return [box.x + (along(0) / width) * box.width, box.y + (along(1) / height) * box.height];
+        }""",
+        [view, [float(v) for v in lps]],
+    )
+
+
+def test_a_newcomer_comes_from_the_ct_to_the_printed_plan_with_six_clicks(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page, truth = workstation.page, made_phantom(**CHEST).truth["nodule"]
+    pose = workstation.state("pose.lps_from_camera")
+    clicks = 1  # opening the CT
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_test_id("arm-target").click()
+    clicks += 2
+    scroll_to(workstation, truth["center_lps"])
+    page.mouse.click(*place_in_slice(workstation, "axial", truth["center_lps"]))
+    clicks += 1
+    lesion = page.get_by_test_id("lesion")
+    lesion.wait_for()
+    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+    assert "solid nodule" in page.get_by_test_id("lesion-size").inner_text().lower()
+    # Nothing teleports: neither the new target nor the plan moved the tip.
+    assert workstation.state("pose.lps_from_camera") == pose
+    workstation.picture("plan-target")
+
+    page.get_by_test_id("take-route").click()
+    clicks += 1
+    workstation.wait_for("window.__carina.state.plans.verdicts_standing === 'had'")
+    verdict = page.get_by_test_id("verdict").first
+    assert verdict.inner_text().strip()
+    routes = workstation.state("plans.targets[0].routes")
+    assert page.locator(".routes thead th").count() == 1 + len(routes)
+    assert workstation.state("route.needle.ends_lps[1]") == routes[0]["needle"]["ends_lps"][1]
+    # The tip lies in the trachea, which every route has: it stays.
+    assert workstation.state("pose.lps_from_camera")[3::4][:3] == pytest.approx(pose[3::4][:3], abs=0.5)
+    workstation.picture("plan-routes")
+
+    with page.context.expect_page() as opened:
+        page.get_by_test_id("print-plan").click()
+    clicks += 1
+    report = opened.value
+    report.wait_for_load_state("load")
+    assert clicks <= MOST_CLICKS
+    words = report.locator("body").inner_text()
+    assert "Not a medical device" in words and "CT taken at inspiration" in words
+    assert "patient's name" not in words
+    assert len(report.locator("img").all()) + len(report.locator("svg").all()) >= 3
+    report.close()
+
+    with page.expect_download() as taken:
+        page.get_by_test_id("take-plan.json").click()
+    document = json.loads(taken.value.path().read_text())
+    assert (document["format"], document["report"]["route"]) == ("carina-plan", 1)
+    assert len(document["verdicts"]) == len(workstation.state("plans.verdicts"))
+    assert workstation.faults == []

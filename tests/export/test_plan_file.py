@@ -1,0 +1,51 @@
+"""A plan to any file by its suffix, and what each format needs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pydicom
+import pytest
+from dicom_writer import series
+from written_plans import a_plan, a_tree
+
+import carina.export
+from carina.errors import UsageError
+from carina.export import PLAN_FORMATS, export_plan
+from carina.volume import open_volume
+
+AIM = (-1.7125, -3.0625, 22.8125)
+
+
+def test_every_format_is_written_under_its_suffix(tmp_path):
+    ct = series(tmp_path / "ct")
+    plan = a_plan(aim_lps=AIM)
+    for suffix in PLAN_FORMATS:
+        path = export_plan(tmp_path / f"Plan{suffix.upper()}", plan, a_tree(), volume=open_volume(ct), ct=ct)
+        assert path.stat().st_size > 500
+    assert pydicom.dcmread(tmp_path / "Plan.SEG.DCM").Modality == "SEG"
+    assert pydicom.dcmread(tmp_path / "Plan.SR.DCM").Modality == "SR"
+
+
+def test_what_a_format_needs_is_asked_for_in_words(tmp_path):
+    plans = {"A": a_plan(), "B": a_plan()}
+    with pytest.raises(UsageError, match=r"\.mrk\.json, \.seg\.nrrd, \.seg\.dcm, \.sr\.dcm; found 'p\.json'"):
+        export_plan(tmp_path / "p.json", a_plan(), a_tree())
+    with pytest.raises(UsageError, match="airway tree"):
+        export_plan(tmp_path / "p.mrk.json", a_plan())
+    with pytest.raises(UsageError, match="holds one target and the plan has 2"):
+        export_plan(tmp_path / "p.seg.nrrd", plans)
+    for name in ("p.seg.dcm", "p.sr.dcm"):
+        with pytest.raises(UsageError, match="DICOM folder"):
+            export_plan(tmp_path / name, a_plan(), a_tree())
+    with pytest.raises(UsageError, match="no target"):
+        export_plan(tmp_path / "p.mrk.json", {}, a_tree())
+    assert not list(tmp_path.iterdir())
+
+
+def test_all_names_of_the_package_are_there_and_no_reader_of_dicom_is_loaded_before_it_is_asked_for():
+    assert all(getattr(carina.export, name) is not None for name in carina.export.__all__)
+    code = "import sys, carina.export; carina.export.export_plan; print('pydicom' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout.strip() == "False"

@@ -1,0 +1,99 @@
+"""What the way to a place asks of a scope, on trees whose bends and widths are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nodules import ellipsoid
+
+from carina.plan.places import Places
+from carina.plan.score import Judge, ScoreWeights, bending_mm
+from carina.scopes import scope_preset
+from carina.track import AirwayTree, Branch
+
+SECTION_MM = 50.0
+
+
+def bent(bend_deg: float, radius_mm: float, *, straight_mm: float = 80.0) -> AirwayTree:
+    """Straight down, along a circle, and straight on; 6 mm wide."""
+    down = [np.array([0.0, 0.0, -z]) for z in np.arange(0.0, straight_mm, 0.5)]
+    bend = math.radians(bend_deg)
+    angles = np.linspace(0.0, bend, int(2.0 * bend * radius_mm) + 2)
+    turned = [np.array([radius_mm * (1.0 - math.cos(a)), 0.0, -straight_mm - radius_mm * math.sin(a)]) for a in angles]
+    ahead = np.array([math.sin(bend), 0.0, -math.cos(bend)])
+    points = np.array([*down, *turned, *(turned[-1] + s * ahead for s in np.arange(0.5, 60.0, 0.5))])
+    half = 60
+    radius = np.full(len(points), 3.0)
+    trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", points[: half + 1], radius[: half + 1])
+    rest = Branch(1, 0, (), 1, None, "tracked", points[half:], radius[half:])
+    return AirwayTree((trunk, rest))
+
+
+@settings(deadline=None, max_examples=30)
+@given(bend_deg=st.floats(5.0, 150.0), radius_mm=st.floats(8.0, 16.0))
+def test_the_bend_of_one_circle_is_its_angle(bend_deg: float, radius_mm: float) -> None:
+    tree = bent(bend_deg, radius_mm)
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    asked = places.asks(len(places.points) - 1, SECTION_MM)
+    # The circle is shorter than the section, so that the section's ends lie on the straights.
+    assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
+    assert asked.bend_deg.value == pytest.approx(bend_deg, abs=1.0)
+    assert 80.0 < asked.bend_deg.at_mm < 80.0 + math.radians(bend_deg) * radius_mm + SECTION_MM
+    assert places.asks(len(tree.root.points) + 30, SECTION_MM).bend_deg.value < 1.0, "before the bend there is none"
+
+
+def test_a_sharper_bend_is_never_told_to_be_easier_farther_on() -> None:
+    tree = bent(110.0, 12.0)
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    bends = [places.asks(n, SECTION_MM).bend_deg.value for n in range(len(places.points))]
+    assert bends == sorted(bends)
+
+
+def test_the_narrowest_place_is_where_the_lumen_is_narrow() -> None:
+    tree = bent(30.0, 15.0)
+    radius = tree.branches[1].radius.copy()
+    radius[40:44] = 1.4
+    narrowed = dataclasses.replace(tree.branches[1], radius=radius)
+    places = Places(AirwayTree((tree.root, narrowed)), ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]))
+    asked = places.asks(len(places.points) - 1, SECTION_MM)
+    assert asked.room_mm.value == pytest.approx(2.8)
+    assert asked.room_mm.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
+    before = places.asks(len(tree.root.points) + 20, SECTION_MM)
+    assert before.room_mm.value == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize(
+    ("tip_mm", "most_deg", "outlook"),
+    [
+        (4.0, 130.0, "reaches"),
+        (5.55, 130.0, "may reach"),
+        (6.5, 130.0, "does not reach"),
+        (4.0, 92.0, "may reach"),
+        (4.0, 60.0, "does not reach"),
+        (6.5, 60.0, "does not reach"),
+    ],
+)
+def test_the_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: float, outlook: str) -> None:
+    scope = dataclasses.replace(
+        scope_preset("thin"), tip_mm=tip_mm, tube_mm=None, flexion_deg=(most_deg, most_deg), bending_mm=(40.0, 40.0)
+    )
+    assert bending_mm(scope) == SECTION_MM
+    tree = bent(90.0, 14.0)
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    found, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(
+        places.asks(len(places.points) - 1, bending_mm(scope))
+    )
+    assert found == outlook and (limits == ()) == (outlook == "reaches")
+
+
+def test_of_a_scope_whose_flexion_is_not_known_nothing_sure_is_said() -> None:
+    tree = bent(90.0, 14.0)
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    scope = dataclasses.replace(scope_preset("thin"), flexion_deg=None)
+    found, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(places.asks(100, bending_mm(scope)))
+    assert found == "may reach" and limits[0].startswith("it is not known how far")

@@ -1,0 +1,308 @@
+"""The report of a plan: page, PDF and JSON tell the same, nothing leaves the page, and what is doubtful is red."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import html
+import importlib.util
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reported import airways, plan, sheet, turns, verdicts, volume, wall, with_drawn_branch
+
+from carina.display.png import png_bytes
+from carina.errors import CancelledError, CarinaError, UsageError
+from carina.plan import ScoreWeights
+from carina.plan.report import make_sheet, write_report
+from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Words
+from carina.plan.report.drawing import Label
+from carina.plan.report.sections import sections
+
+SAFETY = (
+    "Not a medical device.",
+    "CT taken at inspiration: in the procedure the target may lie up to 15 mm from where it is shown here.",
+)
+
+
+def page(tmp_path: Path, **more) -> str:
+    return write_report(tmp_path / "plan.html", sheet(**more)).read_text()
+
+
+def words_of(block: Block) -> Iterator[str]:
+    """All text of a block, with that in its drawings."""
+    match block:
+        case Words(text=text):
+            yield text
+        case Bullets(items=items):
+            yield from items
+        case Facts(rows=rows):
+            yield from (cell for row in rows for cell in row)
+        case Grid(head=head, rows=rows):
+            yield from (cell for row in (head, *rows) for cell in row)
+        case Figure(drawing=drawing, caption=caption):
+            yield from (caption, *(one.text for one in drawing.shapes if isinstance(one, Label)))
+        case Figures(items=items):
+            for item in items:
+                yield from words_of(item)
+
+
+def everything() -> list[str]:
+    return [text for part in sections(sheet()) for block in part.blocks for text in words_of(block) if text]
+
+
+def test_the_json_is_that_of_carina_plan_and_what_only_the_report_tells(tmp_path) -> None:
+    told = json.loads(write_report(tmp_path / "plan.json", sheet()).read_text())
+    own = told.pop("report")
+    made = plan().to_json() | {
+        "verdicts": [one.to_json() for one in verdicts()],
+        "turns": turns(airways(), plan()).to_json(),
+    }
+    assert told == json.loads(json.dumps(made, allow_nan=False))
+    assert own["route"] == 1 and own["patient"] is None
+    assert own["provenance"]["made_on"] == "2026-11-25" and own["provenance"]["spacing_mm"] == pytest.approx([1.1] * 3)
+    assert own["place"]["lobe"] == "RML"
+
+
+def test_the_page_loads_nothing_and_allows_only_what_is_in_it(tmp_path) -> None:
+    text = page(tmp_path)
+    assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", "")
+    assert not re.search(r"<(img|iframe|object|embed|form|base)\b", text) and " style=" not in text
+    assert not re.search(r"\son[a-z]+=", text), "no handlers in attributes"
+    policy = html.unescape(re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1])
+    assert policy.startswith("default-src 'none';") and "unsafe" not in policy
+    for element, directive in (("style", "style-src"), ("script", "script-src")):
+        (content,) = re.findall(rf"<{element}>(.*?)</{element}>", text, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert f"{directive} 'sha256-{digest}'" in policy
+
+
+def test_what_people_wrote_is_shown_and_never_run(tmp_path) -> None:
+    nasty = "</script><script>alert(1)</script><img src=x>"
+    text = page(tmp_path, notes=(nasty,), patient=f"A & B {nasty}")
+    assert text.count("alert(1)") >= 2 and "<script>alert" not in text and "<img" not in text
+    assert html.escape(f"A & B {nasty}") in text
+    data = re.search(r'<script type="application/json" id="tree-data">(.*?)</script>', text, re.DOTALL)[1]
+    assert json.loads(data)["needle"] and "<" not in data
+
+
+def test_a_name_of_a_branch_cannot_end_the_trees_data(tmp_path) -> None:
+    first = sheet().shape.branches[0]
+    shape = dataclasses.replace(
+        sheet().shape, branches=(dataclasses.replace(first, name="</script><b>"), *sheet().shape.branches[1:])
+    )
+    text = write_report(tmp_path / "plan.html", dataclasses.replace(sheet(), shape=shape)).read_text()
+    assert "</script><b>" not in text
+
+
+def test_no_patient_is_named_unless_asked(tmp_path) -> None:
+    scan = volume()
+    source = dataclasses.replace(scan.source, title="DOE^JANE.nii.gz", acquired_on="2026-01-02")
+    named = dataclasses.replace(scan, source=source)
+    for suffix in (".html", ".json"):
+        text = write_report(tmp_path / f"plan{suffix}", sheet(volume=named)).read_text()
+        assert "DOE" not in text and "2026-01-02" not in text
+    assert "Jane Doe" in page(tmp_path, patient="Jane Doe")
+
+
+def test_the_page_tells_all_sections_in_order_with_every_word_of_them(tmp_path) -> None:
+    text = html.unescape(page(tmp_path))
+    places = [text.index(f'<section id="{part.name}"') for part in sections(sheet())]
+    assert places == sorted(places)
+    names = [part.name for part in sections(sheet())]
+    assert names[:3] == ["target", "airways", "route"] and names[-1] == "tracing"
+    assert {"turns", "instruments", "routes", "by-hand", "uncertain", "score", "figures", "provenance"} <= set(names)
+    assert [words for words in everything() if words not in text] == []
+    assert all(text.count(words) >= 2 for words in SAFETY)
+
+
+def test_the_figures_of_the_report_are_those_of_the_plan() -> None:
+    route, nodule, text = plan().routes[0], plan().nodule, "\n".join(everything())
+    assert f"{nodule.volume_mm3 / 1000:.2f} \u00b1 {nodule.volume_error_mm3 / 1000:.2f} ml" in text
+    assert f"{route.leg.to_target_mm:.1f} mm, of which {route.leg.outside_mm:.1f} mm outside the lumen" in text
+    assert f"{100 * route.leg.hit_share:.0f} % where the CT shows the target" in text
+    assert f"{100 * route.leg.hit_share_moved:.0f} %, anywhere within {plan().moved_mm:.0f} mm" in text
+    for one in verdicts():
+        assert one.scope.title in text and all(check.words in text and check.basis in text for check in one.checks)
+    for other in plan().routes:
+        assert f"{other.score:.2f}" in text
+    for turn in sheet().turns.turns:
+        assert turn.moves is not None and f"advance {turn.moves[0].advance_mm:.0f} mm" in text
+        assert turn.straight_ahead or f"{turn.hour('head')} o\u2019clock" in text
+
+
+def test_what_was_drawn_by_hand_is_red_wherever_the_route_is_told(tmp_path) -> None:
+    found, drawn_plan = with_drawn_branch()
+    (doubt,) = drawn_plan.routes[0].doubts
+    told = sheet(airways=found, plan=drawn_plan, turns=turns(found, drawn_plan))
+    text = write_report(tmp_path / "plan.html", told).read_text()
+    for name in ("target", "route", "turns", "tracing"):
+        part = re.search(rf'<section id="{name}".*?</section>', text, re.DOTALL)[0]
+        assert re.search(rf'<p class="warning">[^<]*{re.escape(doubt)}', part), name
+    by_hand = re.search(r'<section id="by-hand".*?</section>', text, re.DOTALL)[0]
+    assert '<ul class="warning">' in by_hand and "This route leads through" in by_hand
+    assert re.search(rf'<tr class="warning">.*?{re.escape(doubt)}', text)
+    assert any(one.pen.line == "#c1001f" for one in _strokes(told))
+    assert doubt[0].upper() + doubt[1:] + "." in told.uncertain
+
+
+def _strokes(told) -> list:
+    from carina.plan.report.drawing import Stroke
+    from carina.plan.report.figures import tree_drawing
+
+    drawing = tree_drawing(told.shape, told.forks, "front", width=255.0, height=160.0)
+    return [shape for shape in drawing.shapes if isinstance(shape, Stroke)]
+
+
+def test_a_plan_without_a_route_says_why_and_has_no_tracing_sheet(tmp_path) -> None:
+    none = dataclasses.replace(
+        plan(), routes=(), why="no route: the nearest airway found is RB4, 31 mm from the nodule"
+    )
+    told = sheet(plan=none, verdicts=())
+    text = write_report(tmp_path / "plan.html", told).read_text()
+    assert "No route: the nearest airway found is RB4, 31 mm from the nodule." in text
+    assert 'id="tracing"' not in text and told.needle_slice is None
+    assert json.loads(write_report(tmp_path / "plan.json", told).read_text())["report"]["route"] is None
+    with pytest.raises(UsageError, match="no route to trace"):
+        write_report(tmp_path / "sheet.html", told, kind="tracing")
+
+
+def test_the_tracing_sheet_is_a_page_of_its_own_without_a_script(tmp_path) -> None:
+    text = write_report(tmp_path / "sheet.html", sheet(), kind="tracing").read_text()
+    assert text.count("<section") == 1 and "<script" not in text and "script-src 'none'" in html.unescape(text)
+    for fork in sheet().forks:
+        assert f">{fork.to_name}<" in text
+    assert all(words in html.unescape(text) for words in SAFETY)
+
+
+def test_a_way_of_many_forks_goes_on_on_a_second_sheet() -> None:
+    fork = sheet().forks[0]
+    many = tuple(dataclasses.replace(fork, number=n, to_name=f"branch {n:03}") for n in range(1, 20))
+    parts = [part for part in sections(dataclasses.replace(sheet(), forks=many)) if part.name.startswith("tracing")]
+    assert [part.title for part in parts] == ["Tracing sheet, 1 of 2", "Tracing sheet, 2 of 2"]
+    text = " ".join(words for part in parts for block in part.blocks for words in words_of(block))
+    assert all(f"branch {n:03}" in text for n in range(1, 20))
+
+
+def test_another_route_can_be_told_in_full() -> None:
+    told = sheet(route_number=2)
+    route = plan().routes[1]
+    assert told.route is route and told.forks[-1].to_branch_id == route.branch_id
+    assert all(fork.turn is None for fork in told.forks)
+    assert "Route 2 at a glance" in [part.title for part in sections(told)]
+    assert told.forks[0].carina_mm == pytest.approx(0.0, abs=0.5)
+
+
+def test_places_are_counted_from_the_ridge_that_the_list_of_turns_knows() -> None:
+    route, other = plan().routes[:2]
+    assert sheet().carina_mm(route) == pytest.approx(route.from_carina_mm - 9.0)
+    assert sheet().carina_mm(other) == pytest.approx(other.from_carina_mm - 9.0)
+    assert sheet(turns=turns(airways(), plan(), ridge_mm=None)).carina_mm(route) == pytest.approx(route.from_carina_mm)
+    assert sheet(turns=None).carina_mm(other) == other.from_carina_mm
+    park = f"{route.from_carina_mm - 9.0:.0f}"
+    text = "\n".join(everything())
+    assert text.count(f"{park} mm") >= 3 and f"{route.from_carina_mm:.0f} mm beyond the carina" not in text
+
+
+def test_a_list_of_turns_of_another_route_is_refused() -> None:
+    with pytest.raises(UsageError, match="the list of turns is that of another route: it turns into"):
+        sheet(route_number=2, turns=sheet().turns)
+
+
+def test_an_opening_straight_ahead_is_told_no_hour() -> None:
+    told = sheet().turns
+    ahead = dataclasses.replace(told.turns[1], straight_ahead=True, clock_head=7.123)
+    changed = sheet(turns=dataclasses.replace(told, turns=(told.turns[0], ahead, *told.turns[2:])))
+    grid = next(b for part in sections(changed) for b in part.blocks if part.name == "turns" and isinstance(b, Grid))
+    assert grid.rows[1][2:4] == ("ahead", "ahead")
+    (figure,) = [
+        b for part in sections(changed) for b in part.blocks if part.name == "tracing" and isinstance(b, Figure)
+    ]
+    assert "straight ahead" in list(words_of(figure))
+
+
+def test_hours_are_those_of_where_the_operator_stands(tmp_path) -> None:
+    told = sheet(turns=sheet().turns, operator="facing")
+    grid = next(b for part in sections(told) for b in part.blocks if part.name == "turns" and isinstance(b, Grid))
+    assert grid.head[2:4] == ("Facing", "Head")
+    for row, turn in zip(grid.rows, told.turns.turns, strict=False):
+        assert row[2] == ("ahead" if turn.straight_ahead else str(turn.hour("facing")))
+    assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
+
+
+def test_pictures_of_turns_stand_with_their_turns(tmp_path) -> None:
+    told = turns(airways(), plan())
+    pictures = [png_bytes(np.full((8, 12, 3), n, np.uint8)) for n in range(len(told.turns))]
+    text = page(tmp_path, turns=told, turn_pictures=pictures)
+    part = re.search(r'<section id="turns".*?</section>', text, re.DOTALL)[0]
+    assert [base64.b64decode(data) for data in re.findall(r"data:image/png;base64,([^\"]+)", part)] == pictures
+    assert part.count('viewBox="0 0 12 8"') == len(pictures)
+    with pytest.raises(UsageError, match=f"a picture for each of {len(pictures)} turns; found 1"):
+        sheet(turns=told, turn_pictures=pictures[:1])
+    with pytest.raises(UsageError, match="bytes of a PNG"):
+        page(tmp_path, turns=told, turn_pictures=[b"GIF89a"] * len(pictures))
+
+
+def test_the_proof_of_a_bronchus_sign_has_its_place_in_the_middle(tmp_path) -> None:
+    place = plan().routes[0].leg.tip_lps
+    signed = dataclasses.replace(plan(), bronchus_sign="into", sign_branch="RB4a", sign_lps=place)
+    told = sheet(plan=signed)
+    assert [one.title for one in told.sign_slices] == ["Axial", "Coronal", "Sagittal"]
+    assert all(one.cross == pytest.approx((one.width_px / 2, one.height_px / 2)) for one in told.sign_slices)
+    text = write_report(tmp_path / "plan.html", told).read_text()
+    assert "Bronchus sign positive: an airway leads into the target (RB4a)." in text
+
+
+def test_weights_other_than_the_plans_are_refused() -> None:
+    with pytest.raises(UsageError, match="pass the weights that the plan was made with"):
+        sheet(weights=ScoreWeights(misses=0.9))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"), [({"route_number": 9}, "expected 1 to"), ({"route_number": 0}, "found 0")]
+)
+def test_a_route_that_is_not_in_the_plan_is_refused(change, words) -> None:
+    with pytest.raises(UsageError, match=words):
+        sheet(**change)
+
+
+@pytest.mark.parametrize(
+    ("name", "choice", "words"),
+    [
+        ("plan.docx", {}, r"found \.docx"),
+        ("plan", {}, "found no suffix"),
+        ("plan.html", {"kind": "poster"}, "expected report or tracing; found 'poster'"),
+        ("plan.pdf", {"paper": "A5"}, "expected A4 or Letter; found 'A5'"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused_in_words(tmp_path, name, choice, words) -> None:
+    with pytest.raises(UsageError, match=words):
+        write_report(tmp_path / name, sheet(), **choice)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_that_is_cancelled_leaves_no_file(tmp_path) -> None:
+    shares: list[float] = []
+    with pytest.raises(CancelledError):
+        make_sheet(volume(), airways(), plan(), wall=wall(), progress=shares.append, cancel=lambda: len(shares) > 2)
+    assert shares == sorted(shares)
+    with pytest.raises(CancelledError):
+        write_report(tmp_path / "plan.html", sheet(), cancel=lambda: True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_its_library_a_pdf_is_refused_with_the_way_to_get_it(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(CarinaError, match=r"pip install 'carina\[report\]'") as caught:
+        write_report(tmp_path / "plan.pdf", sheet())
+    assert caught.value.exit_code == 1 and list(tmp_path.iterdir()) == []
+
+
+def test_the_same_plan_gives_the_same_page(tmp_path) -> None:
+    first = page(tmp_path)
+    assert write_report(tmp_path / "again.html", sheet()).read_text() == first

@@ -1,0 +1,79 @@
+"""The report as PDF; needs the extra `report`, and pypdf to read it back."""
+
+from __future__ import annotations
+
+import io
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+from reported import plan, sheet
+from test_report import SAFETY, everything
+
+from carina.errors import UsageError
+from carina.plan.report import write_report
+
+pytest.importorskip("reportlab", reason="needs the extra `report`")
+pypdf = pytest.importorskip("pypdf", reason="needs pypdf")
+
+
+@cache
+def content(paper: str = "A4", kind: str = "report") -> bytes:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        return write_report(Path(folder) / "plan.pdf", sheet(), paper=paper, kind=kind).read_bytes()
+
+
+def pages(paper: str = "A4", kind: str = "report") -> list:
+    return list(pypdf.PdfReader(io.BytesIO(content(paper, kind))).pages)
+
+
+def plain(text: str) -> str:
+    """Without spaces: lines break where they must."""
+    return re.sub(r"\s+", "", text)
+
+
+def test_the_pdf_has_every_word_of_the_page() -> None:
+    found = plain("".join(page.extract_text() for page in pages()))
+    assert [words for words in everything() if plain(words) not in found] == []
+
+
+@pytest.mark.parametrize(("paper", "size"), [("A4", (595.3, 841.9)), ("Letter", (612.0, 792.0))])
+def test_every_page_says_what_it_is_not_and_which_target_it_is_about(paper, size) -> None:
+    read = pages(paper)
+    for number, page in enumerate(read, 1):
+        assert [float(v) for v in page.mediabox[2:]] == pytest.approx(size, abs=0.1)
+        text = page.extract_text()
+        assert all(words in text for words in SAFETY)
+        assert plan().nodule.words in text and f"{number} / {len(read)}" in text
+
+
+def test_the_same_plan_gives_the_same_bytes(tmp_path) -> None:
+    assert write_report(tmp_path / "plan.pdf", sheet()).read_bytes() == content()
+
+
+def test_fonts_are_embedded_and_slices_lie_under_vector_outlines() -> None:
+    fonts = {}
+    for page in pages():
+        for font in page["/Resources"]["/Font"].values():
+            fonts[font.get_object()["/BaseFont"]] = font.get_object()
+    used = [font for name, font in fonts.items() if "+" in name]
+    assert used and all("/FontFile2" in font["/FontDescriptor"] for font in used)
+    first = pages()[0]
+    assert len(first.images) == 3
+    assert first.get_contents().get_data().count(b" l ") + first.get_contents().get_data().count(b" l\n") > 100
+
+
+def test_the_tracing_sheet_is_one_page() -> None:
+    (only,) = pages("Letter", "tracing")
+    text = plain(only.extract_text())
+    assert all(plain(fork.to_name) in text for fork in sheet().forks)
+
+
+def test_letters_that_no_font_has_are_refused_by_name(tmp_path) -> None:
+    with pytest.raises(UsageError, match=r"'\\u60a3' \(U\+60A3\)|'\u60a3' \(U\+60A3\)"):
+        write_report(tmp_path / "plan.pdf", sheet(patient="\u60a3\u8005"))
+    assert "\u60a3\u8005" in write_report(tmp_path / "plan.html", sheet(patient="\u60a3\u8005")).read_text()
+    assert write_report(tmp_path / "named.pdf", sheet(patient="J\u00f6rg M\u00fcller")).stat().st_size > 1000

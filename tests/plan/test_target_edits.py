@@ -1,0 +1,128 @@
+"""A boundary changed by hand: what is asked for comes about, is said, and leaves a nodule."""
+
+from __future__ import annotations
+
+import functools
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from painted_nodules import Scene, painted
+
+from carina.errors import UsageError
+from carina.plan import brushed, grow_nodule, resized, sphere
+from carina.volume import Volume
+
+
+@functools.cache
+def scene():
+    volume, _, middle = painted(Scene(radii_mm=(8.0, 6.0, 6.0)))
+    return volume, grow_nodule(volume, middle)
+
+
+@pytest.mark.parametrize("diameter_mm", [6.0, 10.0, 16.0, 20.0, 30.0])
+def test_a_boundary_goes_to_the_diameter_that_was_asked_for(diameter_mm):
+    volume, nodule = scene()
+    found = resized(nodule, volume, diameter_mm)
+    assert found.long_mm == pytest.approx(diameter_mm, abs=0.8)
+    by_mm = 0.5 * (diameter_mm - nodule.long_mm)
+    radii = np.array([8.0, 6.0, 6.0]) + by_mm
+    # Everywhere by the same distance: that is no ellipsoid, and nearly one. A voxel has 0.55 mm.
+    least, most = (4.0 / 3.0 * np.pi * (radii + off).prod() for off in (-0.45, 0.45))
+    assert least < found.volume_mm3 < most
+    assert found.centre_lps == pytest.approx(nodule.centre_lps, abs=0.4)
+    assert found.kind == nodule.kind
+    assert found.notes == ("boundary set by hand to a diameter",)
+    step = np.linalg.norm(found.lps_from_ijk[:3, 0])
+    assert found.inside_zyx.sum() * step**3 == pytest.approx(found.volume_mm3)
+
+
+def test_larger_diameters_hold_smaller_ones():
+    volume, nodule = scene()
+    sizes = [resized(nodule, volume, mm) for mm in (8.0, 12.0, 15.0, 18.0)]
+    for small, large in pairwise(sizes):
+        zyx = np.argwhere(small.inside_zyx)
+        points = zyx[:, ::-1] @ small.lps_from_ijk[:3, :3].T + small.lps_from_ijk[:3, 3]
+        assert large.contains(points).all()
+        assert large.volume_mm3 > small.volume_mm3
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    off=st.tuples(*[st.floats(-9.0, 9.0)] * 3),
+    radius_mm=st.floats(1.0, 7.0),
+)
+def test_a_brush_adds_and_takes_its_ball(off, radius_mm):
+    volume, nodule = scene()
+    centre = np.array(nodule.centre_lps) + off
+    points = centre + np.random.default_rng(1).normal(size=(300, 3)) * 0.6 * radius_mm
+    in_ball = np.linalg.norm(points - centre, axis=1) < radius_mm - 0.9
+    if nodule.distance_mm([centre])[0] > radius_mm + 1.0:
+        with pytest.raises(UsageError, match="does not touch"):
+            brushed(nodule, volume, centre, radius_mm)
+        return
+    if nodule.distance_mm([centre])[0] > radius_mm - 1.0:
+        return
+    more = brushed(nodule, volume, centre, radius_mm)
+    assert more.contains(points[in_ball]).all()
+    assert more.volume_mm3 >= nodule.inside_zyx.sum() * np.linalg.norm(nodule.lps_from_ijk[:3, 0]) ** 3 - 1e-6
+    less = brushed(nodule, volume, centre, radius_mm, add=False)
+    assert not less.contains(points[in_ball]).any()
+    kept = points[less.contains(points)]
+    assert nodule.contains(kept).all()
+    assert less.notes == more.notes == ("boundary edited by hand",)
+
+
+def test_edits_that_leave_no_target_are_refused():
+    volume, nodule = scene()
+    centre = np.array(nodule.centre_lps)
+    with pytest.raises(UsageError, match="nothing of the target would be left") as error:
+        brushed(nodule, volume, centre, 15.0, add=False)
+    assert error.value.code == "plan.edit"
+    with pytest.raises(UsageError, match="does not touch the target; a target is one piece"):
+        brushed(nodule, volume, centre + np.array([0.0, 18.0, 0.0]), 2.0)
+    with pytest.raises(UsageError, match="does not touch"):
+        brushed(nodule, volume, centre + np.array([0.0, 18.0, 0.0]), 2.0, add=False)
+    with pytest.raises(UsageError, match="outside the CT"):
+        brushed(nodule, volume, centre + 200.0, 2.0)
+    for wrong in (0.0, -3.0, np.nan, np.inf, 151.0):
+        with pytest.raises(UsageError, match="expected a diameter of 1 to 150 mm"):
+            resized(nodule, volume, wrong)
+        with pytest.raises(UsageError, match="expected a brush radius"):
+            brushed(nodule, volume, centre, wrong)
+        with pytest.raises(UsageError, match="expected a diameter"):
+            sphere(volume, centre, wrong)
+
+
+def test_what_reaches_out_of_the_ct_ends_there_and_says_so():
+    volume, nodule = scene()
+    k = int(volume.to_ijk(np.array(nodule.centre_lps))[2]) - 4
+    place = volume.lps_from_ijk.copy()
+    place[:3, 3] += k * place[:3, 2]
+    cut = Volume(np.ascontiguousarray(volume.hu_zyx[k:]), place)
+    wide = resized(nodule, cut, 24.0)
+    assert "edge of the CT" in wide.touches
+    assert wide.volume_mm3 < 0.9 * resized(nodule, volume, 24.0).volume_mm3
+    low = cut.to_lps(np.array([0.0, 0.0, -0.4]))
+    with pytest.raises(UsageError, match="more than half of the target would lie outside the CT"):
+        sphere(cut, low, 20.0)
+
+
+def test_what_a_brush_cuts_off_goes_with_it():
+    volume, nodule = scene()
+    centre = np.array(nodule.centre_lps)
+    less = brushed(nodule, volume, centre + np.array([4.0, 0.0, 0.0]), 6.2, add=False)
+    assert not less.contains([centre + np.array([7.5, 0.0, 0.0])])[0]
+    assert less.contains([centre - np.array([5.0, 0.0, 0.0])])[0]
+
+
+def test_a_sphere_is_a_target_where_the_ct_shows_no_boundary():
+    volume, _ = scene()
+    made = sphere(volume, (3.0, 4.0, 5.0), 12.0)
+    assert made.volume_mm3 == pytest.approx(np.pi / 6.0 * 12.0**3, rel=0.03)
+    assert made.long_mm == pytest.approx(12.0, abs=0.6)
+    assert made.centre_lps == pytest.approx((3.0, 4.0, 5.0), abs=0.1)
+    assert made.notes == ("a sphere set by hand: the CT shows no boundary that was used",)
+    assert made.diameter_error_mm > 2.0

@@ -1,0 +1,102 @@
+"""A plan of exact places without a CT, for what writes plans into files."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from nodules import ellipsoid
+
+from carina.plan import Plan, tool
+from carina.plan.last_leg import Crossed, LastLeg
+from carina.plan.routes import PlannedRoute
+from carina.scopes import scope_preset
+from carina.track import AirwayTree, Branch
+
+__all__ = ["DOUBT", "a_plan", "a_tree"]
+
+DOUBT = "RB3b was drawn by hand"
+AIM = (31.25, -17.5, -88.125)
+
+
+def a_tree() -> AirwayTree:
+    """Trachea, a branch to the patient's left that bends forwards, and one to the right; nothing runs along an axis."""
+    fork = np.array([1.5, 2.25, -40.0])
+    down = np.linspace([-1.0, 4.0, 20.0], fork, 61)
+    at = np.linspace(0.0, 1.0, 81)[:, None]
+    left = fork + at * [26.0, -3.0, -42.0] + at**2 * [0.0, -14.0, 0.0]
+    right = fork + at * [-30.0, 5.0, -38.0]
+    return AirwayTree(
+        (
+            Branch(0, None, (4, 9), 0, "Trachea", "tracked", down, np.full(len(down), 8.0)),
+            Branch(4, 0, (), 1, "LB3", "tracked", left, np.full(len(left), 2.5)),
+            Branch(9, 0, (), 1, None, "manual", right, np.full(len(right), 2.0)),
+        )
+    )
+
+
+def a_plan(*, doubts: tuple[str, ...] = (DOUBT,), aim_lps: tuple[float, float, float] = AIM) -> Plan:
+    """Two routes to one target: a sure one along branch 4 and one with doubts along branch 9."""
+    tree = a_tree()
+    nodule = ellipsoid([6.0, 4.5, 5.0], aim_lps)
+    return Plan(
+        nodule=dataclasses.replace(nodule, touches=("pleura",)),
+        scope=scope_preset("thin"),
+        tool=tool("needle-21g"),
+        bronchus_sign="beside",
+        sign_branch="LB3",
+        sign_lps=(28.0, -15.0, -82.0),
+        moved_mm=15.0,
+        routes=(
+            _route(tree, 4, 70, "LB3", nodule.centre_lps),
+            _route(tree, 9, 33, "branch 9", nodule.centre_lps, doubts=doubts),
+        ),
+        why=None,
+    )
+
+
+def _route(
+    tree: AirwayTree,
+    branch_id: int,
+    n: int,
+    name: str,
+    aim_lps: tuple[float, float, float],
+    *,
+    doubts: tuple[str, ...] = (),
+) -> PlannedRoute:
+    points = tree.branch(branch_id).points
+    tip, aim = points[n], np.array(aim_lps)
+    ahead = points[n] - points[n - 1]
+    entry = tip + 0.2 * (aim - tip)
+    far_mm = float(np.linalg.norm(aim - tip))
+    leg = LastLeg(
+        tip_lps=(float(tip[0]), float(tip[1]), float(tip[2])),
+        aim_lps=aim_lps,
+        entry_lps=(float(entry[0]), float(entry[1]), float(entry[2])),
+        to_target_mm=far_mm - 5.0,
+        outside_mm=far_mm - 7.0,
+        angle_deg=35.0,
+        crossed=(Crossed("lumen", 0.0, 2.0), Crossed("airway wall", 2.0, 1.5)),
+        in_target_mm=7.5,
+        least_in_target_mm=3.0,
+        vessel_mm=None,
+        vessel_lps=None,
+        beyond_mm=None,
+        hit_share=0.8,
+        reaches=True,
+        hit_share_moved=0.2,
+    )
+    unit = ahead / np.linalg.norm(ahead)
+    return PlannedRoute(
+        branch_id=branch_id,
+        branch_name=name,
+        along_mm=100.0,
+        from_carina_mm=43.0,
+        forward=(float(unit[0]), float(unit[1]), float(unit[2])),
+        narrowest_mm=4.1,
+        fits=False,
+        leg=leg,
+        parts={},
+        score=0.7,
+        doubts=doubts,
+    )

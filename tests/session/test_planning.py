@@ -1,0 +1,178 @@
+"""Targets with a size in a case: grown from a click, planned by themselves, kept in the file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+import carina
+from carina.case import CaseFileError
+from carina.case.document import Lesion
+from carina.case.lesions import lesion_facts, made_lesion
+from carina.commands import (
+    AddTarget,
+    ChoosePlannedRoute,
+    DescribeTarget,
+    PlanningOf,
+    PlanOptions,
+    PlanToTakeAway,
+    RemoveTarget,
+    SetMode,
+    SetPlanOptions,
+)
+from carina.errors import CarinaError, NoResultError, UsageError
+from carina.phantom import Phantom, write_phantom
+from carina.plan import PlanTarget
+from carina.scopes import scope_presets
+from carina.session.plan_values import nodule_surface
+
+
+@pytest.fixture(scope="module")
+def chest() -> Phantom:
+    return carina.generate_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
+
+
+@pytest.fixture(scope="module")
+def airways(chest: Phantom) -> carina.Airways:
+    return carina.find_airways(chest.volume)
+
+
+@pytest.fixture(scope="module")
+def opened(chest: Phantom) -> Iterator[carina.Case]:
+    with carina.Case.open(chest.volume) as case:
+        yield case
+
+
+@pytest.fixture
+def case(opened: carina.Case) -> Iterator[carina.Case]:
+    """As it was opened, for every test."""
+    yield opened
+    while opened.history():
+        opened.undo()
+
+
+def centre_of(chest: Phantom) -> tuple[float, float, float]:
+    x, y, z = chest.truth["nodule"]["center_lps"]
+    return float(x), float(y), float(z)
+
+
+def test_a_click_outside_the_airways_marks_a_target_with_a_size_and_plans_it_without_moving_the_tip(
+    case: carina.Case, chest: Phantom, airways: carina.Airways
+) -> None:
+    before = case.pose.lps_from_camera.copy()
+    route = case.state.document.route
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    truth = chest.truth["nodule"]
+    assert target.lesion is not None
+    assert np.linalg.norm(np.subtract(target.lesion.nodule.centre_lps, centre_of(chest))) < 0.5
+    assert abs(target.lesion.nodule.mean_mm - 2.0 * truth["radius_mm"]) < 1.0
+    assert case.state.document.route is route
+    assert np.array_equal(case.pose.lps_from_camera, before)
+    # The same document as from Python.
+    alone = carina.plan_route(chest.volume, airways, target.lesion.nodule)
+    said = case.ask(PlanToTakeAway(target.target_id))
+    assert json.dumps(said.plan.to_json()) == json.dumps(alone.to_json())
+
+
+def test_a_planned_route_ends_where_the_scope_stands_and_knows_the_needle(case: carina.Case, chest: Phantom) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    with pytest.raises(UsageError, match="there is no route 99"):
+        case.do(ChoosePlannedRoute(target.target_id, 99))
+    case.do(ChoosePlannedRoute(target.target_id, 1))
+    info = case.ask(PlanningOf())
+    plan = info.targets[0].planned.plan
+    route = case.state.document.route
+    assert route.target_id == target.target_id
+    assert np.linalg.norm(route.points_lps[-1] - np.array(plan.routes[0].leg.tip_lps)) < 2.0
+    assert route.needle.ends_lps[1] == pytest.approx(plan.routes[0].leg.aim_lps)
+    assert route.drawn.drawn_mm == 0.0
+    # Verdicts of the whole library follow, that of the planned instrument first.
+    assert len(info.verdicts) == len(scope_presets())
+    assert info.verdicts[0].scope.name == plan.scope.name
+    case.undo()
+    assert case.state.document.route is None or case.state.document.route.needle is None
+    assert case.ask(PlanningOf()).verdicts == ()
+
+
+def test_options_plan_anew_and_words_are_kept(case: carina.Case, chest: Phantom) -> None:
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    first = case.ask(PlanningOf()).targets[0].planned.plan
+    case.do(SetPlanOptions(target_id=target.target_id, moved_mm=7.0, scope="ultrathin"))
+    second = case.ask(PlanningOf()).targets[0].planned.plan
+    assert (second.moved_mm, second.scope.name) == (7.0, "ultrathin")
+    assert second is not first
+    with pytest.raises(CarinaError, match="no tool is called"):
+        case.do(SetPlanOptions(target_id=target.target_id, tool="spoon"))
+    case.do(DescribeTarget(target_id=target.target_id, called="Nodule, right upper lobe", remark="growing", rank=2))
+    (named,) = case.state.document.targets
+    assert (named.name, named.note, named.priority) == ("Nodule, right upper lobe", "growing", 2)
+    # A name changes no plan.
+    assert case.ask(PlanningOf()).targets[0].planned.plan is second
+    case.do(RemoveTarget(target.target_id))
+    assert case.ask(PlanningOf()).standing == "unwanted"
+
+
+def test_a_place_in_the_lumen_stays_a_place(case: carina.Case, airways: carina.Airways) -> None:
+    tip = airways.tree.tips()[0]
+    x, y, z = (float(v) for v in tip.points[len(tip.points) // 2])
+    case.do(AddTarget((x, y, z)))
+    (target,) = case.state.document.targets
+    assert target.lesion is None
+    assert target.route is not None
+    with pytest.raises(NoResultError, match="not been planned"):
+        case.do(ChoosePlannedRoute(target.target_id, 1))
+    with pytest.raises(UsageError, match="lies in the airways"):
+        case.do(SetPlanOptions(target_id=target.target_id))
+
+
+def test_the_case_file_keeps_targets_routes_and_what_was_said(chest: Phantom, tmp_path: Path) -> None:
+    write_phantom(chest, tmp_path / "scan")
+    case = carina.Case.open(tmp_path / "scan" / "ct.nii.gz")
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    case.do(SetPlanOptions(target_id=target.target_id, vessel_margin_mm=4.5))
+    case.do(DescribeTarget(target_id=target.target_id, called="Left", remark="second opinion", rank=3))
+    case.do(ChoosePlannedRoute(target.target_id, 1))
+    case.do(SetMode("path"))
+    (target,) = case.state.document.targets
+    route = case.state.document.route
+    said = case.ask(PlanToTakeAway(target.target_id)).plan.to_json()
+    path = case.save(tmp_path / "plan.carina")
+    case.close()
+    with carina.Case.open(path) as again:
+        (kept,) = again.state.document.targets
+        assert (kept.name, kept.note, kept.priority) == ("Left", "second opinion", 3)
+        assert kept.lesion.options == PlanOptions(vessel_margin_mm=4.5)
+        assert np.array_equal(kept.lesion.nodule.inside_zyx, target.lesion.nodule.inside_zyx)
+        assert kept.lesion.nodule.to_json() == target.lesion.nodule.to_json()
+        assert again.state.document.route.needle == route.needle
+        # The plan is made anew, and is the same.
+        again.do(SetMode("free"))
+        assert json.dumps(again.ask(PlanToTakeAway(kept.target_id)).plan.to_json()) == json.dumps(said)
+
+
+def test_a_damaged_boundary_is_refused(chest: Phantom) -> None:
+    nodule = carina.grow_nodule(chest.volume, centre_of(chest))
+    target = PlanTarget("target-1", "Target 1", nodule, centre_of(chest), "click", "lung")
+    facts = lesion_facts(Lesion(target))
+    assert made_lesion(facts).nodule.to_json() == nodule.to_json()
+    record = facts.record
+    for wrong in ({}, record | {"version": 99}, record | {"nodule": record["nodule"] | {"kind": "square"}}):
+        with pytest.raises(CaseFileError):
+            made_lesion(msgspec.structs.replace(facts, record=wrong))
+
+
+def test_the_surface_that_is_drawn_lies_on_the_nodule(chest: Phantom) -> None:
+    nodule = carina.grow_nodule(chest.volume, centre_of(chest))
+    mesh = nodule_surface(nodule)
+    away = np.linalg.norm(mesh.vertices_lps - np.array(nodule.centre_lps), axis=1)
+    assert abs(2.0 * away.mean() - nodule.equivalent_mm) < 0.6
+    assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.15)

@@ -1,0 +1,311 @@
+/** The routes to a target side by side, what instruments can do on the one that is taken, and the plan to print. */
+
+import { useState } from "react";
+import { sentence } from "../../state/format";
+import { ROUTE_ROWS, verdictsInOrder } from "../../state/plan";
+import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
+import { useApp, useStation } from "../context";
+import { Act } from "../controls";
+import { Icon } from "../icons";
+
+export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
+  const plans = useApp((state) => state.plans);
+  const chosen = plan.chosen === null ? null : (plan.routes[plan.chosen - 1] ?? null);
+  return (
+    <div className="planned" data-testid="planned">
+      <p>
+        To <strong>{target.name}</strong>
+      </p>
+      {plan.problem === null ? null : (
+        <p className="warning-text">
+          <Icon name="warning" /> {sentence(plan.problem)}
+        </p>
+      )}
+      {plan.routes.length === 0 ? null : <RouteTable target={target} plan={plan} />}
+      {(chosen?.doubts ?? []).map((doubt) => (
+        <p key={doubt} className="error-text" data-testid="route-doubt">
+          <Icon name="warning" /> {sentence(doubt)}
+        </p>
+      ))}
+      {(chosen?.limits ?? []).map((limit) => (
+        <p key={limit} className="warning-text">
+          <Icon name="warning" /> {sentence(limit)}
+        </p>
+      ))}
+      {chosen === null ? null : (
+        <p className="quiet">
+          Needle through{" "}
+          {chosen.crossed
+            .filter((one) => one.tissue !== "lumen")
+            .map((one) => `${one.tissue} ${(one.ends_mm[1] - one.ends_mm[0]).toFixed(0)}\u202fmm`)
+            .join(", ")}
+          .
+        </p>
+      )}
+      {chosen === null || plans === null ? null : (
+        <>
+          <Verdicts plans={plans} planned={plan.options.scope} />
+          <Print target={target} />
+        </>
+      )}
+      <Options target={target} plan={plan} />
+      {plan.notes.map((note) => (
+        <p key={note} className="quiet">
+          {sentence(note)}
+        </p>
+      ))}
+      {plan.moved_mm === null ? null : (
+        <p className="quiet">
+          The CT was taken at inspiration: in the procedure the target may lie up to {plan.moved_mm.toFixed(0)}
+          {"\u202f"}mm off.
+        </p>
+      )}
+    </div>
+  );
+}
+
+function RouteTable({ target, plan }: { target: Target; plan: TargetPlan }) {
+  const station = useStation();
+  return (
+    <div className="routes-scroll">
+      <table className="routes numbers">
+        <thead>
+          <tr>
+            <th scope="col">Route</th>
+            {plan.routes.map((route, index) => (
+              <th scope="col" key={`${route.branch_id} ${route.needle.ends_lps.join(" ")}`}>
+                <Act
+                  kind={plan.chosen === index + 1 ? "primary" : "plain"}
+                  label={`${index + 1}`}
+                  words={plan.chosen === index + 1 ? "This route is taken" : `Take route ${index + 1}`}
+                  testId={`route-${index + 1}`}
+                  onPress={() => station.takePlannedRoute(target.target_id, index + 1)}
+                />
+              </th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {ROUTE_ROWS.map(({ title, words, of }) => (
+            <tr key={title}>
+              <th scope="row" title={words}>
+                {title}
+              </th>
+              {plan.routes.map((route, index) => (
+                <td
+                  key={`${route.branch_id} ${route.needle.ends_lps.join(" ")}`}
+                  className={plan.chosen === index + 1 ? "chosen" : undefined}
+                >
+                  {of(route)}
+                  {title === "Airway" && route.doubts.length > 0 ? (
+                    <span className="error-text" title={route.doubts.map(sentence).join(". ")}>
+                      {" "}
+                      <Icon name="warning" />
+                    </span>
+                  ) : null}
+                </td>
+              ))}
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+function Options({ target, plan }: { target: Target; plan: TargetPlan }) {
+  const station = useStation();
+  const tools = useApp((state) => state.plans?.tools ?? null);
+  const scopes = useApp((state) => state.start?.scopes ?? null);
+  const change = (changed: Partial<TargetPlan["options"]>) =>
+    station.send({ type: "set_plan_options", target_id: target.target_id, ...plan.options, ...changed });
+  return (
+    <details className="plan-options">
+      <summary>Instruments and margins</summary>
+      <label>
+        Bronchoscope
+        <select value={plan.options.scope} onChange={(event) => change({ scope: event.target.value })}>
+          {(scopes ?? []).map((scope) => (
+            <option key={scope.name} value={scope.name}>
+              {scope.title}
+            </option>
+          ))}
+        </select>
+      </label>
+      <label>
+        Tool
+        <select value={plan.options.tool} onChange={(event) => change({ tool: event.target.value })}>
+          {(tools ?? []).map(([name, title]) => (
+            <option key={name} value={name}>
+              {title}
+            </option>
+          ))}
+        </select>
+      </label>
+      <Millimetres
+        title="Vessel margin, mm"
+        value={plan.options.vessel_margin_mm}
+        most={50}
+        onChange={(value) => change({ vessel_margin_mm: value ?? 3 })}
+      />
+      <Millimetres
+        title="Target may have moved, mm"
+        value={plan.options.moved_mm}
+        most={60}
+        placeholder={plan.moved_mm === null ? "by lobe" : `by lobe: ${plan.moved_mm.toFixed(0)}`}
+        onChange={(value) => change({ moved_mm: value })}
+      />
+      <Millimetres
+        title="Nose or mouth to the start of the tree, mm"
+        value={plan.options.entry_mm}
+        most={500}
+        placeholder="not given"
+        onChange={(value) => change({ entry_mm: value })}
+      />
+    </details>
+  );
+}
+
+/** A number that may be left out; kept when the field is left or Enter is pressed. */
+function Millimetres({
+  title,
+  value,
+  most,
+  placeholder,
+  onChange,
+}: {
+  title: string;
+  value: number | null;
+  most: number;
+  placeholder?: string;
+  onChange: (value: number | null) => void;
+}) {
+  const [text, setText] = useState<string | null>(null);
+  const keep = () => {
+    if (text === null) return;
+    const number = text.trim() === "" ? null : Number(text.replace(",", "."));
+    setText(null);
+    if (number === null || (Number.isFinite(number) && number >= 0 && number <= most)) {
+      if (number !== value) onChange(number);
+    }
+  };
+  return (
+    <label>
+      {title}
+      <input
+        type="text"
+        inputMode="decimal"
+        value={text ?? (value === null ? "" : String(value))}
+        placeholder={placeholder}
+        onChange={(event) => setText(event.target.value)}
+        onBlur={keep}
+        onKeyDown={(event) => {
+          event.stopPropagation();
+          if (event.key === "Enter") event.currentTarget.blur();
+        }}
+      />
+    </label>
+  );
+}
+
+function Verdicts({ plans, planned }: { plans: PlansMessage; planned: string }) {
+  const [all, setAll] = useState(false);
+  const own = plans.verdicts.find((verdict) => verdict.scope === planned) ?? null;
+  const others = verdictsInOrder(plans.verdicts).filter((verdict) => verdict !== own);
+  const reach = others.filter((verdict) => verdict.outcome === "reaches").length;
+  return (
+    <div className="verdicts" data-testid="verdicts">
+      <h3>Instruments</h3>
+      {own === null ? (
+        <p className="quiet">
+          {plans.verdicts_standing === "making" ? "Simulating the drive\u2026" : "No verdict yet."}
+        </p>
+      ) : (
+        <VerdictRow verdict={own} />
+      )}
+      {others.length === 0 ? null : (
+        <>
+          <Act
+            kind="quiet"
+            label={all ? "Hide the others" : `${others.length} others, ${reach} of them reach it`}
+            words="What the other instruments of the library can do on this route"
+            testId="all-verdicts"
+            onPress={() => setAll(!all)}
+          />
+          {all ? others.map((verdict) => <VerdictRow key={verdict.scope} verdict={verdict} />) : null}
+        </>
+      )}
+      {plans.verdicts_standing === "making" && own !== null ? (
+        <p className="quiet">{"The other instruments follow\u2026"}</p>
+      ) : null}
+    </div>
+  );
+}
+
+const MARKS: Readonly<Record<string, string>> = {
+  reaches: "\u2713",
+  "may reach": "?",
+  "does not reach": "\u2717",
+  "cannot say": "\u2013",
+};
+
+function VerdictRow({ verdict }: { verdict: ScopeVerdict }) {
+  return (
+    <details className={`verdict ${verdict.outcome.replaceAll(" ", "-")}`} data-testid="verdict">
+      <summary>
+        <span className="mark" aria-hidden="true">
+          {MARKS[verdict.outcome] ?? "?"}
+        </span>
+        <span>
+          <strong>{verdict.title}</strong>
+          <br />
+          {sentence(verdict.words)}
+        </span>
+      </summary>
+      <ul>
+        {verdict.checks.map((check) => (
+          <li key={check.name} className={check.answer}>
+            <span title={check.basis}>{sentence(check.words)}</span>
+          </li>
+        ))}
+      </ul>
+      {verdict.would === null ? null : <p className="quiet">{sentence(verdict.would)}</p>}
+    </details>
+  );
+}
+
+function Print({ target }: { target: Target }) {
+  const station = useStation();
+  const making = useApp((state) => state.ui.making);
+  return (
+    <>
+      <Act
+        kind="primary"
+        icon="file"
+        label="Print the plan"
+        words="Make the report, and open it in a new tab to be printed"
+        testId="print-plan"
+        onPress={() => station.printPlan(target.target_id, "report")}
+      />
+      <div className="row">
+        <Act
+          kind="quiet"
+          label="Tracing sheet"
+          words="One page for the theatre: every turn with its clock hour"
+          onPress={() => station.printPlan(target.target_id, "tracing")}
+        />
+        {([".pdf", ".json"] as const).map((suffix) => (
+          <Act
+            key={suffix}
+            kind="quiet"
+            label={making === `plan${suffix}` ? "Preparing\u2026" : suffix.slice(1).toUpperCase()}
+            words={suffix === ".pdf" ? "Save the report as a PDF" : "Save the plan as JSON, for other programs"}
+            disabled={making !== null}
+            testId={`take-plan${suffix}`}
+            onPress={() => void station.takePlan(target.target_id, suffix)}
+          />
+        ))}
+      </div>
+    </>
+  );
+}

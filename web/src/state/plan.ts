@@ -1,0 +1,58 @@
+/** What a plan says, in words. */
+
+import type { PlansMessage, RouteOffer, ScopeVerdict, TargetPlan } from "../wire/messages";
+import { fixed, mm } from "./format";
+
+export const planOf = (plans: PlansMessage | null, targetId: string | null): TargetPlan | null =>
+  plans?.targets.find((target) => target.target_id === targetId) ?? null;
+
+const SIGNS: Readonly<Record<string, string>> = {
+  into: "an airway leads into it",
+  beside: "an airway lies against it",
+  none: "no airway leads to it",
+};
+
+export const signWords = (sign: string): string => SIGNS[sign] ?? sign;
+
+export const share = (part: number): string => `${fixed(100 * part)}\u202f%`;
+
+/** What stands in the rows of the table of routes, the routes side by side. */
+export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: RouteOffer) => string }[] = [
+  { title: "Airway", words: "The airway in which the scope is parked", of: (route) => route.branch_name },
+  {
+    title: "Depth",
+    words: "Distance from the main carina to the parking position",
+    of: (route) => (route.from_carina_mm === null ? "\u2013" : mm(route.from_carina_mm, 0)),
+  },
+  {
+    title: "Narrowest",
+    words: "Smallest lumen diameter on the way",
+    of: (route) => mm(route.narrowest_mm),
+  },
+  {
+    title: "Needle",
+    words: "From the scope's tip to the target's edge",
+    of: (route) => mm(route.needle.to_target_mm, 0),
+  },
+  { title: "Angle", words: "Between needle and airway", of: (route) => `${fixed(route.angle_deg)}\u00b0` },
+  { title: "In target", words: "Needle path inside the target", of: (route) => mm(route.in_target_mm, 0) },
+  {
+    title: "Vessel",
+    words: "From the needle to the nearest visible vessel",
+    of: (route) => (route.vessel_mm === null ? "none seen" : mm(route.vessel_mm)),
+  },
+  { title: "Hits", words: "Share of needle passes that hit, by geometry and errors", of: (r) => share(r.hit_share) },
+  {
+    title: "If moved",
+    words: "The same if the target has moved since the CT",
+    of: (route) => (route.hit_share_moved === null ? "\u2013" : share(route.hit_share_moved)),
+  },
+];
+
+/** The verdicts in the order in which they are read: what reaches first, then what may. */
+export function verdictsInOrder(verdicts: readonly ScopeVerdict[]): ScopeVerdict[] {
+  return [...verdicts].sort((a, b) => rank(a) - rank(b));
+}
+
+const ORDER = ["reaches", "may reach", "cannot say", "does not reach"];
+const rank = ({ outcome }: ScopeVerdict): number => (ORDER.indexOf(outcome) + ORDER.length + 1) % (ORDER.length + 1);

@@ -1,0 +1,168 @@
+/** Targets with a size, and the needle's way to the one that is chosen: in slices, projections and the airway view. */
+
+import { type FlatGeometry, type Geometry, normalOf, pixelFromLps } from "../state/projection";
+import { type Surface, sectionOf } from "../state/section";
+import { add, scale, sub, type Vec3 } from "../state/vec";
+import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
+import type { Scene, SceneLesion } from "./scene";
+import type { Viewport } from "./viewport";
+
+const OUTLINE_PX = 1.75;
+const NEEDLE_PX = 2.5;
+const DASH: readonly number[] = [6, 3];
+/** A silhouette behind a wall is seen through it, so faint that the wall is what is looked at. */
+const BEHIND_ALPHA = 0.22;
+const PARTS = 24;
+/** So far before the parking position the needle's line begins to be shown in the airway view. */
+const NEEDLE_FROM_MM = 25;
+
+/** In a slice its outline; where a picture sees through the body, its silhouette. */
+export function paintLesionsFlat(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: FlatGeometry,
+  scene: Scene,
+  seesThrough: boolean,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  for (const lesion of scene.lesions) {
+    if (seesThrough) paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? 0.3 : 0.18);
+    else paintSection(ink, viewport, geometry, lesion);
+  }
+  paintNeedle(ink, viewport, geometry, scene, inPlane);
+}
+
+/** In pictures from outside: silhouettes, and the needle's line. */
+export function paintLesionsOutside(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
+  for (const lesion of scene.lesions) {
+    paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? 0.45 : 0.25);
+  }
+  paintNeedle(ink, viewport, geometry, scene, () => true);
+}
+
+/** Through the airway's wall: where the target lies, and how far from the lens. */
+export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene, mostMm: number): void {
+  if (geometry.kind !== "seen") return;
+  for (const lesion of scene.lesions) {
+    const seen = pixelFromLps(geometry, lesion.centre);
+    if (seen === null || seen.depthMm < 0) continue;
+    const awayMm = Math.hypot(...sub(lesion.centre, geometry.camera.position));
+    if (awayMm > mostMm) continue;
+    paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? BEHIND_ALPHA : BEHIND_ALPHA / 2);
+    const at = viewport.screenAt(seen);
+    label(ink, `${lesion.name}, ${awayMm.toFixed(0)} mm`, at, { size: 11, colour: INK.lesion });
+  }
+  const toGoMm = scene.needle?.toGoMm ?? null;
+  // Farther away a wall lies between.
+  if (toGoMm === null || toGoMm <= NEEDLE_FROM_MM)
+    paintNeedle(ink, viewport, geometry, scene, (depthMm) => depthMm < mostMm);
+}
+
+function paintSection(ink: Ink, viewport: Viewport, geometry: FlatGeometry, lesion: SceneLesion): void {
+  const lines = sectionOf(lesion.surface, geometry.origin, normalOf(geometry));
+  if (lines.length === 0) return;
+  ink.save();
+  ink.lineCap = "round";
+  for (const [width, colour, alpha] of [
+    [OUTLINE_PX + 2, INK.halo, 0.5],
+    [OUTLINE_PX, INK.lesion, lesion.chosen ? 1 : 0.75],
+  ] as const) {
+    ink.globalAlpha = alpha;
+    ink.strokeStyle = colour;
+    ink.lineWidth = width;
+    ink.beginPath();
+    for (const [from, to] of lines) {
+      const [a, b] = [pixelFromLps(geometry, from), pixelFromLps(geometry, to)];
+      if (a === null || b === null) continue;
+      const [start, end] = [viewport.screenAt(a), viewport.screenAt(b)];
+      ink.moveTo(start.x, start.y);
+      ink.lineTo(end.x, end.y);
+    }
+    ink.stroke();
+  }
+  ink.restore();
+}
+
+/** The hull of what it covers: a nodule is nearly convex, and its silhouette is no measure. */
+function paintSilhouette(ink: Ink, viewport: Viewport, geometry: Geometry, surface: Surface, alpha: number): void {
+  const points: ScreenPoint[] = [];
+  for (const vertex of surface.vertices) {
+    const seen = pixelFromLps(geometry, vertex);
+    if (seen !== null) points.push(viewport.screenAt(seen));
+  }
+  const hull = hullOf(points);
+  if (hull.length < 3) return;
+  ink.save();
+  ink.beginPath();
+  for (const [n, point] of hull.entries()) {
+    if (n === 0) ink.moveTo(point.x, point.y);
+    else ink.lineTo(point.x, point.y);
+  }
+  ink.closePath();
+  ink.globalAlpha = alpha;
+  ink.fillStyle = INK.lesion;
+  ink.fill();
+  ink.globalAlpha = 0.8;
+  ink.strokeStyle = INK.lesion;
+  ink.lineWidth = 1.25;
+  ink.stroke();
+  ink.restore();
+}
+
+/** Andrew's monotone chain. */
+export function hullOf(points: readonly ScreenPoint[]): ScreenPoint[] {
+  const sorted = [...points].sort((a, b) => a.x - b.x || a.y - b.y);
+  const half = (list: readonly ScreenPoint[]): ScreenPoint[] => {
+    const hull: ScreenPoint[] = [];
+    for (const point of list) {
+      for (;;) {
+        const [a, b] = [hull.at(-2), hull.at(-1)];
+        if (a === undefined || b === undefined) break;
+        if ((b.x - a.x) * (point.y - a.y) - (b.y - a.y) * (point.x - a.x) > 0) break;
+        hull.pop();
+      }
+      hull.push(point);
+    }
+    return hull.slice(0, -1);
+  };
+  return [...half(sorted), ...half(sorted.reverse())];
+}
+
+function paintNeedle(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  const { needle } = scene;
+  if (needle === null || !scene.routeLineVisible) return;
+  const way = sub(needle.aim, needle.tip);
+  const points = Array.from({ length: PARTS + 1 }, (_, n): Vec3 => add(needle.tip, scale(way, n / PARTS)));
+  const seen = points.map((point) => pixelFromLps(geometry, point));
+  ink.save();
+  ink.setLineDash([...DASH]);
+  let run: ScreenPoint[] = [];
+  let near = true;
+  const draw = () => {
+    line(ink, run, INK.halo, NEEDLE_PX + 2, near ? 0.6 : 0.25);
+    line(ink, run, INK.needle, NEEDLE_PX, near ? 1 : 0.45);
+  };
+  for (const point of seen) {
+    if (point === null) {
+      draw();
+      run = [];
+      continue;
+    }
+    const at = viewport.screenAt(point);
+    const isNear = inPlane(point.depthMm);
+    run.push(at);
+    if (isNear !== near) {
+      draw();
+      run = [at];
+      near = isNear;
+    }
+  }
+  draw();
+  ink.restore();
+}
