@@ -34,6 +34,7 @@ def test_every_example_is_tested_here():
         "from_ct_to_film.ipynb",
         "gallery.py",
         "scope_handle.ino",
+        "turns.py",
     ]
 
 
@@ -48,6 +49,17 @@ def test_first_airway_saves_a_lit_lumen_in_the_trachea_and_in_a_bronchus(tmp_pat
         assert red.mean() > 40, "lit"
         assert red.mean() > blue.mean() + 10, "mucosa is warm"
         assert np.ptp(red) > 100, "a bright near wall and a dark lumen ahead"
+
+
+@pytest.mark.slow
+def test_turns_tells_each_fork_and_saves_its_picture(tmp_path, capsys):
+    saved = load(EXAMPLES / "05_turns" / "turns.py").main(tmp_path)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(saved) == len(lines) - 1 >= 2
+    assert lines[0].startswith("At the main carina (about 26.5 cm on the scope, an estimate), enter ")
+    assert lines[-1].endswith("past the last fork, stop")
+    for path in saved:
+        assert sitk.GetArrayFromImage(sitk.ReadImage(str(path))).shape == (512, 512, 3)
 
 
 @pytest.fixture(scope="module")

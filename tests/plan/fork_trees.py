@@ -27,15 +27,19 @@ def bent(start: Points, first: Points, last: Points, length_mm: float, num: int 
 
 
 def random_tree(
-    seed: int, *, num_children: Sequence[int] = (2, 2, 3), lengths_mm: Sequence[float] = (60.0, 25.0, 14.0, 9.0)
+    seed: int,
+    *,
+    num_children: Sequence[int] = (2, 2, 3),
+    lengths_mm: Sequence[float] = (60.0, 25.0, 14.0, 9.0),
+    curl: float = 0.15,
 ) -> AirwayTree:
-    """A trachea downwards, two named main bronchi, then forks of 2 or 3 in all directions."""
+    """A trachea downwards, two named main bronchi, then forks of 2 or 3 in all directions; more bent by ``curl``."""
     rng = np.random.default_rng(seed)
     branches: list[dict] = []
 
     def grow(parent: int | None, start: Points, ahead: Points, level: int, name: str | None) -> int:
         number = len(branches)
-        turned = unit(ahead + 0.15 * rng.normal(size=3))
+        turned = unit(ahead + (curl if level else 0.15) * rng.normal(size=3))
         length = float(lengths_mm[level]) * rng.uniform(0.7, 1.3)
         points = bent(start, ahead, turned, length)
         radius = np.linspace(1.0, 0.9, len(points)) * (8.0, 6.0, 3.5, 2.0)[level] * rng.uniform(0.8, 1.2)

@@ -20,7 +20,7 @@ from carina.case.routes import route_to_branch
 from carina.errors import UsageError
 from carina.navigate import Navigator
 from carina.plan import Turn, TurnList, main_carina_ridge_mm, turn_list
-from carina.plan.fork_view import levelled, openings_seen, stand_mm
+from carina.plan.fork_view import levelled, openings_seen, stand_mm, whole_hour
 from carina.plan.moves import Move
 from carina.plan.turn_words import moves_words
 from carina.scopes import Pose
@@ -219,11 +219,28 @@ def test_hours_are_the_windows() -> None:
     assert seen[0].hours == pytest.approx(3.0)
 
 
+def nearly_straight(near: float, far: float) -> dict[str, Any]:
+    """Two openings to either side of the line of sight, as tangents of their angle to it."""
+    rows = [{"id": 0, "parent": None, "children": [1, 2], "points": [[0.0, 0, 0], [0, 0, -20]], "radius": [3.0, 3.0]}]
+    for number, tangent in ((1, near), (2, -far)):
+        end = [-25.0 * tangent, 0.0, -25.0]
+        rows.append({"id": number, "parent": 0, "children": [], "points": [[0.0, 0, -20], end], "radius": [1.0, 1.0]})
+    camera = Pose.looking([0, 0, 0], [0, 0, -1])
+    tree = made_tree([{**row, "points": np.array(row["points"]), "radius": np.array(row["radius"])} for row in rows])
+    seen = openings_seen(camera, tree.branches[1:])
+    return {
+        "name": f"tangents {near} and {far}",
+        "lps_from_camera": camera.lps_from_camera.ravel().tolist(),
+        "branches": rows,
+        "hours": {str(one.branch.id): None if one.straight_ahead else whole_hour(one.hours) for one in seen},
+    }
+
+
 def golden_cases() -> list[dict[str, Any]]:
     """Turns of random trees for both operators, as the window must tell them from the same camera."""
-    made = []
+    made = [nearly_straight(*tangents) for tangents in ((0.11, 0.46), (0.11, 0.42), (0.13, 0.6), (0.02, 0.09))]
     for seed in range(8):
-        tree = random_tree(seed, num_children=(2, 3 if seed % 2 else 2), lengths_mm=(40.0, 15.0, 6.0))
+        tree = random_tree(seed, num_children=(2, 3 if seed % 2 else 2), lengths_mm=(40.0, 15.0, 12.0), curl=1.5)
         found = turn_list(tree, route_in(tree, tree.tips()[seed % 3].id))
         for turn in found.turns:
             daughter = tree.branch(turn.to_branch_id)
@@ -399,6 +416,19 @@ def test_each_move_of_a_drive_is_told_once_and_in_order(seed: int, advances: lis
             furthest = max([0.0, *ends[: int(move.turn_deg)]])
             assert before - 1e-6 <= furthest < place
     assert turn_list(tree, route).turns[0].moves is None
+
+
+def test_a_move_that_begins_past_a_fork_belongs_to_the_next() -> None:
+    tree = random_tree(4)
+    route = route_in(tree, tree.tips()[0].id)
+    num = int(route.along_mm)
+    found = turn_list(tree, route, moves=[Move(float(n), 0.0, 1.0) for n in range(num)], insertion_mm=range(1, num + 1))
+    places = np.cumsum([turn.from_fork_mm for turn in found.turns])
+    first = 0
+    for turn, place in zip(found.turns, places, strict=True):
+        last = math.ceil(place)
+        assert [move.turn_deg for move in turn.moves or ()] == list(range(first, last))
+        first = last
 
 
 def test_moves_are_said_as_they_are_made() -> None:

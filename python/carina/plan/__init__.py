@@ -12,6 +12,7 @@ from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.target_files import target_from_file
 from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.turn_flight import turn_flight
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
@@ -62,6 +63,7 @@ __all__ = [
     "target_from_mask",
     "tool",
     "tools",
+    "turn_flight",
     "turn_list",
     "turn_pictures",
     "whereabouts",

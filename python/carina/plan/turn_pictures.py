@@ -113,7 +113,7 @@ def turn_pictures(
     volume, airways
         The CT and the airways that the route was planned in.
     turns
-        Of `carina.plan.turn_list`.
+        Of `carina.plan.turn_list`; `examples/05_turns` shows all of it.
     operator
         Which way up.
     size_px
@@ -138,18 +138,6 @@ def turn_pictures(
         If a turn does not say where it is seen from.
     CancelledError
         If ``cancel()`` said so.
-
-    Examples
-    --------
-    >>> import carina
-    >>> from carina.plan import plan_route, turn_list, turn_pictures
-    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
-    >>> airways = carina.find_airways(made.volume)
-    >>> plan = plan_route(made.volume, airways, made.truth["nodule"]["center_lps"])
-    >>> turns = turn_list(airways.tree, plan.routes[0])
-    >>> pictures = turn_pictures(made.volume, airways, turns, size_px=128)
-    >>> pictures[0].rgb.shape, pictures[0].in_view
-    ((128, 128, 3), True)
     """
     check_type("turn_pictures", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("turn_pictures", "airways", airways, Airways, "get airways from carina.find_airways")

@@ -29,7 +29,9 @@ def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: flo
 
 def with_depth(where: str, depth_mm: float | None) -> str:
     """A place with its depth at nose or mouth, where one is known."""
-    return where if depth_mm is None else f"{where} (about {depth_mm / 10.0:.0f} cm on the scope, an estimate)"
+    return (
+        where if depth_mm is None else f"{where} (about {round(depth_mm / 5.0) / 2.0:g} cm on the scope, an estimate)"
+    )
 
 
 def moves_words(moves: Sequence[Move]) -> str:

@@ -1,0 +1,213 @@
+"""The pictures of the turns: what is outlined is the branch that is entered, and nothing in front of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from fork_trees import made_tree, route_in
+
+from carina.display.png import png_bytes
+from carina.errors import CancelledError, NoResultError, UsageError
+from carina.plan import Turn, TurnList, TurnPicture, turn_list, turn_pictures
+from carina.plan.turn_marks import draw_edge
+from carina.plan.turn_pictures import DOUBTFUL_RGB, FOV_DEG, ROUTE_RGB, _belongs
+from carina.render import AirwayView, Renderer, read_png_pose
+from carina.scopes import Lens
+from made import made_airways, made_phantom
+
+CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
+SIZE = 256
+
+
+@cache
+def renderer() -> Renderer:
+    made = Renderer(made_phantom(**CHEST).volume)
+    made.set_lumen(made_airways(**CHEST).lumen_zyx)
+    return made
+
+
+@cache
+def turns() -> TurnList:
+    """Of two tips of the phantom, one in each lung, in one list."""
+    tree = made_airways(**CHEST).tree
+    ends = [max(tree.tips(), key=lambda tip: sign * float(tip.tip_lps[0])) for sign in (-1.0, 1.0)]
+    lists = [turn_list(tree, route_in(tree, end.id)) for end in ends]
+    return dataclasses.replace(lists[0], turns=lists[0].turns + lists[1].turns)
+
+
+def pictures_of(found: TurnList, **options: Any) -> tuple[TurnPicture, ...]:
+    options = {"size_px": SIZE, "renderer": renderer(), **options}
+    return turn_pictures(made_phantom(**CHEST).volume, made_airways(**CHEST), found, **options)
+
+
+@cache
+def pictures() -> tuple[TurnPicture, ...]:
+    return pictures_of(turns())
+
+
+def walls(made: TurnPicture) -> np.ndarray:
+    view = AirwayView(
+        made.camera, fov_deg=FOV_DEG, width=SIZE, height=SIZE, lens=Lens.equidistant(), method="brute", texture=False
+    )
+    return renderer().surface(view).position_lps
+
+
+def test_what_is_outlined_is_wall_of_the_branch_that_is_entered_in_the_truth() -> None:
+    tree = made_airways(**CHEST).tree
+    truth = made_phantom(**CHEST).truth["branches"]
+    lines = [(np.array(row["points"]), np.array(row["radius"])) for row in truth]
+    for made in pictures():
+        assert made.in_view, made.turn
+        points = walls(made)[made.outline]
+        points = points[np.isfinite(points).all(axis=1)][::7]
+        # The branch of the truth that runs where the tree's does, and those that come after it.
+        daughter = tree.branch(made.turn.to_branch_id)
+        middle = daughter.points[len(daughter.points) // 2]
+        own = min(range(len(lines)), key=lambda n: np.linalg.norm(lines[n][0] - middle, axis=1).min())
+        ours = {truth[own]["id"]}
+        for row in truth:
+            if row["parent"] in ours:
+                ours.add(row["id"])
+        gaps = {True: np.full(len(points), np.inf), False: np.full(len(points), np.inf)}
+        for row, (line, radius) in zip(truth, lines, strict=True):
+            gap = (np.linalg.norm(points[:, None] - line[None], axis=2) - radius).min(axis=1)
+            side = row["id"] in ours
+            gaps[side] = np.minimum(gaps[side], gap)
+        # A millimetre at the mouth, where the walls of both are one.
+        assert np.mean(gaps[True] <= gaps[False] + 1.0) > 0.97, made.turn
+
+
+def test_the_outline_lies_where_the_hour_points() -> None:
+    rows, columns = np.mgrid[0:SIZE, 0:SIZE] + 0.5 - SIZE / 2
+    for made in pictures():
+        if made.turn.straight_ahead:
+            continue
+        right, down = columns[made.outline].mean(), rows[made.outline].mean()
+        seen = (math.atan2(right, -down) / math.tau * 12.0) % 12.0
+        gap = abs(seen - made.turn.clock_head) % 12.0
+        assert min(gap, 12.0 - gap) < 1.0, made.turn
+
+
+def test_the_middle_of_the_opening_is_inside_its_outline() -> None:
+    for made in pictures():
+        assert made.turn.opening_lps is not None
+        at = made.picture.pixel_of(made.turn.opening_lps)
+        assert at is not None and made.outline[int(at[1]), int(at[0])], made.turn
+
+
+def test_the_other_openings_are_outside_it() -> None:
+    tree = made_airways(**CHEST).tree
+    for made in pictures():
+        for other in made.turn.others:
+            branch = tree.branch(other.branch_id)
+            # A place well inside, if it is seen.
+            place = branch.points[len(branch.points) // 2]
+            at = made.picture.pixel_of(place)
+            if at is None or not (0 <= at[0] < SIZE and 0 <= at[1] < SIZE):
+                continue
+            wall = walls(made)[int(at[1]), int(at[0])]
+            eye = made.camera.position_lps
+            if np.linalg.norm(wall - eye) > np.linalg.norm(place - eye):
+                assert not made.outline[int(at[1]), int(at[0])], (made.turn, other)
+
+
+def test_for_an_operator_who_faces_the_patient_the_picture_is_turned_by_half() -> None:
+    for head, facing in zip(pictures(), pictures_of(turns(), operator="facing"), strict=True):
+        turned = facing.outline[::-1, ::-1]
+        # Rays of the turned picture sample the wall a hair apart, and every second pixel is looked at.
+        both = np.mean(turned != head.outline)
+        assert both < 0.01
+        assert np.allclose(facing.camera.right_lps, -head.camera.right_lps)
+
+
+def test_a_branch_begins_where_its_middle_has_left_the_lumen_of_the_others() -> None:
+    def tube(number: int, a: list[float], b: list[float], radius: float) -> dict[str, Any]:
+        parent, children = (0, []) if number else (None, [1, 2])
+        points = np.linspace(np.array(a, dtype=float), np.array(b, dtype=float), 41)
+        return {"id": number, "parent": parent, "children": children, "points": points, "radius": np.full(41, radius)}
+
+    # The side branch is the widest: a ball of its own width at the fork would take the wall opposite for its own.
+    fork = [0.0, 0.0, 0.0]
+    tree = made_tree([tube(0, [0, 0, 20], fork, 4.0), tube(1, fork, [0, 0, -20], 4.0), tube(2, fork, [20, 0, 0], 4.6)])
+    turn = next(one for one in turn_list(tree, route_in(tree, 2, carina=False)).turns)
+    opposite, inside, mother, sister = [-4.0, 0.0, 0.0], [12.0, 4.6, 0.0], [0.0, 4.0, 12.0], [0.0, -4.0, -12.0]
+    ours, others = _belongs(tree, turn, np.array([[opposite, inside, mother, sister, [np.nan] * 3]]))
+    assert ours.tolist() == [[False, True, False, False, False]]
+    assert others.tolist() == [[True, False, True, True, False]]
+
+
+def hidden(turn: Turn) -> Turn:
+    """The same turn looked at from the other lung, through all that lies between."""
+    tree = made_airways(**CHEST).tree
+    away = max(tree.tips(), key=lambda tip: float(np.linalg.norm(tip.tip_lps - np.array(turn.fork_lps))))
+    eye = away.points[len(away.points) // 2]
+    return dataclasses.replace(turn, seen_from_lps=(float(eye[0]), float(eye[1]), float(eye[2])))
+
+
+def test_an_opening_behind_a_wall_is_not_outlined_and_said_to_be_out_of_view() -> None:
+    far = dataclasses.replace(turns(), turns=(hidden(turns().turns[2]),))
+    (made,) = pictures_of(far)
+    assert not made.in_view and not made.outline.any()
+    assert "not in view" in made.words
+    plain = pictures_of(far, marked=False)[0].rgb
+    middle = slice(SIZE // 4, 3 * SIZE // 4)
+    assert np.array_equal(made.rgb[middle, middle], plain[middle, middle]), "nothing is drawn where it would be"
+
+
+def test_the_line_is_in_the_colour_of_the_route_and_of_doubt_where_there_is_some() -> None:
+    turn = turns().turns[1]
+    doubted = dataclasses.replace(turn, doubts=("it was drawn by hand",))
+    for one, colour, other in ((turn, ROUTE_RGB, DOUBTFUL_RGB), (doubted, DOUBTFUL_RGB, ROUTE_RGB)):
+        (made,) = pictures_of(dataclasses.replace(turns(), turns=(one,)))
+        at = {tuple(int(v) for v in rgb) for rgb in made.rgb.reshape(-1, 3)}
+        assert colour in at and other not in at
+
+
+@pytest.mark.parametrize("radius_px", [15.0, 40.0, 90.0])
+def test_the_line_has_one_width(radius_px: float) -> None:
+    rows, columns = np.mgrid[0:256, 0:256] + 0.5 - 128
+    field = 1.0 / (1.0 + np.exp((np.hypot(rows, columns) - radius_px) / 2.0))
+    rgb = np.zeros((256, 256, 3), dtype=np.uint8)
+    draw_edge(rgb, field, 3.0, (200, 200, 200))
+    covered = (rgb[..., 0].astype(float) - 8.0).clip(0.0) / 192.0
+    assert covered.sum() / (math.tau * radius_px) == pytest.approx(3.0, abs=0.35)
+
+
+def test_a_picture_says_where_it_was_seen_from(tmp_path: Any) -> None:
+    made = pictures()[1]
+    path = tmp_path / "turn.png"
+    path.write_bytes(made.png())
+    place = read_png_pose(path)
+    assert place is not None
+    assert np.allclose(place["lps_from_camera"], made.camera.lps_from_camera)
+    assert made._repr_png_() == made.png()
+    assert len(made.png()) > len(png_bytes(np.ascontiguousarray(made.rgb)))
+
+
+def test_mottling_is_off_and_unmarked_pictures_have_nothing_drawn() -> None:
+    made, plain = pictures()[1], pictures_of(dataclasses.replace(turns(), turns=turns().turns[1:2]), marked=False)[0]
+    view = AirwayView(
+        made.camera, fov_deg=FOV_DEG, width=SIZE, height=SIZE, lens=Lens.equidistant(), method="brute", texture=False
+    )
+    assert np.array_equal(plain.rgb, renderer().render(view).rgb)
+    assert not np.array_equal(plain.rgb, made.rgb)
+    assert np.array_equal(plain.outline, made.outline)
+
+
+def test_what_cannot_be_drawn_is_refused() -> None:
+    with pytest.raises(UsageError):
+        pictures_of(turns(), size_px=10)
+    blind = dataclasses.replace(turns().turns[0], seen_from_lps=None)
+    with pytest.raises(NoResultError):
+        pictures_of(dataclasses.replace(turns(), turns=(blind,)))
+    with pytest.raises(CancelledError):
+        pictures_of(turns(), cancel=lambda: True)
+    assert pictures_of(dataclasses.replace(turns(), turns=())) == ()
+    shares: list[float] = []
+    pictures_of(dataclasses.replace(turns(), turns=turns().turns[:2]), progress=shares.append, size_px=128)
+    assert shares == [0.5, 1.0]
