@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.hindrances import check_target, notes_of_target, notes_of_tools, why_none
-from carina.plan.last_leg import LastLeg, NeedleScene, last_leg, where_it_may_have_moved
+from carina.plan.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule, grow_nodule
 from carina.plan.places import BronchusSign, NearestPlace, Places, branch_title
@@ -85,6 +85,8 @@ class PlannedRoute:
     """Which of the plan's aims, from 0."""
     outlook: Outlook = "may reach"
     """Whether the planned scope gets there, by diameter, bend and doubts; the verdict is its drive (`judge_scope`)."""
+    chance: float = 1.0
+    """How likely that is, by the same three."""
     limits: tuple[str, ...] = ()
     """What stands against it, or may."""
     bend_deg: float = 0.0
@@ -118,6 +120,7 @@ class PlannedRoute:
             "fits": self.fits,
             "bend_deg": self.bend_deg,
             "outlook": self.outlook,
+            "chance": self.chance,
             "limits": list(self.limits),
             "tools": list(self.tools),
             "leg": self.leg.to_json(),
@@ -265,30 +268,28 @@ def plan_route(
     say(0.1)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     say(0.5)
-    places = Places(airways.tree, nodule)
+    places = Places(airways.tree, nodule, wall)
     judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, max(volume.spacing_mm))
     moved = places.moved_mm() if moved_mm is None else moved_mm
     sign, sign_branch, sign_lps = places.bronchus_sign()
     nearest = places.nearest()
     candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
-    best: dict[tuple[int, int], PlannedRoute] = {}
     kept: tuple[PlannedRoute, ...] = ()
     if candidates:
         half = max(float(places.distance[n]) for n, _ in candidates) + 0.5 * nodule.long_mm + BOX_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
+        drafts: dict[tuple[int, int], list[PlannedRoute]] = {}
         for step, (n, aim) in enumerate(candidates):
-            say(0.6 + 0.35 * step / len(candidates))
-            leg = last_leg(scene, places.points[n], places.forward[n], meant[aim])
-            if not leg.reaches or not (used.pierces or leg.is_open):
-                continue
-            route = _route(places, int(n), aim, leg, judge)
-            known = best.get((route.branch_id, aim))
-            if known is None or order(route) < order(known):
-                best[route.branch_id, aim] = route
+            say(0.6 + 0.3 * step / len(candidates))
+            leg = leg_as_aimed(scene, places.points[n], places.forward[n], meant[aim])
+            if leg.reaches and (used.pierces or leg.is_open):
+                route = _route(places, int(n), aim, leg, judge)
+                drafts.setdefault((route.branch_id, aim), []).append(route)
+        best = [_best(scene, judge, rows) for rows in drafts.values()]
         kept = tuple(
             replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
-            for route in standing_apart(sorted(best.values(), key=order))
+            for route in standing_apart(sorted(best, key=order))
         )
     say(1.0)
     return Plan(
@@ -311,6 +312,24 @@ def plan_route(
         weights=judge.weights,
         nearest=nearest,
     )
+
+
+def _best(scene: NeedleScene, judge: Judge, drafts: list[PlannedRoute]) -> PlannedRoute:
+    """The best of routes whose needles go as they are aimed, with the needle's errors.
+
+    What cannot be the best even if no needle missed is not looked at.
+    """
+    found: PlannedRoute | None = None
+    for draft in sorted(drafts, key=order):
+        if found is not None and order(found) <= order(draft):
+            break
+        leg = with_errors(scene, draft.leg)
+        parts = judge.parts(leg, draft.narrowest_mm, scene.nodule)
+        route = replace(draft, leg=leg, parts=parts, score=judge.score(parts))
+        if found is None or order(route) < order(found):
+            found = route
+    assert found is not None
+    return found
 
 
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
@@ -341,7 +360,7 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
     branch = places.of_branch(n)
     asked = places.asks(n, bending_mm(judge.scope))
     parts = judge.parts(leg, asked.room_mm.value, places.nodule)
-    outlook, limits = judge.outlook(asked)
+    outlook, chance, limits = judge.outlook(asked)
     carina_mm = places.carina_mm(branch)
     forward = places.forward[n]
     return PlannedRoute(
@@ -358,6 +377,7 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
         doubts=asked.doubts,
         aim=aim,
         outlook=outlook,
+        chance=chance,
         limits=limits,
         bend_deg=asked.bend_deg.value,
         tools=tuple(
