@@ -5,9 +5,10 @@ from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
-from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
+from carina.plan.vessels import VesselBranch, VesselTree
 
 __all__ = [
     "DEFAULT_TOOL",
@@ -27,6 +28,8 @@ __all__ = [
     "Surroundings",
     "Tool",
     "Verdict",
+    "VesselBranch",
+    "VesselTree",
     "clock_hours",
     "ebus_landmarks",
     "grow_nodule",
@@ -34,6 +37,7 @@ __all__ = [
     "judge_scope",
     "judge_scopes",
     "last_leg",
+    "lung_surroundings",
     "plan_route",
     "surroundings",
     "tool",
