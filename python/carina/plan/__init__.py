@@ -6,7 +6,7 @@ from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
-from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
 from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.target_files import target_from_file
@@ -16,6 +16,7 @@ from carina.plan.turn_flight import turn_flight
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
+from carina.plan.vessels import VesselBranch, VesselTree
 from carina.plan.whereabouts import WHERE_WORDS, Whereabouts, whereabouts
 
 __all__ = [
@@ -43,6 +44,8 @@ __all__ = [
     "TurnList",
     "TurnPicture",
     "Verdict",
+    "VesselBranch",
+    "VesselTree",
     "Whereabouts",
     "brushed",
     "clock_hours",
@@ -52,6 +55,7 @@ __all__ = [
     "judge_scope",
     "judge_scopes",
     "last_leg",
+    "lung_surroundings",
     "main_carina_ridge_mm",
     "nodule_from_mask",
     "plan_route",

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.errors import NoResultError
 from carina.plan.box import Box, ball_distance, lung_median_hu, smoothed
 from carina.plan.nodule import Nodule
+from carina.plan.vessels import RISE_HU as LINE_RISE_HU
+from carina.plan.vessels import VesselTree, grow_tree, thin_vessels
 from carina.scopes import WallField
 from carina.volume import Volume
 
-__all__ = ["Surroundings", "surroundings"]
+__all__ = ["Surroundings", "lung_box", "lung_surroundings", "surroundings"]
 
 Mask = NDArray[np.bool_]
 
@@ -23,6 +26,8 @@ RISE_HU = 250.0
 """What stands out of the lung by this much is tissue: a vessel of 1 mm, blurred, still does."""
 WALL_MM = 1.5
 """Tissue this near to a lumen is its wall."""
+LINE_WALL_MM = 1.0
+"""What is a line, not a plate, is a vessel beside a lumen down to this."""
 BLUR_MM = 1.5
 """Tissue this near to the nodule is its own edge."""
 THICKEST_VESSEL_MM = 14.0
@@ -36,7 +41,7 @@ LEAST_MM3 = 12.0
 class Surroundings:
     """Tissue in a box round a target. Arteries and veins are not told apart.
 
-    Vessels thinner than about 1 mm are not seen, and those of the mediastinum cannot be told from it without contrast.
+    Vessels thinner than about 0.7 mm are not seen, and those of the mediastinum are not visible without contrast.
     """
 
     box: Box
@@ -47,6 +52,12 @@ class Surroundings:
     vessel_mm: NDArray[np.float32]
     """Distance to the nearest vessel; infinite where there is none."""
     thick_mm: NDArray[np.float32]
+    sure: NDArray[np.float32]
+    """How sure it is that a voxel of ``vessel`` is one, 0.5 to 1; 0 elsewhere. What stands out by itself is 1."""
+
+    def vessel_tree(self) -> VesselTree:
+        """The vessels as lines with radii; made anew each time."""
+        return grow_tree(self.box, self.vessel, self.sure)
 
     def read(self, of: NDArray[Any], points_lps: NDArray[np.float64]) -> NDArray[Any]:
         """Values of an array of the box at the nearest voxels, (n,); they mean nothing where it holds no point."""
@@ -73,20 +84,122 @@ def surroundings(
     volume: Volume, centre_lps: NDArray[np.float64], half_mm: float, nodule: Nodule | None, wall: WallField
 ) -> Surroundings:
     """The tissue in a box of ``half_mm`` round a point, without the nodule and the airways' own walls."""
-    box = Box.around(volume, centre_lps, half_mm)
+    return _seen(Box.around(volume, centre_lps, half_mm), nodule, wall)
+
+
+def lung_surroundings(volume: Volume, wall: WallField) -> Surroundings:
+    """The same for the whole of both lungs, at 1 mm: for pictures of the vessels, not for needles.
+
+    Vessels thinner than about 1 mm are seen in part.
+
+    Raises
+    ------
+    NoResultError
+        If there is no lung in the CT (code ``plan.no_lung``).
+    """
+    return _seen(lung_box(volume), None, wall)
+
+
+def lung_box(volume: Volume) -> Box:
+    """Both lungs at 1 mm along LPS; only they are ``known``, with the vessels and airways in them.
+
+    Raises
+    ------
+    NoResultError
+        If there is none (code ``plan.no_lung``).
+    """
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    image: Any = sitk.GetImageFromArray(volume.hu_zyx)
+    image.SetSpacing([float(s) for s in volume.spacing_mm])
+    image.SetOrigin([float(k) for k in volume.lps_from_ijk[:3, 3]])
+    axes = volume.lps_from_ijk[:3, :3] / np.array(volume.spacing_mm)
+    is_mirrored = float(np.linalg.det(axes)) < 0.0
+    if is_mirrored:
+        # ITK's axes are right-handed: slices are counted from the other end.
+        image = sitk.GetImageFromArray(np.ascontiguousarray(volume.hu_zyx[::-1]))
+        image.SetSpacing([float(s) for s in volume.spacing_mm])
+        image.SetOrigin([float(k) for k in volume.to_lps(np.array([0.0, 0.0, volume.shape_zyx[0] - 1.0]))])
+        axes = axes * np.array([1.0, 1.0, -1.0])
+    image.SetDirection([float(k) for k in axes.reshape(-1)])
+    corners = volume.to_lps(
+        np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (np.array(volume.shape_zyx[::-1]) - 1.0)
+    )
+    whole_low, whole_high = corners.min(axis=0), corners.max(axis=0)
+    coarse = _cut(image, whole_low, whole_high, 4.0, -1024.0)
+    inside = _lung(sitk.GetArrayFromImage(coarse))
+    if not inside.any():
+        raise NoResultError("the lungs: no lung was found in this CT; it is needed round a target", code="plan.no_lung")
+    at = np.argwhere(inside)[:, ::-1] * 4.0 + whole_low
+    low, high = np.maximum(at.min(axis=0) - 5.0, whole_low), np.minimum(at.max(axis=0) + 5.0, whole_high)
+    fine = _cut(image, low, high, 1.0, OUTSIDE_HU)
+    values: NDArray[np.float32] = sitk.GetArrayFromImage(fine)
+    matrix = np.eye(4)
+    matrix[:3, 3] = low
+    in_ct = values > OUTSIDE_HU + 1.0
+    # What vessels and airways take out of the lungs belongs to them.
+    closed = ball_distance(ball_distance(~np.pad(inside, 6), 4.0) < CLOSED_MM, 4.0)[6:-6, 6:-6, 6:-6] >= CLOSED_MM - 2.0
+    start = (low - whole_low) / 4.0
+    for axis, num in enumerate(values.shape):
+        places = np.rint(start[2 - axis] + 0.25 * np.arange(num)).astype(np.intp)
+        closed = closed.take(np.clip(places, 0, closed.shape[axis] - 1), axis=axis)
+    return Box(np.where(in_ct, values, np.float32(-1024.0)), in_ct & closed, 1.0, matrix)
+
+
+OUTSIDE_HU = -4096.0
+CLOSED_MM = 12.0
+"""Holes of the lungs up to twice this wide are vessels and airways in them."""
+
+
+def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_mm: float, outside_hu: float) -> Any:
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    to = sitk.ResampleImageFilter()
+    to.SetSize([int(n) for n in np.floor((high - low) / step_mm) + 1])
+    to.SetOutputSpacing([step_mm] * 3)
+    to.SetOutputOrigin([float(k) for k in low])
+    to.SetOutputDirection(np.eye(3).reshape(-1).tolist())
+    to.SetInterpolator(sitk.sitkLinear)
+    to.SetDefaultPixelValue(outside_hu)
+    to.SetOutputPixelType(sitk.sitkFloat32)
+    return to.Execute(image)
+
+
+def _lung(coarse: NDArray[np.float32]) -> Mask:
+    """Large dark pieces that do not reach the sides of the CT, where the air round the body lies."""
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    dark = sitk.GetImageFromArray((coarse < -500.0).astype(np.uint8))
+    labels: Any = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(dark)))
+    sides = np.unique(np.concatenate([labels[:, 0], labels[:, -1], labels[:, :, 0].T, labels[:, :, -1].T], axis=None))
+    sizes = np.bincount(labels.reshape(-1))
+    keep = np.flatnonzero(sizes * 64.0 / 1000.0 > 100.0)
+    found: Mask = np.isin(labels, [n for n in keep if n and n not in sides])
+    return found
+
+
+def _seen(box: Box, nodule: Nodule | None, wall: WallField) -> Surroundings:
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
     lung_hu = lung_median_hu(smooth)
-    points = _centres(box)
-    to_wall = wall.distance_mm(points).reshape(smooth.shape)
+    # Most of a lung is neither dense nor near a wall: walls are asked for where something is.
+    to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU)
     dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)
+    clear = to_wall < -LINE_WALL_MM
     if nodule is not None:
-        inside = nodule.contains(points).reshape(smooth.shape)
-        dense &= ball_distance(~inside, box.step_mm) > BLUR_MM
+        inside = nodule.contains(_centres(box, np.ones(dense.shape, dtype=bool))).reshape(dense.shape)
+        away = ball_distance(~inside, box.step_mm) > BLUR_MM
+        dense &= away
+        clear &= away
     half = 0.5 * THICKEST_VESSEL_MM
     core = ball_distance(dense, box.step_mm) > half
     thick = dense & (ball_distance(~core, box.step_mm) <= half + box.step_mm) if core.any() else np.zeros_like(dense)
-    vessel = _large_pieces(dense & ~thick, LEAST_MM3 / box.step_mm**3)
-    return Surroundings(box, lung_hu, vessel, thick, _distance(vessel, box.step_mm), _distance(thick, box.step_mm))
+    wide = _large_pieces(dense & ~thick & box.known, LEAST_MM3 / box.step_mm**3)
+    thin, sure = thin_vessels(box, lung_hu, clear & ~thick)
+    sure[wide] = 1.0
+    vessel = wide | thin
+    return Surroundings(
+        box, lung_hu, vessel, thick, _distance(vessel, box.step_mm), _distance(thick, box.step_mm), sure
+    )
 
 
 def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
@@ -95,8 +208,15 @@ def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     return ball_distance(~mask, step_mm)
 
 
-def _centres(box: Box) -> NDArray[np.float64]:
-    k, j, i = (axis.reshape(-1) for axis in np.indices(box.hu_zyx.shape))
+def _to_wall(box: Box, wall: WallField, where: Mask) -> NDArray[np.float32]:
+    """Signed distance to the airways' wall, above 0 in a lumen; far outside where it was not asked for."""
+    found = np.full(where.shape, -np.inf, dtype=np.float32)
+    found[where] = wall.distance_mm(_centres(box, where))
+    return found
+
+
+def _centres(box: Box, where: Mask) -> NDArray[np.float64]:
+    k, j, i = np.nonzero(where)
     return np.stack([i, j, k], axis=1) * box.step_mm + box.lps_from_ijk[:3, 3]
 
 

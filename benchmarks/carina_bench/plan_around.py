@@ -1,0 +1,324 @@
+"""What lies round targets, against truth: vessels, fissures and lobes on phantoms and on CTs painted from masks.
+
+``python -m carina_bench.plan_around vessels|fissures|lobes [CASE ...]`` prints a line of JSON per case. Painting needs
+scipy and scikit-image; what is painted is kept in the folder of ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to 3
+(painted), ``lobes-Patient1`` to 3 (masks of lobes).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import pickle
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import SimpleITK as sitk
+from numpy.typing import NDArray
+
+from carina.config import load_settings
+from carina.phantom import generate_phantom
+from carina.plan import surroundings
+from carina.plan.box import ball_distance
+from carina.scopes import WallField
+from carina.track import AirwayTree, find_airways, lumen_mesh
+from carina.volume import Volume, VolumeSource
+
+__all__ = ["Known", "known_case", "vessel_row"]
+
+Mask = NDArray[np.bool_]
+Points = NDArray[np.float64]
+Row = dict[str, Any]
+
+NUM_LINES = 60
+ROOM_MM = 14.0
+"""As `carina.plan.routes` leaves round target and tip."""
+FINE_MM = 0.5
+PHANTOM_SPACING = (0.7, 0.7, 0.8)
+CLASSES_MM = ((0.0, 1.0), (1.0, 1.5), (1.5, 2.5), (2.5, 4.0), (4.0, 20.0))
+"""Diameters of vessels."""
+NEAR_MM = 1.0
+"""A voxel this near to the other's is found, or true."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """A CT and what is true of it."""
+
+    name: str
+    volume: Volume
+    tree: AirwayTree
+    wall: WallField
+    tissue: Callable[[Points, float], tuple[Volume, Mask, Mask]]
+    """Vessels, and where they can be judged (lung), in a box round a point: a grid and two masks on it."""
+    in_lung: Callable[[Points], Mask]
+    fissures: Mask | None = None
+    lungs: Mask | None = None
+
+
+def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
+    """Recall by diameter, precision, and the distance of needle lines to the nearest vessel."""
+    rng = np.random.default_rng(5)
+    tips = np.concatenate([b.points[b.radius > 0.8] for b in known.tree.branches if b.generation >= 2])
+    found_of = dict.fromkeys(CLASSES_MM, 0)
+    all_of = dict(found_of)
+    right = told = 0
+    pairs: list[tuple[float, float]] = []
+    seconds = []
+    while len(pairs) < num:
+        tip = tips[rng.integers(len(tips))]
+        way = rng.standard_normal(3)
+        way /= np.linalg.norm(way)
+        aim = tip + rng.uniform(10.0, 25.0) * way
+        at = tip + np.arange(0.0, float(np.linalg.norm(aim - tip)), 0.25)[:, None] * way
+        outside = known.wall.distance_mm(at) <= 0.0
+        if not known.in_lung(at).all() or outside.sum() < 16 or not outside[-16:].all():
+            continue
+        first = int(np.argmax(outside))
+        at = at[first:]
+        middle, half = 0.5 * (tip + aim), 0.5 * float(np.linalg.norm(aim - tip)) + ROOM_MM
+        begun = time.perf_counter()
+        around = surroundings(known.volume, middle, half, None, known.wall)
+        seconds.append(time.perf_counter() - begun)
+        grid, vessels, judged = known.tissue(middle, half)
+        away = _away(vessels, grid)
+        true_mm = float(_read(away, grid, at).min())
+        found_mm = float(around.read(around.vessel_mm, at).min())
+        pairs.append((true_mm, found_mm))
+        # Truth's middle lines, by the distance to their edge.
+        depth = ball_distance(vessels, float(min(grid.spacing_mm)))
+        widest = depth
+        for _ in range(4):
+            widest = _dilated(widest)
+        # A bump of a wide vessel's edge is no thin vessel.
+        ridge = vessels & judged & (depth >= _dilated(depth) - 1e-6) & (depth >= 0.6 * widest)
+        places = grid.to_lps(np.argwhere(ridge)[:, ::-1].astype(np.float64))
+        places_mm = 2.0 * depth[ridge]
+        inside = around.holds(places) & (known.wall.distance_mm(places) < -0.5)
+        seen = around.read(around.vessel_mm, places) <= NEAR_MM
+        for low, high in CLASSES_MM:
+            these = inside & (places_mm >= low) & (places_mm < high)
+            all_of[low, high] += int(these.sum())
+            found_of[low, high] += int((these & seen).sum())
+        k, j, i = np.nonzero(around.vessel)
+        points = np.stack([i, j, k], axis=1) * around.box.step_mm + around.box.lps_from_ijk[:3, 3]
+        points = points[_read(judged, grid, points) & _holds(grid, points)]
+        told += len(points)
+        right += int((_read(away, grid, points) <= NEAR_MM).sum())
+    true, found = np.array(pairs).T
+    near = true <= 5.0
+    off = np.abs(np.minimum(found, 12.0) - true)[near]
+    signed = (np.minimum(found, 12.0) - true)[near]
+    return {
+        "case": known.name,
+        "lines": len(pairs),
+        "recall": {f"{a}-{b} mm": round(found_of[a, b] / max(all_of[a, b], 1), 3) for a, b in CLASSES_MM},
+        "num": {f"{a}-{b} mm": all_of[a, b] for a, b in CLASSES_MM},
+        "precision": round(right / max(told, 1), 3),
+        "line_off_mm": {"median": round(float(np.median(off)), 2), "90 %": round(float(np.quantile(off, 0.9)), 2)},
+        "line_bias_mm": round(float(np.median(signed)), 2),
+        "danger_missed": f"{int((found[true <= 1.0] > 2.0).sum())} of {int((true <= 1.0).sum())}",
+        "false_alarm": f"{int((found[true > 2.0] <= 1.0).sum())} of {int((true > 2.0).sum())}",
+        "box_s": round(float(np.median(seconds)), 2),
+    }
+
+
+def _away(mask: Mask, grid: Volume) -> NDArray[np.float32]:
+    """Distance to the mask's edge, 0 inside, the grid's spacing taken as it is."""
+    if not mask.any():
+        return np.full(mask.shape, 99.0, np.float32)
+    image = sitk.GetImageFromArray(mask.astype(np.uint8))
+    image.SetSpacing([float(s) for s in grid.spacing_mm])
+    far = sitk.GetArrayFromImage(sitk.SignedMaurerDistanceMap(image, False, False, True))
+    return np.maximum(far - 0.5 * float(min(grid.spacing_mm)), 0.0).astype(np.float32)
+
+
+def _dilated(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    out = values.copy()
+    for axis in range(3):
+        wide = np.pad(out, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode="edge")
+        num = out.shape[axis]
+        out = np.maximum.reduce([wide.take(range(n, n + num), axis=axis) for n in range(3)])
+    return out
+
+
+def _ijk(grid: Volume, points: Points) -> NDArray[np.intp]:
+    return np.rint(grid.to_ijk(points)).astype(np.intp)
+
+
+def _holds(grid: Volume, points: Points) -> Mask:
+    ijk = _ijk(grid, points)
+    found: Mask = ((ijk >= 0) & (ijk < np.array(grid.shape_zyx[::-1]))).all(axis=1)
+    return found
+
+
+def _read(values: NDArray[Any], grid: Volume, points: Points) -> NDArray[Any]:
+    found: NDArray[Any] = values[tuple(np.clip(_ijk(grid, points), 0, np.array(values.shape[::-1]) - 1).T[::-1])]
+    return found
+
+
+def known_case(name: str, keep: Path) -> Known:
+    """A case by its name."""
+    path = keep / f"around-{name}.pickle"
+    if path.is_file():
+        saved = pickle.loads(path.read_bytes())
+    else:
+        saved = _phantom(int(name.split("-")[1])) if name.startswith("phantom") else _painted(name)
+        volume = Volume(saved["hu"], saved["matrix"], source=VolumeSource(format="array", title=name))
+        airways = find_airways(volume)
+        mesh = lumen_mesh(volume, airways)
+        saved |= {"tree": airways.tree.to_json(), "mesh": (mesh.vertices_lps, mesh.triangles)}
+        keep.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(saved))
+    volume = Volume(saved["hu"], saved["matrix"], source=VolumeSource(format="array", title=name))
+    tree = AirwayTree.from_json(saved["tree"])
+    wall = WallField.from_mesh(*saved["mesh"])
+    if "seed" in saved:
+        return _known_phantom(name, saved, volume, tree, wall)
+
+    def tissue(middle: Points, half: float) -> tuple[Volume, Mask, Mask]:
+        ijk = volume.to_ijk(middle)
+        reach = np.ceil(half / np.array(volume.spacing_mm)) + 4
+        low = np.maximum(np.floor(ijk - reach), 0).astype(int)
+        high = np.minimum(np.ceil(ijk + reach) + 1, np.array(volume.shape_zyx[::-1])).astype(int)
+        matrix = volume.lps_from_ijk.copy()
+        matrix[:3, 3] = volume.to_lps(low.astype(np.float64))
+        part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        grid = Volume(np.ascontiguousarray(volume.hu_zyx[part]), matrix)
+        return grid, saved["vessels"][part], saved["judged"][part]
+
+    def in_lung(points: Points) -> Mask:
+        found: Mask = _read(saved["inner"], volume, points)
+        return found
+
+    return Known(name, volume, tree, wall, tissue, in_lung, saved["fissures"], saved["lungs"])
+
+
+def _phantom(seed: int) -> Row:
+    made = generate_phantom(seed=seed, spacing_mm=PHANTOM_SPACING, generations=8, noise_hu=25.0)
+    return {"hu": made.volume.hu_zyx, "matrix": made.volume.lps_from_ijk, "seed": seed, "truth": made.truth}
+
+
+def _known_phantom(name: str, saved: Row, volume: Volume, tree: AirwayTree, wall: WallField) -> Known:
+    """Vessels of a phantom: what is dense in a fine piece without noise, without mediastinum and airways' walls."""
+    branches = saved["truth"]["branches"]
+    spatial: Any = importlib.import_module("scipy.spatial")
+    axes = spatial.cKDTree(np.concatenate([np.array(b["points"]) for b in branches]))
+    thick = np.concatenate([np.full(len(b["points"]), b["wall_mm"]) for b in branches])
+
+    def tissue(middle: Points, half: float) -> tuple[Volume, Mask, Mask]:
+        box = (middle - half - 2.0, middle + half + 2.0)
+        made = generate_phantom(
+            seed=saved["seed"], spacing_mm=FINE_MM, generations=8, noise_hu=0.0, box_lps=box, with_distance=True
+        )
+        assert made.lumen_distance_mm is not None
+        dense = made.volume.hu_zyx > -400
+        solid = ball_distance(dense, FINE_MM) > 7.0
+        if solid.any():
+            solid = ball_distance(~solid, FINE_MM) < 7.5
+        near = made.lumen_distance_mm < 3.0
+        walls = np.zeros(dense.shape, np.bool_)
+        places = made.volume.to_lps(np.argwhere(near)[:, ::-1].astype(np.float64))
+        walls[near] = made.lumen_distance_mm[near] < thick[axes.query(places)[1]] + 0.1
+        vessels = dense & ~walls & ~solid
+        judged = ball_distance(~solid, FINE_MM) > 3.0
+        return made.volume, vessels, judged
+
+    lung = ball_distance(_lung_of(volume), float(np.mean(volume.spacing_mm))) > 6.0
+
+    def in_lung(points: Points) -> Mask:
+        found: Mask = _read(lung, volume, points) | (wall.distance_mm(points) > -2.0)
+        return found
+
+    return Known(name, volume, tree, wall, tissue, in_lung)
+
+
+def _lung_of(volume: Volume) -> Mask:
+    """Air of the chest that is not outside, small dense parts closed."""
+    image = sitk.GetImageFromArray((volume.hu_zyx < -500).astype(np.uint8))
+    pieces = sitk.RelabelComponent(sitk.ConnectedComponent(image))
+    labels = sitk.GetArrayFromImage(pieces)
+    edge = set(np.unique(np.concatenate([labels[:, 0].ravel(), labels[:, -1].ravel()])))
+    inside = np.isin(labels, [n for n in range(1, 6) if n not in edge])
+    radius = [round(5.0 / s) for s in volume.spacing_mm]
+    closed = sitk.BinaryMorphologicalClosing(sitk.GetImageFromArray(inside.astype(np.uint8)), radius)
+    found: Mask = sitk.GetArrayFromImage(closed) != 0
+    return found
+
+
+def _painted(name: str) -> Row:
+    """A painted patient: vessels of the masks and drawn arteries, without the airways and their walls."""
+    from carina_bench.paint import PaintOptions, paint
+    from carina_bench.paint_scene import masks_of, scene_of_masks
+    from carina_bench.paint_tubes import wall_mm
+
+    data = load_settings().data_dir
+    assert data is not None
+    masks = masks_of(data / "masks" / "thin_slice_airways" / name)
+    options = PaintOptions()
+    scene = scene_of_masks(masks, options)
+    made = paint(scene, options)
+    volume = made.volume
+    assert masks.vessels is not None
+    spacing = np.array(volume.spacing_mm)
+    vessels = masks.vessels & masks.lungs
+    airway = np.zeros_like(vessels)
+    for tube in scene.tubes:
+        if tube.is_artery:
+            _draw(vessels, volume, tube.points, tube.radius_mm)
+        else:
+            _draw(airway, volume, tube.points, tube.radius_mm + wall_mm(tube.radius_mm))
+    vessels &= ~airway
+    closed = masks.lungs | vessels | airway
+    inner = _depth(closed, spacing) > 4.0
+    return {
+        "hu": volume.hu_zyx,
+        "matrix": volume.lps_from_ijk,
+        "vessels": vessels,
+        "judged": inner,
+        "inner": inner,
+        "fissures": masks.fissures,
+        "lungs": masks.lungs,
+    }
+
+
+def _depth(mask: Mask, spacing: Points) -> NDArray[np.float32]:
+    image = sitk.GetImageFromArray((~mask).astype(np.uint8))
+    image.SetSpacing([float(s) for s in spacing])
+    found: NDArray[np.float32] = sitk.GetArrayFromImage(sitk.SignedMaurerDistanceMap(image, False, False, True))
+    return found
+
+
+def _draw(mask: Mask, grid: Volume, points: Points, radius: Points) -> None:
+    """Balls along a line."""
+    spacing = np.array(grid.spacing_mm)
+    for point, r in zip(grid.to_ijk(points), radius, strict=True):
+        reach = np.ceil(r / spacing).astype(int) + 1
+        low = np.maximum(np.floor(point).astype(int) - reach, 0)
+        high = np.minimum(np.floor(point).astype(int) + reach + 2, np.array(mask.shape[::-1]))
+        if (high <= low).any():
+            continue
+        x, y, z = (((np.arange(a, b) - p) * s) ** 2 for a, b, p, s in zip(low, high, point, spacing, strict=True))
+        part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        mask[part] |= z[:, None, None] + y[None, :, None] + x[None, None, :] <= r * r
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["vessels"])
+    parser.add_argument("cases", nargs="*")
+    parser.add_argument("--keep", type=Path, default=Path("around-cases"))
+    parser.add_argument("--lines", type=int, default=NUM_LINES)
+    asked = parser.parse_args(arguments)
+    for name in asked.cases or ["phantom-3", "Patient1"]:
+        print(json.dumps(vessel_row(known_case(name, asked.keep), asked.lines)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
