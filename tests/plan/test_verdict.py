@@ -13,7 +13,7 @@ import pytest
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
-from carina.plan import Plan, Verdict, judge_scope, judge_scopes, plan_route, tool, verdict
+from carina.plan import Plan, Verdict, drive_aim, judge_scope, judge_scopes, plan_route, tool
 from carina.plan.last_leg import LastLeg
 from carina.plan.routes import PlannedRoute
 from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
@@ -83,8 +83,8 @@ def check(found: Verdict, name: str):
 @pytest.fixture
 def few_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests that ask nothing of how a scope points: most of what a verdict costs in a narrow tube."""
-    monkeypatch.setattr(verdict, "NUM_ROLLS", 2)
-    monkeypatch.setattr(verdict, "NUM_LEVERS", 1)
+    monkeypatch.setattr(drive_aim, "NUM_ROLLS", 2)
+    monkeypatch.setattr(drive_aim, "NUM_LEVERS", 1)
 
 
 @pytest.mark.usefixtures("few_holds")
@@ -154,7 +154,7 @@ def test_what_is_unknown_cannot_be_said() -> None:
     robot = dataclasses.replace(scope_preset("ion"), tip_mm=3.0)
     found = judge_scope(tree, plan_in(points), field, robot, spacing_mm=0.6)
     assert found.outcome == "cannot say" and "is not known" in found.words
-    assert found.hold is None and found.would.startswith("would reach if ")
+    assert found.hold is None and found.would.startswith("could reach only if ")
 
 
 def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:

@@ -1,13 +1,14 @@
 """Whether an instrument gets to where a route ends and can point its tool at the target.
 
-The scope is laid along the route in the airways' own wall (`carina.ScopeDrive`), and roll and lever are searched there.
-Each check lists the figures that it rests on with their basis; an unknown figure gives *cannot say*, never a default.
+What figures tell is told first (`carina.plan.verdict_checks`). An instrument that passes is driven along the route in
+the airways' own wall, from the trachea to where the route ends, and there pointed at the target.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,58 +17,41 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError
+from carina.plan.drive import DrivenRoute
+from carina.plan.drive_aim import aim_drive
+from carina.plan.drive_search import EFFORT, search_drive
+from carina.plan.drive_way import DriveWay
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.routes import Plan, PlannedRoute
-from carina.plan.tools import Tool
-from carina.scopes import FIT_MARGIN_MM, ScopeDrive, ScopeHold, ScopePreset, WallField, scope_presets
-from carina.track import AirwayTree, Route
+from carina.plan.verdict_checks import (
+    Answer,
+    Check,
+    bend_check,
+    channel_check,
+    diameter_check,
+    length_check,
+)
+from carina.scopes import ScopeDrive, ScopeHold, ScopePreset, WallField, scope_presets
+from carina.track import AirwayTree
 
 __all__ = ["Check", "Outcome", "Verdict", "judge_scope", "judge_scopes"]
 
 Points = NDArray[np.float64]
 Outcome = Literal["reaches", "may reach", "does not reach", "cannot say"]
-Answer = Literal["yes", "perhaps", "no", "unknown"]
 
-SURE = 0.9
-"""Told *yes* from this share of the errors up, *no* at what is left below its rest."""
-EXCESS_SIGMA_MM = 0.15
-"""Of the margin: ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the standard deviation is our estimate)."""
-ROOM_SHARE = 0.2
-"""Standard deviation of a lumen's width, of the CT's coarsest spacing (k)."""
-BEND_SIGMA_DEG = 8.0
-"""Of the angle that a route asks of the bending section (k)."""
 NEAR_MM = 1.5
 """The tip is where it should be within this."""
-SMOOTH_MM = 4.0
-"""Half the way over which a direction of the route is taken."""
-NUM_ROLLS, NUM_LEVERS = 12, 4
 POINTS, BARELY = 0.5, 0.1
 """It can be pointed where this share of needles hits; below the second it cannot: a pass can be repeated."""
-MOST_AIMED = 8
-"""Of the ways to hold it, those that point nearest to the target are tried with a needle."""
 SLIMMER_MM = 0.8
-CUT_MM = 10.0
-"""So far from where the tree begins widths are not looked at."""
-LONGEST_ENTRY_MM = 250.0
-"""From the nose to the upper trachea it is hardly farther in an adult (k)."""
+UNFOUND = 0.5
+"""Told where a scope lies along the route but no drive was found: the search may have missed one (k)."""
+NUM_THREADS = 2
+MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
 
 
 @one_line
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One thing that an instrument must be able to do."""
-
-    name: Literal["diameter", "bend", "length", "channel", "pointing"]
-    answer: Answer
-    share: float | None
-    """How likely it is, as far as the errors go; None where that cannot be said."""
-    words: str
-    basis: str
-    """What it rests on: figures of the instrument with ``s`` or ``k``, and what was measured."""
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     """What one instrument can do on one route."""
 
@@ -77,9 +61,11 @@ class Verdict:
     """The least of the checks' shares."""
     checks: tuple[Check, ...]
     reached_mm: float
-    """How far along the route its tip was laid."""
+    """How far along the route its tip gets."""
     hold: ScopeHold | None
     """Roll and lever that point at the target; None where it did not get there."""
+    driven: DrivenRoute | None
+    """The drive; None where figures alone say that it does not get there, or too little is known of it."""
     would: str | None
     """What would have to be different, where it does not reach."""
 
@@ -91,7 +77,11 @@ class Verdict:
         worst = [check for check in self.checks if check.answer in {"no", "unknown", "perhaps"}]
         order = {"no": 0, "unknown": 1, "perhaps": 2}
         worst.sort(key=lambda check: order[check.answer])
-        return f"{self.outcome}: {worst[0].words}" if worst else self.outcome
+        if not worst:
+            return self.outcome
+        if self.outcome == "does not reach" and worst[0].name in {"diameter", "bend", "drive"}:
+            return f"stops at {self.reached_mm:.0f} mm: {worst[0].words}"
+        return f"{self.outcome}: {worst[0].words}"
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types."""
@@ -112,6 +102,7 @@ class Verdict:
                 "roll_rad": self.hold.roll_rad,
                 "flexion_rad": self.hold.flexion_rad,
             },
+            "drive": None if self.driven is None else self.driven.to_json(poses=False),
             "would": self.would,
         }
 
@@ -126,6 +117,8 @@ def judge_scopes(
     spacing_mm: float = 1.0,
     entry_mm: float | None = None,
     errors: bool = True,
+    effort: float = EFFORT,
+    found: Callable[[Verdict], None] | None = None,
     progress: Callable[[float], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[Verdict, ...]:
@@ -145,6 +138,10 @@ def judge_scopes(
         From nose or mouth to where the tree begins; None leaves the length of the instrument open.
     errors
         False takes all figures as exact.
+    effort
+        How long a drive is searched (`search_drive`).
+    found
+        Told each verdict as soon as it is known: those that figures alone decide at once, then those that are driven.
     progress, cancel
         Told the share done; asked whether to stop.
 
@@ -155,19 +152,56 @@ def judge_scopes(
     CancelledError
         If ``cancel()`` said so.
     """
+    bench = _Bench(
+        tree,
+        plan,
+        wall,
+        route=route,
+        spacing_mm=spacing_mm,
+        entry_mm=entry_mm,
+        errors=errors,
+        effort=effort,
+        cancel=cancel,
+    )
     listed = list(scope_presets() if scopes is None else scopes)
-    found = []
-    for n, preset in enumerate(listed):
-        if cancel is not None and cancel():
-            raise CancelledError("the verdicts were cancelled")
+    verdicts: dict[int, Verdict] = {}
+
+    def tell(n: int, verdict: Verdict) -> None:
+        verdicts[n] = verdict
+        if found is not None:
+            found(verdict)
         if progress is not None:
-            progress(n / max(len(listed), 1))
-        found.append(
-            judge_scope(tree, plan, wall, preset, route=route, spacing_mm=spacing_mm, entry_mm=entry_mm, errors=errors)
-        )
+            progress(len(verdicts) / len(listed))
+
     if progress is not None:
-        progress(1.0)
-    return tuple(found)
+        progress(0.0)
+    waiting: dict[int, _Figures] = {}
+    for n, scope in enumerate(listed):
+        bench.stop_if_cancelled()
+        figures = bench.figures(scope)
+        if figures.driven_as is None:
+            tell(n, bench.undriven(figures))
+        else:
+            waiting[n] = figures
+    with ThreadPoolExecutor(NUM_THREADS) as pool:
+        # Instruments of the same sizes move alike.
+        drives: dict[tuple[Any, ...], Future[_Drive]] = {}
+        for figures in waiting.values():
+            assert figures.driven_as is not None
+            sizes = _sizes(figures.driven_as)
+            if sizes not in drives:
+                drives[sizes] = pool.submit(bench.drive, figures.driven_as)
+        try:
+            for done in as_completed(drives.values()):
+                drive = done.result()
+                for n, figures in waiting.items():
+                    assert figures.driven_as is not None
+                    if drives[_sizes(figures.driven_as)] is done:
+                        tell(n, bench.driven(figures, drive))
+        except BaseException:
+            bench.stopped = True
+            raise
+    return tuple(verdicts[n] for n in range(len(listed)))
 
 
 def judge_scope(
@@ -180,30 +214,169 @@ def judge_scope(
     spacing_mm: float = 1.0,
     entry_mm: float | None = None,
     errors: bool = True,
+    effort: float = EFFORT,
+    cancel: Callable[[], bool] | None = None,
 ) -> Verdict:
     """The verdict of one instrument; see `judge_scopes`."""
-    if route is None and not plan.routes:
-        raise UsageError("the plan has no route to judge", code="plan.no-route")
-    if not (math.isfinite(spacing_mm) and 0.0 < spacing_mm <= 20.0):
-        raise UsageError(f"spacing_mm: expected above 0 up to 20; found {spacing_mm}", code="plan.range")
-    planned = plan.routes[0] if route is None else route
-    whole = tree.route_to(planned.branch_id)
-    way = _Way(tree, whole, planned)
-    sigma = ROOM_SHARE * spacing_mm if errors else 0.0
-    checks = [
-        _diameter(way, scope, sigma, errors=errors),
-        _bend(way, scope, errors=errors),
-        _length(way, scope, entry_mm),
-        _channel(scope, plan.tool),
-    ]
-    laid = scope
-    if checks[0].answer == "perhaps":
-        # As wide as the airway, within the errors: how it points where it passes is told of one that does pass.
-        laid = replace(scope, tip_mm=max(float(way.room_mm.min()) - SLIMMER_MM, 1.0), tube_mm=None)
-    reached_mm, hold, pointing = _pointing(way, wall, laid, plan, errors=errors)
-    if checks[0].answer == "perhaps" and pointing.answer == "yes":
-        pointing = replace(pointing, answer="perhaps", words=f"if it fits, it {pointing.words}")
-    checks.append(pointing)
+    bench = _Bench(
+        tree,
+        plan,
+        wall,
+        route=route,
+        spacing_mm=spacing_mm,
+        entry_mm=entry_mm,
+        errors=errors,
+        effort=effort,
+        cancel=cancel,
+    )
+    figures = bench.figures(scope)
+    if figures.driven_as is None:
+        return bench.undriven(figures)
+    return bench.driven(figures, bench.drive(figures.driven_as))
+
+
+@dataclass(frozen=True, slots=True)
+class _Figures:
+    """What figures tell of an instrument."""
+
+    scope: ScopePreset
+    checks: tuple[Check, ...]
+    driven_as: ScopePreset | None
+    """What is driven; None where it need not be, or cannot."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """What driving tells."""
+
+    route: DrivenRoute | None
+    checks: tuple[Check, ...]
+
+
+class _Bench:
+    """One route, on which instruments are judged."""
+
+    def __init__(
+        self,
+        tree: AirwayTree,
+        plan: Plan,
+        wall: WallField,
+        *,
+        route: PlannedRoute | None,
+        spacing_mm: float,
+        entry_mm: float | None,
+        errors: bool,
+        effort: float,
+        cancel: Callable[[], bool] | None,
+    ) -> None:
+        if route is None and not plan.routes:
+            raise UsageError("the plan has no route to judge", code="plan.no-route")
+        if not (math.isfinite(spacing_mm) and 0.0 < spacing_mm <= 20.0):
+            raise UsageError(f"spacing_mm: expected above 0 up to 20; found {spacing_mm}", code="plan.range")
+        self._way = DriveWay(tree, plan.routes[0] if route is None else route, wall)
+        self._plan, self._wall = plan, wall
+        self._spacing_mm, self._entry_mm, self._errors = spacing_mm, entry_mm, errors
+        self._effort, self._cancel = effort, cancel
+        self.stopped = False
+
+    def stop_if_cancelled(self) -> None:
+        """Raises `CancelledError` where someone wants that."""
+        if self._is_cancelled():
+            raise CancelledError("the verdicts were cancelled")
+
+    def figures(self, scope: ScopePreset) -> _Figures:
+        """What needs no drive."""
+        checks = (
+            diameter_check(self._way, scope, self._spacing_mm, errors=self._errors),
+            bend_check(self._way, scope, errors=self._errors),
+            length_check(self._way, scope, self._entry_mm),
+            channel_check(scope, self._plan.tool),
+        )
+        driven_as: ScopePreset | None = scope
+        if any(check.answer == "no" for check in checks[:3]) or checks[1].answer == "unknown":
+            driven_as = None
+        elif checks[0].answer == "perhaps":
+            # As wide as the airway, within the errors: how it gets on where it passes is told of one that does pass.
+            slim = max(float(self._way.room_mm.min()) - SLIMMER_MM, 1.5)
+            driven_as = replace(scope, tip_mm=min(scope.tip_mm, slim), tube_mm=None)
+        return _Figures(scope, checks, driven_as)
+
+    def undriven(self, figures: _Figures) -> Verdict:
+        """The verdict of figures alone: the scope is laid along the route as far as it goes."""
+        reached_mm = 0.0
+        if figures.checks[1].answer != "unknown":
+            try:
+                reached_mm = self._laid_mm(figures.scope)
+            except UsageError as error:
+                check = Check("drive", "no", 0.0, f"the scope does not enter the airway: {error}", MECHANICS)
+                return _verdict(figures.scope, (*figures.checks, check), 0.0, None, driven=False)
+        return _verdict(figures.scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
+
+    def driven(self, figures: _Figures, drive: _Drive) -> Verdict:
+        """The verdict of figures and a drive."""
+        checks = drive.checks
+        if figures.checks[0].answer == "perhaps":
+            checks = tuple(
+                replace(one, answer="perhaps", words=f"if it fits: {one.words}") if one.answer == "yes" else one
+                for one in checks
+            )
+        route = None if drive.route is None else replace(drive.route, scope_name=figures.scope.name)
+        reached_mm = 0.0 if route is None else route.stopped_mm
+        return _verdict(figures.scope, (*figures.checks, *checks), reached_mm, route, driven=True)
+
+    def drive(self, scope: ScopePreset) -> _Drive:
+        """Drive it, and point it at the target where it arrives."""
+        try:
+            route = search_drive(self._way, self._wall, scope, effort=self._effort, cancel=self._is_cancelled)
+        except UsageError as error:
+            check = Check("drive", "no", 0.0, f"the scope does not enter the airway: {error}", MECHANICS)
+            return _Drive(None, (check,))
+        if not route.arrived:
+            park_mm = self._way.park_mm
+            words = f"the drive stops {park_mm - route.stopped_mm:.0f} mm before the standing place: {route.why}"
+            if self._laid_mm(scope) < park_mm - NEAR_MM:
+                return _Drive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
+            words += "; the scope fits along the whole route, and another way of driving it may get there"
+            return _Drive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
+        aimed = aim_drive(self._way, self._wall, scope, route, self._hit_share)
+        words = f"arrives at the standing place by {len(route.moves)} moves"
+        arrives = Check("drive", "yes", 1.0, words, MECHANICS)
+        answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if aimed.share >= BARELY else "no"
+        words = (
+            f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * aimed.share:.0f} % of needle passes hit"
+        )
+        return _Drive(aimed.driven, (arrives, Check("pointing", answer, aimed.share, words, MECHANICS)))
+
+    def _laid_mm(self, scope: ScopePreset) -> float:
+        drive = ScopeDrive(self._wall, scope, self._way.points)
+        state = drive.place(self._way.points, self._way.park_mm)
+        return self._way.nearest(state.pose.position_lps, state.insertion_mm)[0]
+
+    def _hit_share(self, tip: Points, forward: Points) -> float:
+        needle = NeedleErrors() if self._errors else NeedleErrors(0.0, 0.0)
+        aimed_at = tip + forward * float(np.linalg.norm(self._way.aim - tip))
+        return hit_share(self._plan.nodule, tip, aimed_at, self._plan.tool.reach_mm, needle)
+
+    def _is_cancelled(self) -> bool:
+        return self.stopped or (self._cancel is not None and self._cancel())
+
+
+def _sizes(scope: ScopePreset) -> tuple[Any, ...]:
+    """What the mechanics know of an instrument."""
+    return (
+        scope.tip_mm,
+        scope.tube_mm or scope.tip_mm,
+        scope.rigid_tip_mm,
+        scope.bending_mm,
+        scope.flexion_deg,
+        scope.length_mm,
+        scope.view_up_deg,
+    )
+
+
+def _verdict(
+    scope: ScopePreset, checks: tuple[Check, ...], reached_mm: float, route: DrivenRoute | None, *, driven: bool
+) -> Verdict:
     answers = {check.answer for check in checks}
     outcome: Outcome = (
         "does not reach"
@@ -215,169 +388,37 @@ def judge_scope(
         else "reaches"
     )
     shares = [check.share for check in checks if check.share is not None]
+    hold = None
+    if route is not None and route.arrived:
+        insertion_mm, roll_rad, flexion_rad = (float(v) for v in route.samples[-1])
+        hold = ScopeHold(insertion_mm, roll_rad, flexion_rad)
     return Verdict(
         scope=scope,
         outcome=outcome,
         share=min(shares) if shares else None,
-        checks=tuple(checks),
+        checks=checks,
         reached_mm=reached_mm,
         hold=hold,
-        would=_would(checks),
+        driven=route,
+        would=_would(checks, driven=driven),
     )
 
 
-class _Way:
-    """The route as far as the tip goes."""
-
-    def __init__(self, tree: AirwayTree, route: Route, planned: PlannedRoute) -> None:
-        tip = np.array(planned.leg.tip_lps)
-        self.points, self.cumulative_mm = route.points_lps, route.cumulative_mm
-        self.park_mm = float(self.cumulative_mm[int(np.argmin(np.linalg.norm(self.points - tip, axis=1)))])
-        self.aim = np.array(planned.leg.aim_lps)
-        # The ball that fits at each point of the centrelines; at the trachea's upper end the CT may cut it.
-        lineage = tree.lineage(planned.branch_id)
-        points = np.concatenate([branch.points for branch in lineage])
-        at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        room = 2.0 * np.concatenate([branch.wall_distance for branch in lineage])
-        on_the_way = (at >= CUT_MM) & (at <= planned.along_mm + 1e-6)
-        self.room_at_mm, self.room_mm = at[on_the_way], room[on_the_way]
-
-    def at(self, mm: float | Points) -> Points:
-        """Places along the route, (..., 3)."""
-        return np.stack([np.interp(mm, self.cumulative_mm, self.points[:, axis]) for axis in range(3)], axis=-1)
-
-    def direction(self, mm: float) -> Points:
-        """Unit vector along it."""
-        low, high = max(mm - SMOOTH_MM, 0.0), min(mm + SMOOTH_MM, float(self.cumulative_mm[-1]))
-        ahead = self.at(high) - self.at(low)
-        found: Points = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-        return found
-
-
-def _answer(share: float) -> Answer:
-    return "yes" if share >= SURE else "no" if share <= 1.0 - SURE else "perhaps"
-
-
-def _passes(spare: float, sigma: float) -> float:
-    """How likely it is that what is spare is above 0."""
-    if sigma <= 0.0:
-        return 1.0 if spare >= 0.0 else 0.0
-    return 0.5 * (1.0 + math.erf(spare / sigma / math.sqrt(2.0)))
-
-
-def _diameter(way: _Way, scope: ScopePreset, sigma_mm: float, *, errors: bool) -> Check:
-    n = int(np.argmin(way.room_mm))
-    room, where = float(way.room_mm[n]), float(way.room_at_mm[n])
-    needs = scope.fit_mm if errors else max(scope.tip_mm, scope.tube_mm or 0.0)
-    sigma = math.hypot(sigma_mm, EXCESS_SIGMA_MM) if errors else 0.0
-    share = _passes(room - needs, sigma)
-    more = f" \u00b1 {1.645 * sigma:.1f}" if sigma > 0.0 else ""
-    words = f"needs {needs:.1f} mm; the narrowest place, {where:.0f} mm along the route, is {room:.1f}{more} mm wide"
-    margin = f", and {FIT_MARGIN_MM:g} mm measured excess (s)" if errors else ""
-    basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; lumen from the CT"
-    return Check("diameter", _answer(share), share, words, basis)
-
-
-def _bend(way: _Way, scope: ScopePreset, *, errors: bool) -> Check:
-    if scope.flexion_deg is None or scope.bending_mm is None:
-        words = "its flexion or bending section is not known"
-        return Check("bend", "unknown", None, words, "flexion and bending section unknown")
-    most = max(scope.flexion_deg)
-    section = float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
-    worst, where = 0.0, 0.0
-    for mm in np.arange(section, way.park_mm + 1e-6, 1.0):
-        cosine = float(np.clip(way.direction(mm) @ way.direction(mm - section), -1.0, 1.0))
-        asked = math.degrees(math.acos(cosine))
-        if asked > worst:
-            worst, where = asked, float(mm)
-    share = _passes(most - worst, BEND_SIGMA_DEG if errors else 0.0)
-    words = (
-        f"the bend {where:.0f} mm along the route requires {worst:.0f} degrees of flexion; this scope has {most:.0f}"
-    )
-    basis = f"flexion {most:g} degrees, bending section {np.mean(scope.bending_mm):g} mm ({_basis(scope)})"
-    return Check("bend", _answer(share), share, words, basis)
-
-
-def _length(way: _Way, scope: ScopePreset, entry_mm: float | None) -> Check:
-    basis = f"working length ({_basis(scope)})"
-    if scope.length_mm is None:
-        return Check("length", "unknown", None, "its working length is not known", basis)
-    spare = scope.length_mm - way.park_mm
-    if entry_mm is None:
-        words = (
-            f"{way.park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
-            f"leaves {spare:.0f} mm from nose or mouth to that point"
-        )
-        # From the nose to the carina there are some 320 mm at most in adults (k).
-        return Check(
-            "length", "yes" if spare >= LONGEST_ENTRY_MM else "no" if spare < 0 else "perhaps", None, words, basis
-        )
-    left = spare - entry_mm
-    words = f"needs a working length of {way.park_mm + entry_mm:.0f} mm; this scope has {scope.length_mm:.0f}"
-    return Check("length", "yes" if left >= 0.0 else "no", None, words, basis)
-
-
-def _channel(scope: ScopePreset, tool: Tool) -> Check:
-    basis = f"channel ({_basis(scope)}), {tool.title} ({tool.basis})"
-    if scope.channel_mm is None:
-        return Check("channel", "unknown", None, "its working channel is not known", basis)
-    words = f"{tool.title} has a diameter of {tool.outer_mm:g} mm; the working channel has {scope.channel_mm:g} mm"
-    return Check("channel", "yes" if tool.passes(scope.channel_mm) else "no", None, words, basis)
-
-
-def _pointing(
-    way: _Way, wall: WallField, scope: ScopePreset, plan: Plan, *, errors: bool
-) -> tuple[float, ScopeHold | None, Check]:
-    basis = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
-    if scope.flexion_deg is None or scope.bending_mm is None:
-        return 0.0, None, Check("pointing", "unknown", None, "its flexion or bending section is not known", basis)
-    try:
-        drive = ScopeDrive(wall, scope, way.points)
-    except UsageError as error:
-        return 0.0, None, Check("pointing", "no", 0.0, f"the scope does not enter the airway: {error}", basis)
-    state = drive.place(way.points, way.park_mm)
-    reached = float(state.insertion_mm)
-    if reached < way.park_mm - NEAR_MM or np.linalg.norm(state.pose.position_lps - way.at(way.park_mm)) > 4.0 * NEAR_MM:
-        place = f"stops at {reached:.0f} of {way.park_mm:.0f} mm along the route"
-        why = f": the airway admits {state.passable_mm:.1f} mm" if state.passable_mm is not None else ""
-        return reached, None, Check("pointing", "no", 0.0, place + why, basis)
-    needle = NeedleErrors() if errors else NeedleErrors(0.0, 0.0)
-    held: list[tuple[float, ScopeHold, Points, Points]] = []
-    low, high = drive.flexion_range_rad
-    levers = [*np.linspace(0.0, high, NUM_LEVERS + 1)[1:], *np.linspace(0.0, low, NUM_LEVERS + 1)[1:]]
-    for roll in 2.0 * np.pi * np.arange(NUM_ROLLS) / NUM_ROLLS:
-        for flexion in (0.0, *levers):
-            state = drive.drive(reached, float(roll), float(flexion), 0.1)
-            tip, forward = state.pose.position_lps, state.pose.lps_from_camera[:3, 2]
-            off = way.aim - tip
-            angle = math.acos(float(np.clip(forward @ off / max(float(np.linalg.norm(off)), 1e-9), -1.0, 1.0)))
-            held.append((angle, ScopeHold(reached, float(roll), float(flexion)), tip, forward))
-        drive.drive(reached, float(roll), 0.0, 0.1)
-    held.sort(key=lambda one: one[0])
-    shares = [
-        hit_share(plan.nodule, tip, tip + forward * float(np.linalg.norm(way.aim - tip)), plan.tool.reach_mm, needle)
-        for _, _, tip, forward in held[:MOST_AIMED]
-    ]
-    best = int(np.argmax(shares))
-    share, (angle, hold, _, _) = shares[best], held[best]
-    words = f"points {math.degrees(angle):.0f} degrees from the target centre; {100 * share:.0f} % of needle passes hit"
-    answer: Answer = "yes" if share >= POINTS else "perhaps" if share >= BARELY else "no"
-    return reached, hold, Check("pointing", answer, share, words, basis)
-
-
-def _would(checks: list[Check]) -> str | None:
+def _would(checks: tuple[Check, ...], *, driven: bool) -> str | None:
     lacking = [check for check in checks if check.answer in {"no", "unknown"}]
     if not lacking:
         return None
     ways = {
-        "diameter": "the airway were wider or the scope thinner",
-        "bend": "it could flex further, or stopped before that bend",
-        "length": "it were longer",
-        "channel": "a thinner tool were used",
-        "pointing": "it could be aimed from another position on the route",
+        ("diameter", "no"): "the airway were wider or the scope thinner",
+        ("bend", "no"): "it could flex further, or stopped before that bend",
+        ("bend", "unknown"): "it can flex far enough",
+        ("length", "no"): "it were longer",
+        ("length", "unknown"): "it is long enough",
+        ("channel", "no"): "a thinner tool were used",
+        ("channel", "unknown"): "its channel takes the tool",
+        ("drive", "no"): "it could be steered past that place, or stopped before it",
+        ("pointing", "no"): "it could be aimed from another position on the route",
     }
-    return "would reach if " + ", and if ".join(ways[check.name] for check in lacking)
-
-
-def _basis(scope: ScopePreset) -> str:
-    return scope.basis if len(scope.basis) == 1 else "partly s, partly k"
+    # What was not driven might fail there too.
+    start = "would reach if " if driven else "could reach only if "
+    return start + ", and if ".join(ways[check.name, check.answer] for check in lacking)

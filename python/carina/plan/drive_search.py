@@ -1,0 +1,326 @@
+"""Searching a drive: which turns, flexions and advances bring a scope along a route.
+
+One attempt steers by a rule: the tip is turned towards a place of the route ahead, in steps of 5 degrees and only when
+it points too far off; or at a fork the lever is pulled towards the opening while the tip passes it. An attempt that
+takes a wrong branch or is held up is cut back to where it still lay in the route, and the next one starts there with a
+rule of other numbers, until one arrives or the effort is spent. What comes out is the moves of one attempt from its
+beginning, each of them carried out in the elastic model (docs/decisions/0066).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import CancelledError, UsageError
+from carina.plan.drive import DrivenRoute, MoveRecorder
+from carina.plan.drive_way import DriveWay
+from carina.plan.moves import Move
+from carina.scopes import ScopeDrive, ScopePreset, WallField
+
+__all__ = ["place_at_start", "search_drive"]
+
+Points = NDArray[np.float64]
+
+EFFORT = 50_000.0
+"""Small steps of the model (0.1 ms each, about) after which no drive was found."""
+ARRIVED_MM = 1.0
+START_MM, START_BEFORE_FORK_MM = 30.0, 20.0
+"""The scope is placed in the upper trachea: so far along the route, and so far before the first fork."""
+BLOCKED_STEPS = 7
+"""So many steps in a row in which the wall holds it up end an attempt."""
+ASTRAY_MM = 2.5
+SLACK_MM = 25.0
+"""More insertion than way: the scope runs on elsewhere or buckles."""
+MOST_STEPS = 700
+ON_COURSE_COSINE = 0.64
+"""The tip points along the route where it is within 50 degrees of it."""
+BEND_BEHIND_MM, BEND_AHEAD_MM = 45.0, 8.0
+"""The route's own bend is taken over the bending section."""
+AT_FORK_MM = 12.0
+"""A drive that ends so near to a fork ends there."""
+HOOKING = 0.5
+"""Of the rules that are drawn."""
+HOOK_BLOCKED_STEPS = 4
+PAST_FORK_MM = 6.0
+"""So far beyond a fork it is still the next one."""
+KEPT = 3
+"""Attempts that others start from."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """How one attempt steers; angles in degrees."""
+
+    mode: str = "opening"
+    """The place that it turns to: the farthest that is ``visible``, one a fixed way ``ahead``, or near a fork the
+    ``opening`` of the branch that it should enter, else the visible one."""
+    far_mm: float = 25.0
+    clear_mm: float = 1.0
+    ahead_mm: float = 10.0
+    fork_within_mm: float = 20.0
+    beyond_fork_mm: float = 6.0
+    gain: float = 0.8
+    """Change of flexion, of the angle between tip and place."""
+    dead_deg: float = 8.0
+    """What points less far off is left alone."""
+    hold_mm: float = 2.0
+    """Nothing is changed so soon after the change before."""
+    rate_deg: float = 15.0
+    """Most change at once."""
+    slack_deg: float = 60.0
+    """Most flexion beyond the route's own bend."""
+    hook: bool = False
+    """At each fork the lever is pulled towards the opening, millimetre by millimetre, and held."""
+    hook_before_mm: float = 0.0
+    hook_until_mm: float = 8.0
+    hook_flexion_deg: float = 120.0
+    hook_rate_deg: float = 10.0
+    """A millimetre. A lever that is pulled where the wall gives no room is pulled in vain."""
+    hook_off_deg: float = 0.0
+    """Roll beside the direction of the opening."""
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> _Rule:
+        """One of many."""
+        return cls(
+            mode=("visible", "ahead", "opening", "opening")[int(rng.integers(4))],
+            far_mm=rng.uniform(12.0, 30.0),
+            clear_mm=rng.uniform(0.5, 1.8),
+            ahead_mm=rng.uniform(5.0, 16.0),
+            fork_within_mm=rng.uniform(8.0, 25.0),
+            beyond_fork_mm=rng.uniform(2.0, 12.0),
+            gain=rng.uniform(0.3, 1.2),
+            dead_deg=rng.uniform(5.0, 22.0),
+            hold_mm=rng.uniform(1.0, 5.0),
+            rate_deg=rng.uniform(5.0, 30.0),
+            slack_deg=rng.uniform(20.0, 120.0),
+            hook=bool(rng.random() < HOOKING),
+            hook_before_mm=rng.uniform(-5.0, 8.0),
+            hook_until_mm=rng.uniform(4.0, 14.0),
+            hook_flexion_deg=(45.0, 90.0, 120.0, 160.0, 200.0)[int(rng.integers(5))],
+            hook_rate_deg=(5.0, 10.0, 15.0, 20.0, 30.0)[int(rng.integers(5))],
+            hook_off_deg=rng.normal(0.0, 30.0),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """An attempt as far as it lay in the route."""
+
+    along_mm: float
+    moves: tuple[Move, ...]
+
+
+def place_at_start(way: DriveWay, wall: WallField, scope: ScopePreset) -> ScopeDrive:
+    """A fresh scope in the upper trachea, where a drive begins.
+
+    Raises
+    ------
+    UsageError
+        If it does not enter (code ``scope.drive``).
+    """
+    drive = ScopeDrive(wall, scope, way.points)
+    drive.place(way.points, start_mm(way, drive))
+    return drive
+
+
+def start_mm(way: DriveWay, drive: ScopeDrive) -> float:
+    """Where it is placed."""
+    before_fork = float(way.forks_mm[0]) - START_BEFORE_FORK_MM if len(way.forks_mm) else START_MM
+    return max(min(START_MM, before_fork, 0.5 * way.park_mm), drive.entry_mm)
+
+
+def search_drive(
+    way: DriveWay,
+    wall: WallField,
+    scope: ScopePreset,
+    *,
+    effort: float = EFFORT,
+    seed: int = 0,
+    cancel: Callable[[], bool] | None = None,
+) -> DrivenRoute:
+    """A drive along a route, or the one that got farthest.
+
+    Parameters
+    ----------
+    way, wall, scope
+        The route, the airways' wall, the instrument.
+    effort
+        When to give up, in small steps of the model. The search is the same for the same numbers.
+    seed
+        Of what is drawn.
+    cancel
+        Asked between attempts.
+
+    Raises
+    ------
+    UsageError
+        If the scope does not enter the airway (code ``scope.drive``).
+    CancelledError
+        If ``cancel()`` said so.
+    """
+    if not (math.isfinite(effort) and effort > 0.0):
+        raise UsageError(f"effort: expected above 0; found {effort}", code="plan.range")
+    rng = np.random.default_rng(seed)
+    kept: list[_Kept] = []
+    in_vain, spent, num = 0, 0.0, 0
+    farthest: _Attempt | None = None
+    while spent < effort:
+        if cancel is not None and cancel():
+            raise CancelledError("the search for a drive was cancelled")
+        rule = _Rule() if num == 0 else _Rule.drawn(rng)
+        attempt = _Attempt(way, place_at_start(way, wall, scope))
+        if kept and num > 1:
+            # The better ones more often; farther back the longer nothing has got any farther.
+            from_one = kept[min(int(rng.integers(len(kept))), int(rng.integers(len(kept))))]
+            back_mm = rng.uniform(2.0, 10.0 + 4.0 * min(in_vain, 15))
+            attempt.repeat(from_one.moves, from_one.along_mm - back_mm)
+        attempt.go(rule)
+        spent += attempt.recorder.effort
+        num += 1
+        if farthest is None or attempt.good_mm > farthest.good_mm or attempt.arrived:
+            farthest = attempt
+        if attempt.arrived:
+            break
+        if attempt.good_moves:
+            best_mm = kept[0].along_mm if kept else 0.0
+            in_vain = 0 if attempt.good_mm > best_mm + 1.0 else in_vain + 1
+            kept.append(_Kept(attempt.good_mm, attempt.good_moves))
+            kept.sort(key=lambda one: -one.along_mm)
+            del kept[KEPT:]
+    assert farthest is not None
+    stopped_mm = farthest.along_mm if farthest.arrived else farthest.good_mm
+    return farthest.recorder.driven(stopped_mm=stopped_mm, why=None if farthest.arrived else farthest.why())
+
+
+class _Attempt:
+    """One scope on its way."""
+
+    def __init__(self, way: DriveWay, drive: ScopeDrive) -> None:
+        self.way, self.recorder = way, MoveRecorder(drive)
+        self.along_mm, self.off_mm = way.nearest(drive.state.pose.position_lps, drive.state.insertion_mm)
+        self.good_mm = self.along_mm
+        self.good_moves: tuple[Move, ...] = ()
+        self.arrived = False
+        self._blocked = 0
+        self._changed_mm = 0.0
+        self._hooked_fork: float | None = None
+        self._done_fork: float | None = None
+        self._hooked_deg = self._hook_towards_deg = 0.0
+
+    def repeat(self, moves: tuple[Move, ...], until_mm: float) -> None:
+        """The beginning of an attempt before, up to a place of the route."""
+        for move in moves:
+            if self.along_mm >= until_mm:
+                break
+            self.recorder.set(move.turn_deg, move.flexion_deg)
+            for _ in range(round(move.advance_mm)):
+                self._advance()
+                if self.along_mm >= until_mm:
+                    break
+
+    def go(self, rule: _Rule) -> None:
+        """On by a rule until it arrives or is lost."""
+        for _ in range(MOST_STEPS):
+            self._steer(rule)
+            self._advance()
+            if self._is_lost():
+                return
+            if self._is_on_course():
+                self.good_mm, self.good_moves = self.along_mm, tuple(self.recorder.moves)
+                if self.along_mm >= self.way.park_mm - ARRIVED_MM:
+                    self.arrived = True
+                    return
+
+    def why(self) -> str:
+        """Why it got no farther."""
+        state = self.recorder.state
+        before = self.way.forks_mm[self.way.forks_mm < self.good_mm + AT_FORK_MM]
+        if len(before) and before[-1] > self.good_mm - AT_FORK_MM:
+            fork = float(before[-1])
+            cosine = float(np.clip(self.way.direction(fork - 8.0) @ self.way.direction(fork + 8.0), -1.0, 1.0))
+            place = f" at fork {len(before)}, which turns {math.degrees(math.acos(cosine)):.0f} degrees"
+        else:
+            place = ""
+        if state.limit == "length":
+            return f"its working length ends{place}"
+        if self._blocked >= BLOCKED_STEPS and state.passable_mm is not None:
+            return f"its tip would have to be {state.passable_mm:.1f} mm wide to go on{place}"
+        if self._blocked >= BLOCKED_STEPS:
+            return f"its tip is pressed against the wall{place}"
+        return f"its tip does not turn into the next branch{place}"
+
+    def _advance(self) -> None:
+        got_mm = self.recorder.advance()
+        self.along_mm, self.off_mm = self.way.nearest(self._tip()[:3, 3], self.along_mm)
+        self._blocked = self._blocked + 1 if got_mm < 0.5 else 0
+
+    def _tip(self) -> Points:
+        return self.recorder.state.pose.lps_from_camera
+
+    def _is_lost(self) -> bool:
+        radius = self.way.radius_mm(self.along_mm)
+        return (
+            self._blocked >= BLOCKED_STEPS
+            or self.off_mm > max(radius + ASTRAY_MM, 2.0 * radius)
+            or self.recorder.state.insertion_mm > self.along_mm + SLACK_MM
+        )
+
+    def _is_on_course(self) -> bool:
+        if self.off_mm > max(0.8 * self.way.radius_mm(self.along_mm), 0.7):
+            return False
+        tip = self._tip()
+        along = self.way.at(min(self.along_mm + 5.0, self.way.length_mm)) - self.way.at(max(self.along_mm - 1.0, 0.0))
+        cosine = float(along @ tip[:3, 2]) / max(float(np.linalg.norm(along)), 1e-9)
+        return cosine > ON_COURSE_COSINE and self.way.holds(tip[:3, 3], self.along_mm)
+
+    def _steer(self, rule: _Rule) -> None:
+        forks = self.way.forks_mm[self.way.forks_mm > self.along_mm - PAST_FORK_MM]
+        fork = float(forks[0]) if len(forks) else None
+        if rule.hook and fork is not None and self._hook(fork, rule):
+            return
+        to = self.recorder.seen_from_tip(self._place(fork, rule))
+        angle = math.degrees(math.atan2(math.hypot(to[0], to[1]), to[2]))
+        rested = self.recorder.state.insertion_mm - self._changed_mm >= rule.hold_mm
+        if not ((angle > rule.dead_deg and rested) or self._blocked):
+            return
+        change = min(rule.gain * angle * (1.0 + 0.5 * self._blocked), rule.rate_deg)
+        if self.recorder.bend_by(to, change, self._bend_deg() + rule.slack_deg):
+            self._changed_mm = self.recorder.state.insertion_mm
+
+    def _hook(self, fork: float, rule: _Rule) -> bool:
+        """Whether the tip is being bent into the branch beyond a fork now."""
+        if self._hooked_fork is not None:
+            if self.along_mm < self._hooked_fork + rule.hook_until_mm and self._blocked < HOOK_BLOCKED_STEPS:
+                if self._hooked_deg < rule.hook_flexion_deg:
+                    self._hooked_deg = min(self._hooked_deg + rule.hook_rate_deg, rule.hook_flexion_deg)
+                    self.recorder.bend_to(self._hook_towards_deg, self._hooked_deg)
+                return True
+            self._done_fork, self._hooked_fork = self._hooked_fork, None
+            return False
+        if self.along_mm < fork - rule.hook_before_mm or self._done_fork == fork or self._blocked:
+            return False
+        to = self.recorder.seen_from_tip(self.way.at(min(fork + rule.beyond_fork_mm, self.way.length_mm)))
+        towards_deg = self.recorder.roll_deg + math.degrees(math.atan2(to[0], -to[1])) + rule.hook_off_deg
+        self._hooked_fork, self._hook_towards_deg = fork, towards_deg
+        self._hooked_deg = min(rule.hook_rate_deg, rule.hook_flexion_deg)
+        self.recorder.bend_to(towards_deg, self._hooked_deg)
+        return True
+
+    def _place(self, fork: float | None, rule: _Rule) -> Points:
+        if rule.mode == "ahead":
+            return self.way.at(min(self.along_mm + rule.ahead_mm, self.way.length_mm))
+        if rule.mode == "opening" and fork is not None and fork - self.along_mm < rule.fork_within_mm:
+            return self.way.at(min(fork + rule.beyond_fork_mm, self.way.length_mm))
+        return self.way.visible(self._tip()[:3, 3], self.along_mm, rule.far_mm, rule.clear_mm)
+
+    def _bend_deg(self) -> float:
+        """Of the route over the bending section here."""
+        behind, ahead = max(self.along_mm - BEND_BEHIND_MM, 0.0), self.along_mm + BEND_AHEAD_MM
+        cosine = float(np.clip(self.way.direction(behind) @ self.way.direction(ahead), -1.0, 1.0))
+        return math.degrees(math.acos(cosine))

@@ -1,0 +1,127 @@
+"""What an instrument must be able to do on a route, as far as figures tell: be thin, bend, be long, take the tool.
+
+Each check lists the figures that it rests on with their basis; an unknown figure gives *unknown*, never a default.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from carina.display import one_line
+from carina.plan.drive_way import DriveWay
+from carina.plan.tools import Tool
+from carina.scopes import FIT_MARGIN_MM, ScopePreset
+
+__all__ = ["Answer", "Check", "bend_check", "channel_check", "diameter_check", "length_check"]
+
+Answer = Literal["yes", "perhaps", "no", "unknown"]
+
+SURE = 0.9
+"""Told *yes* from this share of the errors up, *no* at what is left below its rest."""
+EXCESS_SIGMA_MM = 0.15
+"""Of the margin: ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the standard deviation is our estimate)."""
+ROOM_SHARE = 0.2
+"""Standard deviation of a lumen's width, of the CT's coarsest spacing (k)."""
+BEND_SIGMA_DEG = 8.0
+"""Of the angle that a route asks of the bending section (k)."""
+LONGEST_ENTRY_MM = 250.0
+"""From the nose to the upper trachea it is hardly farther in an adult (k)."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that an instrument must be able to do."""
+
+    name: Literal["diameter", "bend", "length", "channel", "drive", "pointing"]
+    answer: Answer
+    share: float | None
+    """How likely it is, as far as the errors go; None where that cannot be said."""
+    words: str
+    basis: str
+    """What it rests on: figures of the instrument with ``s`` or ``k``, and what was measured."""
+
+
+def diameter_check(way: DriveWay, scope: ScopePreset, spacing_mm: float, *, errors: bool) -> Check:
+    """Whether it is thinner than the narrowest place on the way."""
+    n = int(np.argmin(way.room_mm))
+    room, where = float(way.room_mm[n]), float(way.room_at_mm[n])
+    needs = scope.fit_mm if errors else max(scope.tip_mm, scope.tube_mm or 0.0)
+    sigma = math.hypot(ROOM_SHARE * spacing_mm, EXCESS_SIGMA_MM) if errors else 0.0
+    share = _passes(room - needs, sigma)
+    more = f" \u00b1 {1.645 * sigma:.1f}" if sigma > 0.0 else ""
+    words = f"needs {needs:.1f} mm; the narrowest place, {where:.0f} mm along the route, is {room:.1f}{more} mm wide"
+    margin = f", and {FIT_MARGIN_MM:g} mm measured excess (s)" if errors else ""
+    basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; lumen from the CT"
+    return Check("diameter", answer_of(share), share, words, basis)
+
+
+def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
+    """Whether its lever bends as far as the way does between both ends of its bending part."""
+    if scope.flexion_deg is None or scope.bending_mm is None:
+        words = "its flexion or bending section is not known"
+        return Check("bend", "unknown", None, words, "flexion and bending section unknown")
+    most = max(scope.flexion_deg)
+    section = float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
+    worst, where = 0.0, 0.0
+    for mm in np.arange(section, way.park_mm + 1e-6, 1.0):
+        cosine = float(np.clip(way.direction(mm) @ way.direction(mm - section), -1.0, 1.0))
+        asked = math.degrees(math.acos(cosine))
+        if asked > worst:
+            worst, where = asked, float(mm)
+    share = _passes(most - worst, BEND_SIGMA_DEG if errors else 0.0)
+    radius = f" at a radius of {section / math.radians(worst):.0f} mm" if worst >= 10.0 else ""
+    words = (
+        f"the bend {where:.0f} mm along the route requires {worst:.0f} degrees of flexion{radius}; "
+        f"this scope has {most:.0f}"
+    )
+    basis = f"flexion {most:g} degrees, bending section {np.mean(scope.bending_mm):g} mm ({_basis(scope)})"
+    return Check("bend", answer_of(share), share, words, basis)
+
+
+def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> Check:
+    """Whether it is long enough."""
+    basis = f"working length ({_basis(scope)})"
+    if scope.length_mm is None:
+        return Check("length", "unknown", None, "its working length is not known", basis)
+    spare = scope.length_mm - way.park_mm
+    if entry_mm is None:
+        words = (
+            f"{way.park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
+            f"leaves {spare:.0f} mm from nose or mouth to that point"
+        )
+        # From the nose to the carina there are some 320 mm at most in adults (k).
+        return Check(
+            "length", "yes" if spare >= LONGEST_ENTRY_MM else "no" if spare < 0 else "perhaps", None, words, basis
+        )
+    left = spare - entry_mm
+    words = f"needs a working length of {way.park_mm + entry_mm:.0f} mm; this scope has {scope.length_mm:.0f}"
+    return Check("length", "yes" if left >= 0.0 else "no", None, words, basis)
+
+
+def channel_check(scope: ScopePreset, tool: Tool) -> Check:
+    """Whether the tool slides through its channel."""
+    basis = f"channel ({_basis(scope)}), {tool.title} ({tool.basis})"
+    if scope.channel_mm is None:
+        return Check("channel", "unknown", None, "its working channel is not known", basis)
+    words = f"{tool.title} has a diameter of {tool.outer_mm:g} mm; the working channel has {scope.channel_mm:g} mm"
+    return Check("channel", "yes" if tool.passes(scope.channel_mm) else "no", None, words, basis)
+
+
+def answer_of(share: float) -> Answer:
+    return "yes" if share >= SURE else "no" if share <= 1.0 - SURE else "perhaps"
+
+
+def _passes(spare: float, sigma: float) -> float:
+    """How likely it is that what is spare is above 0."""
+    if sigma <= 0.0:
+        return 1.0 if spare >= 0.0 else 0.0
+    return 0.5 * (1.0 + math.erf(spare / sigma / math.sqrt(2.0)))
+
+
+def _basis(scope: ScopePreset) -> str:
+    return scope.basis if len(scope.basis) == 1 else "partly s, partly k"
