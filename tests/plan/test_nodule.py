@@ -152,9 +152,9 @@ def test_what_is_no_nodule_is_said_in_words():
         grow_nodule(volume, middle + np.array([-14.0, 8.0, 8.0]))
     assert error.value.code == "plan.no-nodule"
     air = volume.hu_zyx.copy()
-    air[:20, :20, :20] = -1000
+    air[15:35, 15:35, 15:35] = -1000
     with pytest.raises(NoResultError, match="nothing is denser than -1000 HU"):
-        grow_nodule(Volume(air, volume.lps_from_ijk), volume.to_lps(np.array([8.0, 8.0, 8.0])))
+        grow_nodule(Volume(air, volume.lps_from_ijk), volume.to_lps(np.array([25.0, 25.0, 25.0])))
     with pytest.raises(NoResultError, match="looks like consolidation, the chest wall") as error:
         grow_nodule(volume, middle + np.array([22.0, 0.0, 0.0]))
     assert error.value.code == "plan.no-boundary"

@@ -11,7 +11,7 @@ from carina.plan.target_files import target_from_file
 from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
-from carina.plan.whereabouts import Whereabouts
+from carina.plan.whereabouts import Whereabouts, whereabouts
 
 __all__ = [
     "DEFAULT_TOOL",
@@ -48,4 +48,5 @@ __all__ = [
     "target_from_mask",
     "tool",
     "tools",
+    "whereabouts",
 ]

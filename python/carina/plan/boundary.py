@@ -63,6 +63,8 @@ RIM_MM = 1.6
 """Blur spreads a boundary this far."""
 STUB_MM = 2.0
 """What the opening takes away and reaches no farther than this from the rest is no vessel: the nodule's own shape."""
+FILM_MM = 1.1
+"""Radius of the largest ball in a nodule on the wall."""
 FILLET_MM = 3.0
 """What is left nearer to the wall than this, where it was cut off, is neither nodule nor vessel."""
 GLASS_RISE_HU, GLASS_MM, GLASS_SHARE = 120.0, (1.0, 1.7), 0.55
@@ -226,6 +228,11 @@ class Boundary:
         if level - self.lung_hu > GLASS_SHARE * (densest - self.lung_hu):
             return None
         return level
+
+    @property
+    def is_film(self) -> bool:
+        """What is thinner where it was cut from the wall is the wall's own unevenness."""
+        return "pleura" in self.touches and float(ball_distance(self.inside, self.box.step_mm).max()) < FILM_MM
 
     @property
     def is_near_faces(self) -> bool:
