@@ -105,17 +105,16 @@ class Boundary:
         """
         box = self.box
         off = box.offsets_mm(point)
-        near = off <= CLICK_MM
+        near = self._round_cavity(off)
+        if not near.any():
+            near = off <= CLICK_MM
         densest = float(very[near].max())
         if densest < self.lung_hu + LEAST_RISE_HU:
-            near = self._round_cavity(off)
-            if not near.any():
-                raise NoResultError(
-                    f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} "
-                    f"HU, and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
-                    code="plan.no-nodule",
-                )
-            densest = float(very[near].max())
+            raise NoResultError(
+                f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} HU, "
+                f"and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
+                code="plan.no-nodule",
+            )
         meant = near & (very >= self.lung_hu + MEANT * (densest - self.lung_hu))
         seed = _first(np.where(meant, off, np.inf).argmin(), off.shape)
         level = float(very[meant & (box.steps_from(seed) * box.step_mm <= LEVEL_MM)].max())
