@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,3 +108,39 @@ def painted(scene: Scene) -> tuple[Volume, float, NDArray[np.float64]]:
     matrix[:3, 3] = origin
     own_volume = float(own.sum()) * FINE_MM**3
     return Volume(np.clip(np.rint(values), -1024, 3000).astype(np.int16), matrix), own_volume, np.array(scene.shift_mm)
+
+
+def random_scene(kind: str, rng: np.random.Generator) -> Scene:
+    """A nodule of a kind, scanned somehow."""
+    least_mm = 3.0 if kind == "solid" else 6.0 if kind == "part-solid" else 4.0
+    longest_mm = rng.uniform(least_mm, 10.0)
+    x, y, z = np.maximum(longest_mm * rng.uniform(0.75, 1.0, 3), least_mm)
+    in_plane_mm = rng.uniform(0.55, 0.8)
+    scene = Scene(
+        radii_mm=(x, y, z),
+        level_hu=rng.uniform(-20.0, 60.0),
+        spacing_mm=(in_plane_mm, in_plane_mm, rng.uniform(0.6, 1.0)),
+        sigma_mm=rng.uniform(0.45, 0.8),
+        noise_hu=rng.uniform(10.0, 45.0),
+        seed=int(rng.integers(1_000_000)),
+        shift_mm=tuple(rng.uniform(-0.5, 0.5, 3)),
+    )
+    match kind:
+        case "vessel":
+            vessel = (
+                tuple(rng.uniform(-0.9, 0.9, 3) * x),
+                tuple(rng.normal(size=3)),
+                rng.uniform(0.6, 0.3 * longest_mm),
+            )
+            return dataclasses.replace(scene, vessels=(vessel,))
+        case "pleura":
+            wall_mm = rng.uniform(70.0, 150.0)
+            return dataclasses.replace(scene, pleura_mm=x * rng.uniform(0.0, 0.9), wall_radius_mm=wall_mm)
+        case "ground-glass":
+            return dataclasses.replace(scene, level_hu=rng.uniform(-650.0, -450.0))
+        case "part-solid":
+            core_mm = rng.uniform(0.4, 0.6) * min(x, y, z)
+            return dataclasses.replace(scene, level_hu=rng.uniform(-650.0, -450.0), core_mm=core_mm)
+        case "2 mm" | "3 mm":
+            return dataclasses.replace(scene, spacing_mm=(in_plane_mm, in_plane_mm, float(kind[0])))
+    return scene

@@ -2,53 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 
 import numpy as np
 import pytest
-from painted_nodules import LUNG_HU, Scene, painted
+from painted_nodules import LUNG_HU, Scene, painted, random_scene
 
 import carina
 from carina.errors import NoResultError, UsageError
 from carina.plan import Nodule, grow_nodule
 from carina.volume import Volume
-
-
-def random_scene(kind: str, rng: np.random.Generator) -> Scene:
-    """A nodule of a kind, scanned somehow."""
-    least_mm = 3.0 if kind == "solid" else 6.0 if kind == "part-solid" else 4.0
-    longest_mm = rng.uniform(least_mm, 10.0)
-    x, y, z = np.maximum(longest_mm * rng.uniform(0.75, 1.0, 3), least_mm)
-    in_plane_mm = rng.uniform(0.55, 0.8)
-    scene = Scene(
-        radii_mm=(x, y, z),
-        level_hu=rng.uniform(-20.0, 60.0),
-        spacing_mm=(in_plane_mm, in_plane_mm, rng.uniform(0.6, 1.0)),
-        sigma_mm=rng.uniform(0.45, 0.8),
-        noise_hu=rng.uniform(10.0, 45.0),
-        seed=int(rng.integers(1_000_000)),
-        shift_mm=tuple(rng.uniform(-0.5, 0.5, 3)),
-    )
-    match kind:
-        case "vessel":
-            vessel = (
-                tuple(rng.uniform(-0.9, 0.9, 3) * x),
-                tuple(rng.normal(size=3)),
-                rng.uniform(0.6, 0.3 * longest_mm),
-            )
-            return dataclasses.replace(scene, vessels=(vessel,))
-        case "pleura":
-            wall_mm = rng.uniform(70.0, 150.0)
-            return dataclasses.replace(scene, pleura_mm=x * rng.uniform(0.0, 0.9), wall_radius_mm=wall_mm)
-        case "ground-glass":
-            return dataclasses.replace(scene, level_hu=rng.uniform(-650.0, -450.0))
-        case "part-solid":
-            core_mm = rng.uniform(0.4, 0.6) * min(x, y, z)
-            return dataclasses.replace(scene, level_hu=rng.uniform(-650.0, -450.0), core_mm=core_mm)
-        case "2 mm" | "3 mm":
-            return dataclasses.replace(scene, spacing_mm=(in_plane_mm, in_plane_mm, float(kind[0])))
-    return scene
 
 
 @functools.cache
@@ -152,9 +115,9 @@ def test_what_is_no_nodule_is_said_in_words():
         grow_nodule(volume, middle + np.array([-14.0, 8.0, 8.0]))
     assert error.value.code == "plan.no-nodule"
     air = volume.hu_zyx.copy()
-    air[:20, :20, :20] = -1000
+    air[15:35, 15:35, 15:35] = -1000
     with pytest.raises(NoResultError, match="nothing is denser than -1000 HU"):
-        grow_nodule(Volume(air, volume.lps_from_ijk), volume.to_lps(np.array([8.0, 8.0, 8.0])))
+        grow_nodule(Volume(air, volume.lps_from_ijk), volume.to_lps(np.array([25.0, 25.0, 25.0])))
     with pytest.raises(NoResultError, match="looks like consolidation, the chest wall") as error:
         grow_nodule(volume, middle + np.array([22.0, 0.0, 0.0]))
     assert error.value.code == "plan.no-boundary"

@@ -22,16 +22,17 @@ def scene():
     return volume, grow_nodule(volume, middle)
 
 
-@pytest.mark.parametrize("diameter_mm", [6.0, 10.0, 16.0, 20.0, 30.0])
+@pytest.mark.parametrize("diameter_mm", [8.0, 11.0, 16.0, 20.0, 30.0])
 def test_a_boundary_goes_to_the_diameter_that_was_asked_for(diameter_mm):
     volume, nodule = scene()
     found = resized(nodule, volume, diameter_mm)
-    assert found.long_mm == pytest.approx(diameter_mm, abs=0.8)
+    assert found.long_mm == diameter_mm
     by_mm = 0.5 * (diameter_mm - nodule.long_mm)
     radii = np.array([8.0, 6.0, 6.0]) + by_mm
-    # Everywhere by the same distance: that is no ellipsoid, and nearly one. A voxel has 0.55 mm.
-    least, most = (4.0 / 3.0 * np.pi * (radii + off).prod() for off in (-0.45, 0.45))
-    assert least < found.volume_mm3 < most
+    # Everywhere by the same distance: that is no ellipsoid, and nearly one.
+    expected = 4.0 / 3.0 * np.pi * radii.prod()
+    assert found.volume_mm3 == pytest.approx(expected, abs=found.volume_error_mm3)
+    assert found.volume_mm3 == pytest.approx(expected, rel=0.12)
     assert found.centre_lps == pytest.approx(nodule.centre_lps, abs=0.4)
     assert found.kind == nodule.kind
     assert found.notes == ("boundary set by hand to a diameter",)
@@ -87,6 +88,8 @@ def test_edits_that_leave_no_target_are_refused():
         brushed(nodule, volume, centre + np.array([0.0, 18.0, 0.0]), 2.0, add=False)
     with pytest.raises(UsageError, match="outside the CT"):
         brushed(nodule, volume, centre + 200.0, 2.0)
+    with pytest.raises(UsageError, match="nothing of the target would be left"):
+        resized(nodule, volume, 3.0)
     for wrong in (0.0, -3.0, np.nan, np.inf, 151.0):
         with pytest.raises(UsageError, match="expected a diameter of 1 to 150 mm"):
             resized(nodule, volume, wrong)
@@ -126,3 +129,12 @@ def test_a_sphere_is_a_target_where_the_ct_shows_no_boundary():
     assert made.centre_lps == pytest.approx((3.0, 4.0, 5.0), abs=0.1)
     assert made.notes == ("a sphere set by hand: the CT shows no boundary that was used",)
     assert made.diameter_error_mm > 2.0
+
+
+def test_a_cavity_stays_when_the_boundary_moves():
+    volume, _, middle = painted(Scene(radii_mm=(9.0, 9.0, 9.0), core_mm=5.0, core_hu=-980.0))
+    nodule = grow_nodule(volume, middle)
+    wider = resized(nodule, volume, nodule.long_mm + 3.0)
+    assert wider.volume_mm3 == pytest.approx(4.0 / 3.0 * np.pi * 10.5**3, rel=0.06)
+    assert wider.volume_mm3 - wider.solid_mm3 == pytest.approx(nodule.volume_mm3 - nodule.solid_mm3, rel=0.15)
+    assert not wider.contains([middle])[0]

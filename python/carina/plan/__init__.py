@@ -8,6 +8,7 @@ from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
+from carina.plan.target_click import target_from_click
 from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.target_files import target_from_file
 from carina.plan.target_mask import nodule_from_mask, target_from_mask
@@ -63,6 +64,7 @@ __all__ = [
     "resized",
     "sphere",
     "surroundings",
+    "target_from_click",
     "target_from_file",
     "target_from_mask",
     "tool",

@@ -63,6 +63,8 @@ RIM_MM = 1.6
 """Blur spreads a boundary this far."""
 STUB_MM = 2.0
 """What the opening takes away and reaches no farther than this from the rest is no vessel: the nodule's own shape."""
+FILM_MM = 1.1
+"""Radius of the largest ball in a nodule on the wall."""
 FILLET_MM = 3.0
 """What is left nearer to the wall than this, where it was cut off, is neither nodule nor vessel."""
 GLASS_RISE_HU, GLASS_MM, GLASS_SHARE = 120.0, (1.0, 1.7), 0.55
@@ -103,17 +105,16 @@ class Boundary:
         """
         box = self.box
         off = box.offsets_mm(point)
-        near = off <= CLICK_MM
+        near = self._round_cavity(off)
+        if not near.any():
+            near = off <= CLICK_MM
         densest = float(very[near].max())
         if densest < self.lung_hu + LEAST_RISE_HU:
-            near = self._round_cavity(off)
-            if not near.any():
-                raise NoResultError(
-                    f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} "
-                    f"HU, and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
-                    code="plan.no-nodule",
-                )
-            densest = float(very[near].max())
+            raise NoResultError(
+                f"there is no nodule at this point: within {CLICK_MM:.0f} mm nothing is denser than {densest:.0f} HU, "
+                f"and the lung around it is {self.lung_hu:.0f} HU; click in the middle of the nodule",
+                code="plan.no-nodule",
+            )
         meant = near & (very >= self.lung_hu + MEANT * (densest - self.lung_hu))
         seed = _first(np.where(meant, off, np.inf).argmin(), off.shape)
         level = float(very[meant & (box.steps_from(seed) * box.step_mm <= LEVEL_MM)].max())
@@ -226,6 +227,11 @@ class Boundary:
         if level - self.lung_hu > GLASS_SHARE * (densest - self.lung_hu):
             return None
         return level
+
+    @property
+    def is_film(self) -> bool:
+        """What is thinner where it was cut from the wall is the wall's own unevenness."""
+        return "pleura" in self.touches and float(ball_distance(self.inside, self.box.step_mm).max()) < FILM_MM
 
     @property
     def is_near_faces(self) -> bool:

@@ -49,7 +49,8 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     step = grown.box.step_mm
     inside = grown.inside
     depth = ball_distance(inside, step)
-    tissue_depth = np.minimum(depth, ball_distance(~grown.cavity, step)) if grown.cavity.any() else depth
+    from_cavity = distance_from(grown.cavity, step, RIM_MM)
+    tissue_depth = np.minimum(depth, from_cavity)
     away = distance_from(inside, step, RIM_MM + SHELL_MM)
     free = distance_from(grown.others | grown.wall, step, RIM_MM) > RIM_MM
     free &= ~(grown.others | grown.wall)
@@ -69,7 +70,7 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
         kind = "part-solid" if is_part else "ground-glass"
     counted = float(inside.sum()) * step**3
     # Beside a cut a voxel belongs to the nodule or not; elsewhere it does by its share.
-    rim_hu = _rim_hu(grown, tissue_depth, lung_hu, core_hu)
+    rim_hu = _rim_hu(grown, np.where(from_cavity > RIM_MM, depth, 0.0), lung_hu, core_hu)
     zone = (inside | (away <= RIM_MM)) & free
     share = (grown.box.hu_zyx - lung_hu) / ((core_hu if rim_hu is None else rim_hu) - lung_hu)
     if rim_hu is not None:
@@ -78,7 +79,7 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     share = np.where(depth > CORE_MM, 1.0, share)
     if grown.cavity.any():
         # The nodule's volume is that of its outer surface.
-        share = np.where(distance_from(grown.cavity, step, RIM_MM) <= RIM_MM, 1.0, share)
+        share = np.where((from_cavity <= RIM_MM) & (depth > 0.5 * RIM_MM), 1.0, share)
     edge = surface(inside)
     # How much too far inside the boundary of the smoothed CT lies: seen where the nodule is free.
     open_air = ~(grown.dense | grown.wall)

@@ -9,7 +9,10 @@ from carina.errors import NoResultError, UsageError, check_type
 from carina.plan.boundary import HALVES_MM, Boundary, no_boundary
 from carina.plan.boundary_measures import measured
 from carina.plan.box import Box
+from carina.plan.endobronchial import endobronchial_lesion
 from carina.plan.nodule_value import Nodule, NoduleKind
+from carina.plan.whereabouts import is_outside_body
+from carina.scopes import WallField
 from carina.volume import Volume
 
 __all__ = ["Nodule", "NoduleKind", "grow_nodule"]
@@ -18,15 +21,18 @@ MOST_STEPS = 60
 """Voxels from the middle of a box to its side: a mass needs no finer ones."""
 
 
-def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
-    """The nodule at a place in the lung.
+def grow_nodule(volume: Volume, at_lps: ArrayLike, *, wall: WallField | None = None) -> Nodule:
+    """The nodule at a place in the lung, or the lesion at a place in an airway.
 
     Parameters
     ----------
     volume
         A chest CT, HU.
     at_lps
-        A point in the nodule, LPS mm; within 4 mm of its densest part.
+        A point in the nodule, LPS mm; within 4 mm of its densest part, or in its cavity.
+    wall
+        The airways' wall where it is at hand (`carina.wall_field`): what stands into an airway is a lesion of its own
+        then, and a click into a lumen is said to be one.
 
     Returns
     -------
@@ -39,7 +45,8 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
         If the point is no point, or outside the CT.
     NoResultError
         If nothing there stands out of the lung (code ``plan.no-nodule``), or what does has no end within 5 cm: a
-        consolidation, the chest wall, the heart (``plan.no-boundary``).
+        consolidation, the chest wall, the heart (``plan.no-boundary``); if the point lies in an airway and nothing
+        stands into it there (``plan.in-airway``), or outside the body (``plan.outside-body``).
 
     Examples
     --------
@@ -61,6 +68,18 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
     if not np.isfinite(point).all() or not volume.contains_lps(point):
         place = ", ".join(f"{v:g}" for v in point)
         raise UsageError(f"nodule: the point {place} lies outside the CT", code="plan.point")
+    if is_outside_body(volume, point):
+        raise _outside_body()
+    if wall is not None:
+        lesion = endobronchial_lesion(volume, wall, point)
+        if lesion is not None:
+            return lesion
+        if float(wall.distance_mm(point[None])[0]) > 0.0:
+            raise NoResultError(
+                "this point lies in the lumen of an airway, and nothing stands into it there; click on the lesion in "
+                "its wall, or on the nodule beside it",
+                code="plan.in-airway",
+            )
     coarsest_mm = max(volume.spacing_mm)
     problem = no_boundary()
     for half_mm in HALVES_MM:
@@ -72,7 +91,16 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike) -> Nodule:
             if half_mm == HALVES_MM[0] or problem.code != error.code:
                 problem = error
             continue
-        if not grown.is_near_faces:
-            return measured(grown, coarsest_mm)
+        if not grown.is_near_faces and not grown.is_film:
+            nodule = measured(grown, coarsest_mm)
+            if is_outside_body(volume, np.array(nodule.centre_lps), radius_mm=0.5 * nodule.long_mm + 2.0):
+                raise _outside_body()
+            return nodule
         problem = no_boundary()
     raise problem
+
+
+def _outside_body() -> NoResultError:
+    return NoResultError(
+        "this point lies outside the body; click in the middle of the nodule", code="plan.outside-body"
+    )

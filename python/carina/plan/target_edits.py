@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina.errors import UsageError, check_type
-from carina.plan.boundary_measures import diameters
-from carina.plan.box import Box, ball_distance, box_step_mm, component_at, smoothed
+from carina.plan.box import Box, ball_distance, box_step_mm, component_at, enclosed, smoothed
 from carina.plan.mask_measures import measured_mask
 from carina.plan.nodule_value import Nodule
 from carina.volume import Volume
@@ -26,7 +26,6 @@ RESIZED, BRUSHED, SPHERE = (
     "boundary edited by hand",
     "a sphere set by hand: the CT shows no boundary that was used",
 )
-ROUNDS = 30
 SPHERE_OFF_MM = 2.0
 """How far the boundary of a ball set by hand may be off, beyond what a drawn one may (k)."""
 
@@ -58,22 +57,25 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
     """
     _check(volume, diameter_mm, DIAMETERS_MM, "diameter")
     step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
-    grow_mm = max(0.5 * (diameter_mm - nodule.long_mm), 0.0)
-    inside, matrix = _padded(nodule, grow_mm + 3.0 * step)
-    # Positive inside: the boundary lies at 0. Distances of voxels jump; smoothed they do not.
-    depth = smoothed(ball_distance(inside, step) - ball_distance(~inside, step), 1.0)
-    # What is measured of the voxels may differ from what the nodule was told to have (partial volumes).
-    told = nodule.long_mm - diameters(inside, step)[0]
-    low, high = -(grow_mm + 2.0 * step), float(depth.max())
-    for _ in range(ROUNDS):
-        level = 0.5 * (low + high)
-        kept = depth > level
-        found = diameters(kept, step)[0] + told if kept.any() else 0.0
-        low, high = (level, high) if found > diameter_mm else (low, level)
-    kept = depth > 0.5 * (low + high)
-    if not kept.any():
+    by_mm = 0.5 * (diameter_mm - nodule.long_mm)
+    inside, matrix = _padded(nodule, max(by_mm, 0.0) + 3.0 * step)
+    # Hollows in it stay as they are.
+    hollow = enclosed(inside)
+    whole = inside | hollow
+    # Positive inside: the boundary lies at 0. Distances of voxels jump; smoothed a little they do not.
+    depth = smoothed(ball_distance(whole, step) - ball_distance(~whole, step), 0.6)
+    radii = 0.5 * np.array([nodule.long_mm, nodule.short_mm, 0.0])
+    radii[2] = 3.0 * nodule.volume_mm3 / (4.0 * np.pi * radii[0] * radii[1])
+    if float(radii.min()) + by_mm < 0.5 * step:
         raise _refused("nothing of the target would be left; choose a larger diameter")
-    return _edited(nodule, volume, _in_ct(volume, _main_piece(kept), matrix), matrix, RESIZED)
+    # Distances of voxels are too short by a part of one: as many are taken as the ellipsoid of its radii would have.
+    num = round(nodule.volume_mm3 / step**3 * float(np.prod((radii + by_mm) / radii)))
+    kept = np.zeros(depth.size, dtype=bool)
+    kept[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
+    kept = kept.reshape(depth.shape) & ~hollow
+    found = _edited(nodule, volume, _in_ct(volume, _main_piece(kept), matrix), matrix, RESIZED)
+    # What was set is told as it was set; voxels show it to half of one.
+    return replace(found, long_mm=float(diameter_mm), short_mm=min(found.short_mm, float(diameter_mm)))
 
 
 def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: float, *, add: bool = True) -> Nodule:
@@ -134,7 +136,13 @@ def sphere(volume: Volume, centre_lps: ArrayLike, diameter_mm: float) -> Nodule:
 
 def _edited(nodule: Nodule, volume: Volume, inside: Mask, matrix: Place, note: str) -> Nodule:
     notes = (*(one for one in nodule.notes if one != note), note)
-    return measured_mask(volume, inside, matrix, kind=nodule.kind, notes=notes, touches=nodule.touches)
+    found = measured_mask(volume, inside, matrix, kind=nodule.kind, notes=notes, touches=nodule.touches)
+    hollow = enclosed(inside)
+    if not hollow.any():
+        return found
+    # As of one that was grown: its volume is that of its outer surface.
+    hollow_mm3 = float(hollow.sum()) * float(np.linalg.norm(matrix[:3, 0])) ** 3
+    return replace(found, volume_mm3=found.volume_mm3 + hollow_mm3)
 
 
 def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:

@@ -27,7 +27,7 @@ WHERE_WORDS: dict[Whereabouts, str] = {
 }
 
 TISSUE_HU, OUTER_AIR_HU = -300.0, -940.0
-"""Air round a body is darker than a lung at full inspiration (about -860 HU) and than most emphysema."""
+"""Nine tenths of the air round a body are darker than a lung at full inspiration (about -860 HU) or most emphysema."""
 WALL_HU = -400.0
 THICK_MM = 3.5
 """What an opening by this radius leaves is no vessel, but chest wall, mediastinum or diaphragm."""
@@ -96,4 +96,4 @@ def is_outside_body(volume: Volume, point_lps: NDArray[np.float64], *, radius_mm
 
 
 def _is_outer_air(side: NDArray[np.int16]) -> bool:
-    return side.size > 0 and not (side > TISSUE_HU).any() and float(np.median(side)) < OUTER_AIR_HU
+    return side.size > 0 and not (side > TISSUE_HU).any() and float(np.percentile(side, 90.0)) < OUTER_AIR_HU

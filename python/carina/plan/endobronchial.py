@@ -1,0 +1,65 @@
+"""A lesion in an airway: tissue that stands into the lumen, from the airway's wall as it would be without it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.plan.boundary import CLICK_MM, SMOOTH_MM, TISSUE_HU
+from carina.plan.box import Box, ball_distance, component_at, distance_from, smoothed, uphill
+from carina.plan.mask_measures import measured_mask
+from carina.plan.nodule_value import Nodule
+from carina.scopes import WallField
+from carina.volume import Volume
+
+__all__ = ["endobronchial_lesion"]
+
+HALF_MM = 26.0
+AIR_HU = -1000.0
+CLOSING_MM = 9.0
+"""Hollows of a lumen narrower than twice this are filled: what stands into it up to about this far is a lesion."""
+THINNEST_MM = 1.0
+"""A ball of this radius fits in a lesion; what is thinner is the wall's unevenness, or slime."""
+OWN_AIR = 0.7
+"""Of the air beside a lesion in an airway this share is that airway's; a nodule beside one touches lung."""
+REACH_MM = 2.4
+"""The wall's distances are known this far outside of it."""
+NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
+BASE_OFF_MM = 0.5
+"""How much more its boundary is uncertain than a drawn one: its base is where the wall would be (k)."""
+
+
+def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.float64]) -> Nodule | None:
+    """What stands into an airway at a place, within 4 mm of it; None where nothing does.
+
+    The lumen, closed by a ball of 9 mm, is the lumen without the lesion.
+    """
+    box = Box.around(volume, point_lps, HALF_MM)
+    step = box.step_mm
+    k, j, i = (axis.reshape(-1) for axis in np.indices(box.hu_zyx.shape))
+    places = np.stack([i, j, k], axis=1) * step + box.lps_from_ijk[:3, 3]
+    to_wall = wall.distance_mm(places).reshape(box.hu_zyx.shape)
+    lumen = to_wall > 0.0
+    if not lumen.any():
+        return None
+    smooth = smoothed(box.hu_zyx, SMOOTH_MM / step)
+    tissue = (smooth > 0.5 * (AIR_HU + TISSUE_HU)) & ~lumen
+    grown = lumen | (distance_from(lumen, step, CLOSING_MM) <= CLOSING_MM)
+    closed = lumen | (ball_distance(grown, step) > CLOSING_MM)
+    lesion = closed & tissue
+    core = ball_distance(lesion, step) >= THINNEST_MM
+    off = np.where(core, box.offsets_mm(point_lps), np.inf)
+    if float(off.min()) > CLICK_MM:
+        return None
+    z, y, x = np.unravel_index(int(off.argmin()), off.shape)
+    core = component_at(core, (int(z), int(y), int(x)))
+    inside = lesion & (core | (distance_from(core, step, THINNEST_MM + step) <= THINNEST_MM + 0.5 * step))
+    seed = uphill(ball_distance(inside, step), (int(z), int(y), int(x)))
+    inside = component_at(inside, seed)
+    if any(inside.take(end, axis=axis).any() for axis in range(3) for end in (0, -1)):
+        return None
+    air = (distance_from(inside, step, 1.6 * step) <= 1.6 * step) & ~inside & ~tissue
+    own = air & (to_wall > -min(2.0 * step, REACH_MM))
+    if not air.any() or float(own.sum()) < OWN_AIR * float(air.sum()):
+        return None
+    return measured_mask(volume, inside, box.lps_from_ijk, notes=(NOTE,), touches=("airway wall",), off_mm=BASE_OFF_MM)
