@@ -3,6 +3,7 @@
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
+from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, surroundings
@@ -23,6 +24,7 @@ __all__ = [
     "OtherWay",
     "Outcome",
     "Plan",
+    "PlanSheet",
     "PlannedRoute",
     "ScoreWeights",
     "Surroundings",
@@ -37,10 +39,12 @@ __all__ = [
     "judge_scopes",
     "last_leg",
     "main_carina_ridge_mm",
+    "make_sheet",
     "plan_route",
     "surroundings",
     "tool",
     "tools",
     "turn_list",
     "turn_pictures",
+    "write_report",
 ]

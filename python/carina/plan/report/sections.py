@@ -8,7 +8,6 @@ from carina.plan.fork_view import Operator
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
-from carina.plan.report.png_size import png_size
 from carina.plan.report.sheet import PlanSheet, target_words
 from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.wording import (
@@ -17,6 +16,7 @@ from carina.plan.report.wording import (
     per_cent,
 )
 from carina.plan.routes import PlannedRoute, ScoreWeights
+from carina.plan.turn_pictures import TurnPicture
 from carina.plan.turn_words import hour_words, joined, moves_words
 from carina.plan.turns import Turn
 
@@ -35,6 +35,10 @@ LEGEND = (
     "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on "
     "the left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies "
     "outside the slice. Blue: airway lumen."
+)
+STILLS = (
+    "The airway from a diameter before each fork, level, made from the CT without texture. The opening to enter is "
+    "outlined."
 )
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
@@ -234,11 +238,8 @@ def _turns(sheet: PlanSheet) -> list[Section]:
         depth = f"Main carina at {sheet.turns.carina_depth_mm / 10.0:.1f} cm from nose or mouth{stop} (estimates)."
         blocks.append(Words(depth, "quiet"))
     if sheet.turn_pictures:
-        stills = tuple(
-            Figure(_still(png), f"{n}. {turn.to_branch}, {hour_words(turn.hour(sheet.operator))}")
-            for n, (turn, png) in enumerate(zip(sheet.turns.turns, sheet.turn_pictures, strict=True), 1)
-        )
-        blocks.append(Figures(stills, 4))
+        stills = tuple(Figure(_still(one), f"{n}. {one.words}") for n, one in enumerate(sheet.turn_pictures, 1))
+        blocks += [Words(STILLS, "quiet"), Figures(stills, 3)]
     return [Section("turns", "Turns", tuple(blocks), starts_page=True)]
 
 
@@ -262,9 +263,10 @@ def _rounded(mm: float | None) -> str:
     return "not known" if mm is None else f"{mm:.0f}"
 
 
-def _still(png: bytes) -> Drawing:
-    width, height = png_size(png)
-    return Drawing(width, height, (Raster((0.0, 0.0), (width, height), png),), "View at the fork")
+def _still(one: TurnPicture) -> Drawing:
+    height, width = one.rgb.shape[:2]
+    picture = Raster((0.0, 0.0), (width, height), one.png())
+    return Drawing(width, height, (picture,), f"Airway view before the turn into {one.words}")
 
 
 def _verdicts(sheet: PlanSheet) -> list[Section]:
