@@ -318,3 +318,18 @@ def test_without_its_library_a_pdf_is_refused_with_the_way_to_get_it(tmp_path, m
 def test_the_same_plan_gives_the_same_page(tmp_path) -> None:
     first = page(tmp_path)
     assert write_report(tmp_path / "again.html", sheet()).read_text() == first
+
+
+def test_a_target_as_dense_as_contrast_medium_is_doubted_in_red(tmp_path) -> None:
+    dense = dataclasses.replace(plan(), nodule=dataclasses.replace(plan().nodule, density_hu=189.0))
+    part = write_report(tmp_path / "p.html", sheet(plan=dense)).read_text()
+    assert re.search(r'<section id="target".*?<p class="warning">At 189 HU the target is denser than soft tissue', part)
+    assert "denser than soft tissue" not in page(tmp_path)
+
+
+def test_notes_that_do_not_fit_the_tracing_sheet_say_where_they_are() -> None:
+    told = sheet(notes=tuple(f"Note number {n}" for n in range(12)))
+    texts = {part.name: [w for b in part.blocks for w in words_of(b)] for part in sections(told)}
+    assert sum(words.startswith("Note number") for words in texts["tracing"]) == 6
+    assert "\u2026 all notes are in the report" in texts["tracing"]
+    assert sum(words.startswith("Note number") for words in texts["notes"]) == 12

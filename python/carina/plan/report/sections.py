@@ -6,6 +6,7 @@ import dataclasses
 
 from carina.plan.fork_view import Operator
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.doubt import dense_words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.sheet import PlanSheet, target_words
@@ -95,8 +96,10 @@ def _target(sheet: PlanSheet) -> Section:
     if nodule.kind == "part-solid":
         rows.insert(2, ("Of which solid", f"{nodule.solid_mm3 / 1000.0:.{digits}f} ml"))
     figures = tuple(Figure(slice_drawing(one)) for one in sheet.slices)
+    dense = dense_words(nodule)
     blocks = (
         *_red(sheet),
+        *(() if dense is None else (Words(dense, "warning"),)),
         Words(_lead(sheet), "lead"),
         Facts(tuple(rows)),
         Figures(figures, 3),
@@ -125,7 +128,7 @@ def _lead(sheet: PlanSheet) -> str:
         else f" First choice: {best.scope.title}, which {best.outcome}."
     )
     counts = f"{num['reaches']} reach, {num['may reach']} may reach"
-    more = f", of {num['cannot say']} this cannot be said" if num["cannot say"] else ""
+    more = f", {num['cannot say']} cannot be judged" if num["cannot say"] else ""
     return f"{said} Of {_instruments(len(sheet.verdicts))} {counts}{more}.{first}"
 
 
@@ -240,7 +243,7 @@ def _turns(sheet: PlanSheet) -> list[Section]:
     if sheet.turn_pictures:
         stills = tuple(Figure(_still(one), f"{n}. {one.words}") for n, one in enumerate(sheet.turn_pictures, 1))
         blocks += [Words(STILLS, "quiet"), Figures(stills, 3)]
-    return [Section("turns", "Turns", tuple(blocks), starts_page=True)]
+    return [Section("turns", "Turns", tuple(blocks))]
 
 
 def _enter_words(turn: Turn, operator: Operator) -> str:
@@ -277,9 +280,7 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
     rows = []
     for one in ranked:
         answers = {str(check.name): ANSWERS[check.answer] for check in one.checks}
-        chance = (
-            "" if one.share is None or one.outcome in {"reaches", "does not reach"} else f" ({per_cent(one.share)})"
-        )
+        chance = f" ({per_cent(one.share)})" if one.outcome == "may reach" and one.share is not None else ""
         rows.append(
             (
                 one.scope.title,
@@ -289,7 +290,7 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
             )
         )
     head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
-    shares = (0.19, 0.14, 0.07, 0.06, 0.07, 0.085, 0.06, 0.325)
+    shares = (0.185, 0.135, 0.075, 0.075, 0.075, 0.085, 0.075, 0.295)
     said = (
         f"On this route, with {sheet.plan.tool.title}. ?: not known. The figures behind each answer, and what they "
         "rest on, are listed at the end."
