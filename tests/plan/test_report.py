@@ -333,3 +333,21 @@ def test_notes_that_do_not_fit_the_tracing_sheet_say_where_they_are() -> None:
     assert sum(words.startswith("Note number") for words in texts["tracing"]) == 6
     assert "\u2026 all notes are in the report" in texts["tracing"]
     assert sum(words.startswith("Note number") for words in texts["notes"]) == 12
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "words"),
+    [
+        (("does not reach",) * 3, "Of 3 instruments none reaches."),
+        (("does not reach", "cannot say", "cannot say"), "none is known to reach; 2 cannot be judged."),
+        (
+            ("may reach", "reaches", "cannot say"),
+            "1 reaches, 1 may reach, 1 cannot be judged. First of them: Ultrathin",
+        ),
+    ],
+)
+def test_the_first_sentence_sums_up_the_instruments(outcomes, words) -> None:
+    told = tuple(dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True))
+    (target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
+    (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
+    assert words in lead

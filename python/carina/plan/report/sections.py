@@ -122,14 +122,17 @@ def _lead(sheet: PlanSheet) -> str:
         return said
     num = {name: sum(one.outcome == name for one in sheet.verdicts) for name in ("reaches", "may reach", "cannot say")}
     best = next((one for name in num for one in sheet.verdicts if one.outcome == name), None)
-    first = (
-        ""
-        if best is None or best.outcome == "cannot say"
-        else f" First choice: {best.scope.title}, which {best.outcome}."
-    )
-    counts = f"{num['reaches']} reach, {num['may reach']} may reach"
-    more = f", {num['cannot say']} cannot be judged" if num["cannot say"] else ""
-    return f"{said} Of {_instruments(len(sheet.verdicts))} {counts}{more}.{first}"
+    of = _instruments(len(sheet.verdicts))
+    reach = "1 reaches" if num["reaches"] == 1 else f"{num['reaches']} reach"
+    counts = [reach] * bool(num["reaches"]) + [f"{num['may reach']} may reach"] * bool(num["may reach"])
+    unknown = f"{num['cannot say']} cannot be judged"
+    if not counts:
+        judged = f"Of {of} none is known to reach; {unknown}." if num["cannot say"] else f"Of {of} none reaches."
+    else:
+        assert best is not None
+        said_of = ", ".join(counts + [unknown] * bool(num["cannot say"]))
+        judged = f"Of {of}: {said_of}. First of them: {best.scope.title}, which {best.outcome}."
+    return f"{said} {judged}"
 
 
 def _instruments(num: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
@@ -101,7 +102,10 @@ def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last:
     for colour, extra in ((QUIET, 2.0), ("#ffffff", 0.0)):
         shapes += [Stroke(stub, Pen(colour, 0.6 * TUBE + extra)) for stub in stubs]
         shapes.append(Stroke(way, Pen(colour, TUBE + extra)))
-    shapes.append(Stroke(way, Pen(ACCENT, 2.2)))
+    # From each fork the way leads into the branch that is told there.
+    for n, piece in enumerate(itertools.pairwise(way)):
+        warned = n > 0 and bool(forks[n - 1].warnings)
+        shapes.append(Stroke(piece, Pen(WARNING, 2.2, dash=(4.0, 3.5)) if warned else Pen(ACCENT, 2.2)))
     shapes += names
     for n, fork in enumerate(forks):
         drawn = bool(fork.warnings)
