@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 from reported import airways, plan, sheet, turns, verdicts, volume, wall, with_drawn_branch
 
-from carina.display.png import png_bytes
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.plan import ScoreWeights
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Words
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
+from carina.plan.turn_pictures import TurnPicture
+from carina.render import Picture, RenderStats
 
 SAFETY = (
     "Not a medical device.",
@@ -235,17 +236,28 @@ def test_hours_are_those_of_where_the_operator_stands(tmp_path) -> None:
     assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
 
 
+def still(turn, *, operator="head", in_view=True, shade=0) -> TurnPicture:
+    """A picture without a renderer."""
+    rgb = np.full((8, 12, 3), shade, np.uint8)
+    picture = Picture(rgb, "airway", RenderStats("leap", 12, 8, 96, 96, 0, 0, 0, 0, 0, 0.0), lps_from_camera=np.eye(4))
+    return TurnPicture(turn, operator, picture, in_view, np.zeros((8, 12), bool))
+
+
 def test_pictures_of_turns_stand_with_their_turns(tmp_path) -> None:
     told = turns(airways(), plan())
-    pictures = [png_bytes(np.full((8, 12, 3), n, np.uint8)) for n in range(len(told.turns))]
+    pictures = [still(turn, in_view=n != 1, shade=n) for n, turn in enumerate(told.turns)]
     text = page(tmp_path, turns=told, turn_pictures=pictures)
     part = re.search(r'<section id="turns".*?</section>', text, re.DOTALL)[0]
-    assert [base64.b64decode(data) for data in re.findall(r"data:image/png;base64,([^\"]+)", part)] == pictures
+    data = [base64.b64decode(found) for found in re.findall(r"data:image/png;base64,([^\"]+)", part)]
+    assert data == [one.png() for one in pictures]
     assert part.count('viewBox="0 0 12 8"') == len(pictures)
-    with pytest.raises(UsageError, match=f"a picture for each of {len(pictures)} turns; found 1"):
+    assert f"2. {told.turns[1].to_branch}" in part and part.count("not in view from here</figcaption>") == 1
+    with pytest.raises(UsageError, match=f"a picture for each of {len(pictures)} turns, in their order; found 1"):
         sheet(turns=told, turn_pictures=pictures[:1])
-    with pytest.raises(UsageError, match="bytes of a PNG"):
-        page(tmp_path, turns=told, turn_pictures=[b"GIF89a"] * len(pictures))
+    with pytest.raises(UsageError, match="in their order"):
+        sheet(turns=told, turn_pictures=pictures[::-1])
+    with pytest.raises(UsageError, match="for an operator at 'facing', the report for one at 'head'"):
+        sheet(turns=told, turn_pictures=[still(turn, operator="facing") for turn in told.turns])
 
 
 def test_the_proof_of_a_bronchus_sign_has_its_place_in_the_middle(tmp_path) -> None:
@@ -306,3 +318,36 @@ def test_without_its_library_a_pdf_is_refused_with_the_way_to_get_it(tmp_path, m
 def test_the_same_plan_gives_the_same_page(tmp_path) -> None:
     first = page(tmp_path)
     assert write_report(tmp_path / "again.html", sheet()).read_text() == first
+
+
+def test_a_target_as_dense_as_contrast_medium_is_doubted_in_red(tmp_path) -> None:
+    dense = dataclasses.replace(plan(), nodule=dataclasses.replace(plan().nodule, density_hu=189.0))
+    part = write_report(tmp_path / "p.html", sheet(plan=dense)).read_text()
+    assert re.search(r'<section id="target".*?<p class="warning">At 189 HU the target is denser than soft tissue', part)
+    assert "denser than soft tissue" not in page(tmp_path)
+
+
+def test_notes_that_do_not_fit_the_tracing_sheet_say_where_they_are() -> None:
+    told = sheet(notes=tuple(f"Note number {n}" for n in range(12)))
+    texts = {part.name: [w for b in part.blocks for w in words_of(b)] for part in sections(told)}
+    assert sum(words.startswith("Note number") for words in texts["tracing"]) == 6
+    assert "\u2026 all notes are in the report" in texts["tracing"]
+    assert sum(words.startswith("Note number") for words in texts["notes"]) == 12
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "words"),
+    [
+        (("does not reach",) * 3, "Of 3 instruments none reaches."),
+        (("does not reach", "cannot say", "cannot say"), "none is known to reach; 2 cannot be judged."),
+        (
+            ("may reach", "reaches", "cannot say"),
+            "1 reaches, 1 may reach, 1 cannot be judged. First of them: Ultrathin",
+        ),
+    ],
+)
+def test_the_first_sentence_sums_up_the_instruments(outcomes, words) -> None:
+    told = tuple(dataclasses.replace(one, outcome=outcome) for one, outcome in zip(verdicts(), outcomes, strict=True))
+    (target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
+    (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
+    assert words in lead

@@ -190,3 +190,18 @@ def test_svg_shows_text_as_it_is_and_has_no_style_attribute() -> None:
     text = svg(nasty)
     assert "<script>" not in text and "<x>" not in text and " style=" not in text
     assert sum(isinstance(shape, Raster) for shape in told.shapes) == text.count("<image")
+
+
+def test_where_the_route_was_drawn_by_hand_its_line_is_red_in_tree_and_tracing_sheet() -> None:
+    told = sheet()
+    drawn = told.forks[2]
+    branches = tuple(dataclasses.replace(b, is_found=b.id != drawn.to_branch_id) for b in told.shape.branches)
+    tree = tree_drawing(dataclasses.replace(told.shape, branches=branches), (), "front", width=255.0, height=160.0)
+    strokes = [s for s in tree.shapes if isinstance(s, Stroke)]
+    blue = next(n for n, s in enumerate(strokes) if s.pen.line == "#0b5a8f")
+    assert any(s.pen.line == "#c1001f" and s.pen.width == 2.4 for s in strokes[blue:]), "over the blue line"
+    warned = dataclasses.replace(drawn, warnings=("RML was drawn by hand",))
+    changed = dataclasses.replace(told, forks=(*told.forks[:2], warned, *told.forks[3:]))
+    (page,) = tracing_drawings(changed)
+    line = [s.pen.line for s in page.shapes if isinstance(s, Stroke) and s.pen.width == 2.2]
+    assert line == ["#0b5a8f"] * 3 + ["#c1001f"] + ["#0b5a8f"] * (len(told.forks) - 3)

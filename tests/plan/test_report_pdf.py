@@ -77,3 +77,13 @@ def test_letters_that_no_font_has_are_refused_by_name(tmp_path) -> None:
         write_report(tmp_path / "plan.pdf", sheet(patient="\u60a3\u8005"))
     assert "\u60a3\u8005" in write_report(tmp_path / "plan.html", sheet(patient="\u60a3\u8005")).read_text()
     assert write_report(tmp_path / "named.pdf", sheet(patient="J\u00f6rg M\u00fcller")).stat().st_size > 1000
+
+
+def test_a_note_longer_than_a_page_and_a_long_name_are_laid_out_whole(tmp_path) -> None:
+    note = " ".join(f"word{n:04}" for n in range(1500))
+    name = "Wolfeschlegelsteinhausenbergerdorff Hubert Blaine " * 2
+    written = write_report(tmp_path / "long.pdf", sheet(notes=(note,), patient=name.strip()))
+    read = pypdf.PdfReader(written).pages
+    text = plain("".join(page.extract_text() for page in read))
+    assert all(f"word{n:04}" in text for n in range(1500))
+    assert all(plain(name) in plain(page.extract_text()) for page in read)

@@ -4,6 +4,7 @@ from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
+from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
@@ -35,6 +36,7 @@ __all__ = [
     "OtherWay",
     "Outcome",
     "Plan",
+    "PlanSheet",
     "PlanTarget",
     "PlannedRoute",
     "ScoreWeights",
@@ -58,6 +60,7 @@ __all__ = [
     "last_leg",
     "lung_surroundings",
     "main_carina_ridge_mm",
+    "make_sheet",
     "nodule_from_mask",
     "plan_route",
     "proposed_aims",
@@ -73,4 +76,5 @@ __all__ = [
     "turn_list",
     "turn_pictures",
     "whereabouts",
+    "write_report",
 ]

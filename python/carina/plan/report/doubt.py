@@ -13,10 +13,12 @@ from carina.plan.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree
 from carina.volume import Volume
 
-__all__ = ["by_hand", "movement_words", "uncertain"]
+__all__ = ["by_hand", "dense_words", "movement_words", "uncertain"]
 
 THICK_MM = 1.5
 """Slices farther apart than this hide small airways and blur boundaries."""
+DENSE_HU = 110.0
+"""Soft tissue without contrast medium is 20 to 60 HU, vessels with it 150 to 400 (k); tumours take up 20 to 60 (k)."""
 NEAR_MM = 25.0
 """Doubts about airways so near to the target are told, too."""
 
@@ -91,6 +93,16 @@ def _aimed_again(route: PlannedRoute | None) -> str:
     )
 
 
+def dense_words(nodule: Nodule) -> str | None:
+    """That a target is denser than soft tissue; None where it is not."""
+    if nodule.density_hu <= DENSE_HU:
+        return None
+    return (
+        f"At {nodule.density_hu:.0f} HU the target is denser than soft tissue: make sure that it is not a vessel with "
+        "contrast medium, or calcified."
+    )
+
+
 def _of_target(nodule: Nodule) -> list[str]:
     found = [
         f"Volume {nodule.volume_mm3 / 1000:.2f} \u00b1 {nodule.volume_error_mm3 / 1000:.2f} ml and diameters "
@@ -101,6 +113,9 @@ def _of_target(nodule: Nodule) -> list[str]:
         "vessel": "a vessel",
         "edge of the CT": "the edge of the scan",
     }
+    dense = dense_words(nodule)
+    if dense is not None:
+        found.append(dense)
     touched = [words.get(what, what) for what in nodule.touches]
     if touched:
         found.append(f"The target touches {' and '.join(touched)}: its boundary there is an estimate.")

@@ -161,6 +161,10 @@ def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: f
         shapes.append(Stroke(placed(one.points_lps), pen))
     if len(shape.route_lps):
         shapes.append(Stroke(placed(shape.route_lps), Pen(ACCENT, 2.4)))
+    for one in shape.branches:
+        if one.on_route and not one.is_found:
+            shapes.append(Stroke(placed(one.points_lps), Pen("#ffffff", 3.0)))
+            shapes.append(Stroke(placed(one.points_lps), Pen(WARNING, 2.4, dash=(4.0, 3.5))))
     if len(shape.vertices_lps):
         shapes.append(Stroke(_hull(placed(shape.vertices_lps)), Pen(LEG, 1.0, fill=LEG, opacity=0.55), closed=True))
     if len(shape.needle_lps):

@@ -84,8 +84,10 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
     canvas.setStrokeColor(HexColor(INK))
     canvas.setFillColor(HexColor(INK))
     canvas.setLineWidth(0.6)
-    canvas.setFont(bold, 9)
-    canvas.drawString(SIDE, height - 33, f"{TITLE}{who} \u00b7 {target_words(sheet)}")
+    head, room = f"{TITLE}{who} \u00b7 {target_words(sheet)}", width - 2 * SIDE - 125.0
+    # A long name is written smaller, never cut.
+    canvas.setFont(bold, min(9.0, 9.0 * room / pdfmetrics.stringWidth(head, bold, 9.0)))
+    canvas.drawString(SIDE, height - 33, head)
     canvas.setFont(plain, 8)
     canvas.setFillColor(HexColor(QUIET))
     canvas.drawRightString(width - SIDE, height - 33, f"Carina {sheet.provenance.version}, {sheet.provenance.made_on}")
@@ -122,7 +124,8 @@ class _Layout:
             content: list[Any] = [heading, Spacer(1, 3), line]
             used = HEADING
             for block in part.blocks:
-                content += [self._block(block, used), Spacer(1, GAP)]
+                made = self._block(block, used)
+                content += [*(made if isinstance(made, list) else [made]), Spacer(1, GAP)]
                 used += PARAGRAPH * isinstance(block, Words)
             if part.is_whole:
                 found.append(KeepTogether(content))
@@ -142,8 +145,7 @@ class _Layout:
             case Words(text=text, tone=tone):
                 return self._paragraph(text, 8.0 if tone == "quiet" else 9.0, tone=tone)
             case Bullets(items=items, tone=tone):
-                rows = [[self._paragraph("\u2022", 9.0, tone=tone), self._paragraph(i, 9.0, tone=tone)] for i in items]
-                return Table(rows, colWidths=[11.0, self._width - 11.0], style=[*_padding(0, 1.5), _TOP])
+                return [self._paragraph(item, 9.0, tone=tone, is_item=True) for item in items]
             case Facts(rows=rows):
                 return self._facts(rows)
             case Grid():
@@ -154,7 +156,14 @@ class _Layout:
                 return self._figures(items, columns)
 
     def _paragraph(
-        self, text: str, size: float, *, tone: str = "plain", is_bold: bool = False, is_right: bool = False
+        self,
+        text: str,
+        size: float,
+        *,
+        tone: str = "plain",
+        is_bold: bool = False,
+        is_right: bool = False,
+        is_item: bool = False,
     ) -> Any:
         style = ParagraphStyle(
             "words",
@@ -164,8 +173,13 @@ class _Layout:
             textColor=HexColor(TONES[tone]),
             alignment=TA_RIGHT if is_right else 0,
             splitLongWords=1,
+            leftIndent=11.0 if is_item else 0.0,
+            bulletFontName=self._plain,
+            bulletFontSize=size,
+            bulletColor=HexColor(TONES[tone]),
+            spaceAfter=3.0 if is_item else 0.0,
         )
-        return Paragraph(escaped(text), style)
+        return Paragraph(escaped(text), style, bulletText="\u2022" if is_item else None)
 
     def _facts(self, rows: tuple[tuple[str, str], ...]) -> Any:
         """Two columns of names and values."""

@@ -6,9 +6,9 @@ import dataclasses
 
 from carina.plan.fork_view import Operator
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.doubt import dense_words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
-from carina.plan.report.png_size import png_size
 from carina.plan.report.sheet import PlanSheet, target_words
 from carina.plan.report.tracing import tracing_drawings
 from carina.plan.report.wording import (
@@ -17,6 +17,7 @@ from carina.plan.report.wording import (
     per_cent,
 )
 from carina.plan.routes import PlannedRoute, ScoreWeights
+from carina.plan.turn_pictures import TurnPicture
 from carina.plan.turn_words import hour_words, joined, moves_words
 from carina.plan.turns import Turn
 
@@ -35,6 +36,10 @@ LEGEND = (
     "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on "
     "the left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies "
     "outside the slice. Blue: airway lumen."
+)
+STILLS = (
+    "The airway from a diameter before each fork, level, made from the CT without texture. The opening to enter is "
+    "outlined."
 )
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
@@ -91,8 +96,10 @@ def _target(sheet: PlanSheet) -> Section:
     if nodule.kind == "part-solid":
         rows.insert(2, ("Of which solid", f"{nodule.solid_mm3 / 1000.0:.{digits}f} ml"))
     figures = tuple(Figure(slice_drawing(one)) for one in sheet.slices)
+    dense = dense_words(nodule)
     blocks = (
         *_red(sheet),
+        *(() if dense is None else (Words(dense, "warning"),)),
         Words(_lead(sheet), "lead"),
         Facts(tuple(rows)),
         Figures(figures, 3),
@@ -115,14 +122,17 @@ def _lead(sheet: PlanSheet) -> str:
         return said
     num = {name: sum(one.outcome == name for one in sheet.verdicts) for name in ("reaches", "may reach", "cannot say")}
     best = next((one for name in num for one in sheet.verdicts if one.outcome == name), None)
-    first = (
-        ""
-        if best is None or best.outcome == "cannot say"
-        else f" First choice: {best.scope.title}, which {best.outcome}."
-    )
-    counts = f"{num['reaches']} reach, {num['may reach']} may reach"
-    more = f", of {num['cannot say']} this cannot be said" if num["cannot say"] else ""
-    return f"{said} Of {_instruments(len(sheet.verdicts))} {counts}{more}.{first}"
+    of = _instruments(len(sheet.verdicts))
+    reach = "1 reaches" if num["reaches"] == 1 else f"{num['reaches']} reach"
+    counts = [reach] * bool(num["reaches"]) + [f"{num['may reach']} may reach"] * bool(num["may reach"])
+    unknown = f"{num['cannot say']} cannot be judged"
+    if not counts:
+        judged = f"Of {of} none is known to reach; {unknown}." if num["cannot say"] else f"Of {of} none reaches."
+    else:
+        assert best is not None
+        said_of = ", ".join(counts + [unknown] * bool(num["cannot say"]))
+        judged = f"Of {of}: {said_of}. First of them: {best.scope.title}, which {best.outcome}."
+    return f"{said} {judged}"
 
 
 def _instruments(num: int) -> str:
@@ -234,12 +244,9 @@ def _turns(sheet: PlanSheet) -> list[Section]:
         depth = f"Main carina at {sheet.turns.carina_depth_mm / 10.0:.1f} cm from nose or mouth{stop} (estimates)."
         blocks.append(Words(depth, "quiet"))
     if sheet.turn_pictures:
-        stills = tuple(
-            Figure(_still(png), f"{n}. {turn.to_branch}, {hour_words(turn.hour(sheet.operator))}")
-            for n, (turn, png) in enumerate(zip(sheet.turns.turns, sheet.turn_pictures, strict=True), 1)
-        )
-        blocks.append(Figures(stills, 4))
-    return [Section("turns", "Turns", tuple(blocks), starts_page=True)]
+        stills = tuple(Figure(_still(one), f"{n}. {one.words}") for n, one in enumerate(sheet.turn_pictures, 1))
+        blocks += [Words(STILLS, "quiet"), Figures(stills, 3)]
+    return [Section("turns", "Turns", tuple(blocks))]
 
 
 def _enter_words(turn: Turn, operator: Operator) -> str:
@@ -262,9 +269,10 @@ def _rounded(mm: float | None) -> str:
     return "not known" if mm is None else f"{mm:.0f}"
 
 
-def _still(png: bytes) -> Drawing:
-    width, height = png_size(png)
-    return Drawing(width, height, (Raster((0.0, 0.0), (width, height), png),), "View at the fork")
+def _still(one: TurnPicture) -> Drawing:
+    height, width = one.rgb.shape[:2]
+    picture = Raster((0.0, 0.0), (width, height), one.png())
+    return Drawing(width, height, (picture,), f"Airway view before the turn into {one.words}")
 
 
 def _verdicts(sheet: PlanSheet) -> list[Section]:
@@ -275,9 +283,7 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
     rows = []
     for one in ranked:
         answers = {str(check.name): ANSWERS[check.answer] for check in one.checks}
-        chance = (
-            "" if one.share is None or one.outcome in {"reaches", "does not reach"} else f" ({per_cent(one.share)})"
-        )
+        chance = f" ({per_cent(one.share)})" if one.outcome == "may reach" and one.share is not None else ""
         rows.append(
             (
                 one.scope.title,
@@ -287,7 +293,7 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
             )
         )
     head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
-    shares = (0.19, 0.14, 0.07, 0.06, 0.07, 0.085, 0.06, 0.325)
+    shares = (0.185, 0.135, 0.075, 0.075, 0.075, 0.085, 0.075, 0.295)
     said = (
         f"On this route, with {sheet.plan.tool.title}. ?: not known. The figures behind each answer, and what they "
         "rest on, are listed at the end."

@@ -21,6 +21,7 @@ from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, 
 from carina.plan.report.tree_shape import TreeShape, tree_shape
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights
 from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.turn_pictures import TurnPicture
 from carina.plan.turns import Turn, TurnList
 from carina.plan.verdict import Verdict
 from carina.render import Renderer
@@ -130,8 +131,8 @@ class PlanSheet:
     """Of the route that is told in full, from 1; None where the plan has none."""
     verdicts: tuple[Verdict, ...]
     turns: TurnList | None
-    turn_pictures: tuple[bytes, ...] = field(repr=False)
-    """A PNG for each turn, or none at all."""
+    turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
+    """One of each turn, or none at all."""
     forks: tuple[Fork, ...]
     operator: Operator
     weights: ScoreWeights
@@ -174,6 +175,7 @@ class PlanSheet:
                 "operator": self.operator,
                 "weights": {one.name: getattr(self.weights, one.name) for one in fields(ScoreWeights)},
                 "place": self.place.to_json(),
+                "turn_pictures": [one.words for one in self.turn_pictures],
                 "uncertain": list(self.uncertain),
                 "by_hand": list(self.by_hand),
                 "notes": list(self.notes),
@@ -191,7 +193,7 @@ def make_sheet(
     route_number: int = 1,
     verdicts: Sequence[Verdict] = (),
     turns: TurnList | None = None,
-    turn_pictures: Sequence[bytes] = (),
+    turn_pictures: Sequence[TurnPicture] = (),
     notes: Sequence[str] = (),
     patient: str | None = None,
     operator: Operator = "head",
@@ -212,7 +214,7 @@ def make_sheet(
     verdicts
         What instruments can do on that route (`judge_scopes`).
     turns, turn_pictures
-        Its list of turns, and a PNG for each; without pictures the list has none.
+        Its list of turns (`carina.plan.turn_list`), and a picture of each (`carina.plan.turn_pictures`), or none.
     notes
         The planner's own, shown as they are.
     patient
@@ -236,7 +238,7 @@ def make_sheet(
     Raises
     ------
     UsageError
-        If there is no such route, or not as many pictures as turns.
+        If there is no such route, or turns, pictures or weights are not those of the route.
     CancelledError
         If ``cancel()`` said so.
 
@@ -246,6 +248,7 @@ def make_sheet(
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> found = carina.find_airways(made.volume)
     >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> from carina.plan import make_sheet
     >>> sheet = make_sheet(made.volume, found, plan)
     >>> sheet.place.lobe is not None, sheet.patient
     (True, None)
@@ -254,11 +257,7 @@ def make_sheet(
     check_type("make_sheet", "airways", airways, Airways, "get airways from carina.find_airways")
     check_type("make_sheet", "plan", plan, Plan, "get a plan from carina.plan_route")
     route = _chosen(plan, route_number)
-    if turn_pictures and (turns is None or len(turn_pictures) != len(turns.turns)):
-        num = 0 if turns is None else len(turns.turns)
-        raise UsageError(
-            f"report: expected a picture for each of {num} turns; found {len(turn_pictures)}", code="plan.pictures"
-        )
+    _check_pictures(turns, turn_pictures, operator)
     used = weights or ScoreWeights()
     _check_weights(route, used)
     _check_turns(airways, route, turns)
@@ -369,6 +368,24 @@ def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
     step = around.box.step_mm
     points = unknown[:, ::-1] * step + around.box.lps_from_ijk[:3, 3]
     return float(np.linalg.norm(points - np.array(nodule.centre_lps), axis=1).min()) - 0.5 * nodule.long_mm
+
+
+def _check_pictures(turns: TurnList | None, pictures: Sequence[TurnPicture], operator: Operator) -> None:
+    """Refuse pictures of other turns, or from where another operator stands."""
+    if not pictures:
+        return
+    expected = () if turns is None else turns.turns
+    if tuple(one.turn for one in pictures) != expected:
+        raise UsageError(
+            f"report: expected a picture for each of {len(expected)} turns, in their order; found {len(pictures)}",
+            code="plan.pictures",
+        )
+    other = next((one.operator for one in pictures if one.operator != operator), None)
+    if other is not None:
+        raise UsageError(
+            f"report: the pictures of the turns are for an operator at {other!r}, the report for one at {operator!r}",
+            code="plan.pictures",
+        )
 
 
 def _check_turns(airways: Airways, route: PlannedRoute | None, turns: TurnList | None) -> None:

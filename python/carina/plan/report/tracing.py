@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 from carina.plan.report.colours import ACCENT, INK, LEG, PALE, QUIET, WARNING
@@ -21,6 +22,8 @@ SPINE, CLOCK, TEXT = 84.0, 196.0, 226.0
 """Where diagram, clock faces and words stand, from the left."""
 TOP, NOTES_MM = 62.0, 92.0
 SWAY, SWAY_MOST = 26.0, 34.0
+MOST_LINES = 7
+"""Of notes."""
 TUBE = 10.0
 SMALL = 9.0
 """Size of the words below a name."""
@@ -99,7 +102,10 @@ def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last:
     for colour, extra in ((QUIET, 2.0), ("#ffffff", 0.0)):
         shapes += [Stroke(stub, Pen(colour, 0.6 * TUBE + extra)) for stub in stubs]
         shapes.append(Stroke(way, Pen(colour, TUBE + extra)))
-    shapes.append(Stroke(way, Pen(ACCENT, 2.2)))
+    # From each fork the way leads into the branch that is told there.
+    for n, piece in enumerate(itertools.pairwise(way)):
+        warned = n > 0 and bool(forks[n - 1].warnings)
+        shapes.append(Stroke(piece, Pen(WARNING, 2.2, dash=(4.0, 3.5)) if warned else Pen(ACCENT, 2.2)))
     shapes += names
     for n, fork in enumerate(forks):
         drawn = bool(fork.warnings)
@@ -222,8 +228,10 @@ def _notes(sheet: PlanSheet, top: float) -> list[Shape]:
         Label((6, top + 12), "Notes", 8.5, QUIET, bold=True),
     ]
     lines = [line for note in sheet.notes for line in lines_of(note, 8.5, width - 50.0)]
-    shapes += [Label((44, top + 12 + 11.0 * n), line, 8.5, INK) for n, line in enumerate(lines[:7])]
-    first = top + 18.0 + 11.0 * min(len(lines), 7)
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 1], "\u2026 all notes are in the report"]
+    shapes += [Label((44, top + 12 + 11.0 * n), line, 8.5, INK) for n, line in enumerate(lines)]
+    first = top + 18.0 + 11.0 * len(lines)
     while first < height - 14.0:
         first += 16.0
         if first < height - 6.0:
