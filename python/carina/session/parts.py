@@ -59,10 +59,10 @@ def _plan_route(*arguments: Any, **options: Any) -> Plan:
     return plan.plan_route(*arguments, **options)
 
 
-def _judge_scope(*arguments: Any, **options: Any) -> Verdict:
+def _judge_scopes(*arguments: Any, **options: Any) -> tuple[Verdict, ...]:
     from carina import plan
 
-    return plan.judge_scope(*arguments, **options)
+    return plan.judge_scopes(*arguments, **options)
 
 
 class RendererFactory(Protocol):
@@ -100,8 +100,8 @@ class Parts:
     """``grow_nodule(volume, at_lps)``."""
     plan_route: Callable[..., Plan] = _plan_route
     """``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
-    judge_scope: Callable[..., Verdict] = _judge_scope
-    """``judge_scope(tree, plan, wall, scope, route=, spacing_mm=, entry_mm=)``."""
+    judge_scopes: Callable[..., tuple[Verdict, ...]] = _judge_scopes
+    """``judge_scopes(tree, plan, wall, route=, scopes=, spacing_mm=, entry_mm=, found=, progress=, cancel=)``."""
     scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets
     """The instruments that are judged."""
 

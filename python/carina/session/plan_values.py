@@ -259,25 +259,27 @@ class CasePlanning:
         if made is None:
             raise CancelledError("the airways have changed")
         found: list[Verdict] = []
-        # The instrument that was planned with first: its answer is the one that is waited for.
-        presets = sorted(self._parts.scope_presets(), key=lambda preset: preset.name != plan.scope.name)
-        for n, preset in enumerate(presets):
-            attempt.progress(preset.title, n / len(presets))
-            found.append(
-                self._parts.judge_scope(
-                    made.airways.tree,
-                    plan,
-                    wall,
-                    preset,
-                    route=plan.routes[number - 1],
-                    spacing_mm=float(max(self._volume.spacing_mm)),
-                    entry_mm=options.entry_mm,
-                )
-            )
+
+        def tell(verdict: Verdict) -> None:
+            found.append(verdict)
             with self._lock:
                 self._early = (inputs, tuple(found))
                 self._changed()
-        return tuple(found)
+
+        # The instrument that was planned with first: its answer is the one that is waited for.
+        presets = sorted(self._parts.scope_presets(), key=lambda preset: preset.name != plan.scope.name)
+        return self._parts.judge_scopes(
+            made.airways.tree,
+            plan,
+            wall,
+            route=plan.routes[number - 1],
+            scopes=presets,
+            spacing_mm=float(max(self._volume.spacing_mm)),
+            entry_mm=options.entry_mm,
+            found=tell,
+            progress=lambda share: attempt.progress("driving each instrument along the route", share),
+            cancel=attempt.cancel,
+        )
 
 
 def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:

@@ -10,7 +10,7 @@ from carina.plan.fork_view import Operator
 from carina.plan.report.sheet import PlanSheet, make_sheet
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan
-from carina.plan.turn_pictures import turn_pictures
+from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import TurnList
 from carina.plan.verdict import Verdict
 from carina.scopes import WallField
@@ -67,26 +67,26 @@ def whole_sheet(
     """
     made, plan = materials, materials.plan
     turns: TurnList | None = None
-    pictures: tuple[bytes, ...] = ()
+    pictures: tuple[TurnPicture, ...] = ()
     pictures_share = PICTURES_SHARE if plan.routes else 0.0
     if plan.routes:
         route = plan.routes[made.route_number - 1]
+        driven = next((v.driven for v in made.verdicts if v.scope.name == plan.scope.name), None)
         turns = turn_list(
             made.airways.tree,
             route,
+            moves=None if driven is None else driven.moves,
+            insertion_mm=None if driven is None else driven.ends_mm,
             carina_ridge_mm=main_carina_ridge_mm(made.volume, made.airways, route),
             carina_depth_mm=made.carina_depth_mm,
         )
-        pictures = tuple(
-            picture.png()
-            for picture in turn_pictures(
-                made.volume,
-                made.airways,
-                turns,
-                operator=made.operator,
-                progress=None if progress is None else lambda share: progress(share * PICTURES_SHARE),
-                cancel=cancel,
-            )
+        pictures = turn_pictures(
+            made.volume,
+            made.airways,
+            turns,
+            operator=made.operator,
+            progress=None if progress is None else lambda share: progress(share * PICTURES_SHARE),
+            cancel=cancel,
         )
     return make_sheet(
         made.volume,
