@@ -11,6 +11,7 @@ from carina.case.document import Lesion, Target
 from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
 from carina.plan import PlanTarget, whereabouts
+from carina.scopes import WallField
 from carina.session.case import OpenCase
 from carina.session.inside import in_lumen
 from carina.session.jobs import Job
@@ -93,8 +94,9 @@ class Routing(Subject):
         if not volume.is_hu or (airways is not None and in_lumen(volume, airways.lumen_zyx, np.asarray(lps))):
             return None, None
         try:
-            nodule = self.core.parts.grow_nodule(volume, lps)
-            where = whereabouts(volume, nodule)
+            wall = _wall_at_hand(case)
+            nodule = self.core.parts.grow_nodule(volume, lps, wall=wall)
+            where = whereabouts(volume, nodule, wall=wall)
             return Lesion(PlanTarget(target.target_id, target.name, nodule, lps, "click", where)), None
         except NoResultError as trouble:
             return None, str(trouble)
@@ -149,3 +151,13 @@ class Routing(Subject):
                 route = route_to_branch(document.airways.tree, branch_id)
             label = "remove the route" if route is None else f"route to {route.title}"
             self.core.change(case, label, replace(document, route=route))
+
+
+def _wall_at_hand(case: OpenCase) -> WallField | None:
+    """The airways' wall where it has been made: with it a lesion in an airway is told as such."""
+    airways, made = case.document.airways, case.planning.made
+    if made is not None and made.airways is airways:
+        wall: WallField = made.wall
+        return wall
+    held = case.wall.of(airways)
+    return None if held is None else held.field
