@@ -20,6 +20,7 @@ from carina.commands import (
     BrushTarget,
     ChoosePlannedRoute,
     DescribeTarget,
+    GrowTarget,
     MarkSphere,
     PlanningOf,
     PlanOptions,
@@ -226,3 +227,26 @@ def test_targets_come_from_files_and_as_balls(case: carina.Case, chest: Phantom,
     with pytest.raises(CarinaError, match="grid"):
         case.do(TakeTarget(str(tmp_path / "other.nrrd")))
     assert len(case.state.document.targets) == 2
+
+
+def test_beside_an_airway_the_airway_is_meant_until_a_person_says_that_it_is_a_nodule(
+    case: carina.Case, chest: Phantom, airways: carina.Airways
+) -> None:
+    branch = max(airways.tree.branches[1:], key=lambda one: one.length_mm)
+    n = len(branch.points) // 2
+    along = branch.points[n + 1] - branch.points[n - 1]
+    across = np.cross(along, (0.0, 0.0, 1.0))
+    beside = branch.points[n] + across / np.linalg.norm(across) * (branch.radius[n] + 2.0)
+    x, y, z = (float(v) for v in beside)
+    case.do(AddTarget((x, y, z)))
+    (target,) = case.state.document.targets
+    assert target.lesion is None and target.route is not None
+    assert target.snapped_mm > 0.05
+    try:
+        case.do(GrowTarget(target.target_id))
+    except NoResultError:
+        assert case.state.document.targets == (target,)
+    else:
+        (grown,) = case.state.document.targets
+        assert grown.lesion is not None and (grown.target_id, grown.name) == (target.target_id, target.name)
+        assert case.state.document.route is None or case.state.document.route.target_id != target.target_id

@@ -54,6 +54,12 @@ class ChoosePlannedRoute(Command, frozen=True):
     """1 is the best."""
 
 
+class GrowTarget(Command, frozen=True):
+    """What was clicked beside an airway is a nodule, not a place in the airway."""
+
+    target_id: Identifier
+
+
 class ResizeTarget(Command, frozen=True):
     """Move a target's boundary outward or inward, to a long axial diameter."""
 

@@ -9,7 +9,7 @@ from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
-from carina.plan.target_click import target_from_click
+from carina.plan.target_click import is_plain_nodule, target_from_click
 from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.target_files import target_from_file
 from carina.plan.target_mask import nodule_from_mask, target_from_mask
@@ -55,6 +55,7 @@ __all__ = [
     "ebus_landmarks",
     "grow_nodule",
     "hit_share",
+    "is_plain_nodule",
     "judge_scope",
     "judge_scopes",
     "last_leg",

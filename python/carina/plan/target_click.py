@@ -11,7 +11,12 @@ from carina.plan.whereabouts import whereabouts
 from carina.scopes import WallField
 from carina.volume import Volume
 
-__all__ = ["target_from_click"]
+__all__ = ["is_plain_nodule", "target_from_click"]
+
+PLAIN_MM, DEEP_MM = 8.0, 1.5
+"""A vessel beside a bronchus is hardly this wide in the lung; a click on a nodule lies this far inside it."""
+PLAIN_RATIO = 0.55
+"""Of the shortest to the longest of its main axes: a vessel is longer than it is wide."""
 
 
 def target_from_click(
@@ -48,3 +53,17 @@ def target_from_click(
         source="click",
         where=whereabouts(volume, nodule, wall=wall),
     )
+
+
+def is_plain_nodule(target: PlanTarget) -> bool:
+    """Whether what was grown is plainly a nodule, and not the wall or the vessel beside an airway.
+
+    It lies in the lung, is 8 mm or more across, about as wide as it is long, and was clicked well inside.
+    """
+    nodule = target.nodule
+    if target.where not in {"lung", "beside pleura"} or nodule.equivalent_mm < PLAIN_MM:
+        return False
+    inside = np.argwhere(nodule.inside_zyx)[:, ::-1] @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3]
+    axes = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(inside.T)), 0.0))
+    around = np.array(target.seed_lps) + DEEP_MM * np.concatenate([np.eye(3), -np.eye(3)])
+    return bool(axes[0] >= PLAIN_RATIO * axes[2] and nodule.contains(around).all())

@@ -10,7 +10,7 @@ from carina import commands as c
 from carina.case.document import Lesion, Target
 from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
-from carina.plan import PlanTarget, whereabouts
+from carina.plan import PlanTarget, is_plain_nodule, whereabouts
 from carina.scopes import WallField
 from carina.session.case import OpenCase
 from carina.session.inside import in_lumen
@@ -57,7 +57,7 @@ class Routing(Subject):
 
         def work(job: Job) -> None:
             lesion, why_none = self._lesion(case, target)
-            if lesion is not None:
+            if lesion is not None and self._is_meant(case, target, lesion):
                 with self.core.lock:
                     job.check()
                     marked = replace(target, lesion=lesion)
@@ -81,12 +81,52 @@ class Routing(Subject):
                         self.core.change(case, f"add {target.name}", changed)
                         if tracked.snapped_mm is not None and tracked.snapped_mm > 0.05:
                             words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm into the nearest lumen"
+                            if lesion is not None:
+                                words += "; if a nodule lies there, choose \u201cIt is a nodule\u201d"
                             self.core.emit(Said(words))
                         return
                     tracked_in = document.airways
                 tracked = tracked_target(tracked_in, target)
 
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
+
+    def _is_meant(self, case: OpenCase, target: Target, lesion: Lesion) -> bool:
+        """Whether a click means what was grown there, and not the airway beside it.
+
+        Next to an airway run its wall and its vessel, which stand out of the lung as nodules do: there only what is
+        plainly a nodule is taken for one. The other is one click away.
+        """
+        airways = case.document.airways
+        if airways is None or is_plain_nodule(lesion.target):
+            return True
+        return tracked_target(airways, target).problem is not None
+
+    @does(c.GrowTarget)
+    def grow_target(self, command: c.GrowTarget) -> str:
+        """A place in the airways becomes what was grown where it was clicked."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            name = needed_target(case.document, command.target_id).name
+
+        def work(job: Job) -> None:
+            with self.core.lock:
+                target = needed_target(case.document, command.target_id)
+            lesion, why_none = self._lesion(case, target)
+            if lesion is None:
+                raise NoResultError(why_none or f"{name} lies in an airway: nothing to be grown there")
+            with self.core.lock:
+                job.check()
+                document, now = case.document, needed_target(case.document, command.target_id)
+                grown = Target(now.target_id, now.name, now.lps, lesion=lesion).described(
+                    now.name, now.note, now.priority
+                )
+                targets = tuple(grown if one is now else one for one in document.targets)
+                route = document.route
+                if route is not None and route.target_id == now.target_id:
+                    route = None
+                self.core.change(case, f"grow {name}", replace(document, targets=targets, route=route))
+
+        return self.core.jobs.start(f"grow {command.target_id}", f"growing {name}", work)
 
     def _lesion(self, case: OpenCase, target: Target) -> tuple[Lesion | None, str | None]:
         """What lies outside the airways there, or why nothing was found; neither for a place in a lumen."""

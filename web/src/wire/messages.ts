@@ -585,6 +585,12 @@ export interface ChoosePlannedRouteMessage {
   readonly number?: number;
 }
 
+/** What was clicked beside an airway is a nodule, not a place in the airway. */
+export interface GrowTargetMessage {
+  readonly type: "grow_target";
+  readonly target_id: string;
+}
+
 /** Move a target's boundary outward or inward, to a long axial diameter. */
 export interface ResizeTargetMessage {
   readonly type: "resize_target";
@@ -1821,6 +1827,7 @@ export type ClientMessage =
   | SetPlanOptionsMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
+  | GrowTargetMessage
   | ResizeTargetMessage
   | BrushTargetMessage
   | AimTargetMessage

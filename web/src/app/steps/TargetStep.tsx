@@ -127,6 +127,14 @@ export function TargetRow({ target }: { target: Target }) {
             words="Move the crosshair to this target"
             onPress={() => station.send({ type: "set_crosshair", lps: asVec3(target.used_lps ?? target.lps) })}
           />
+          {target.cost === "lumen" && target.snapped_mm !== null && target.snapped_mm > 0.05 ? (
+            <Act
+              kind="quiet"
+              label="It is a nodule"
+              words="Find the boundary of what was clicked beside the airway"
+              onPress={() => station.send({ type: "grow_target", target_id: target.target_id })}
+            />
+          ) : null}
           <Act
             kind="quiet"
             label="Remove"
