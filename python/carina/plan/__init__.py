@@ -1,6 +1,10 @@
 """Planning: from a nodule in the lung to a way there."""
 
+from carina.plan.drive import DrivenRoute, moves_between, replay_moves
+from carina.plan.drive_search import place_at_start, search_drive
+from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
+from carina.plan.moves import Move
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
@@ -12,7 +16,10 @@ __all__ = [
     "DEFAULT_TOOL",
     "Check",
     "Crossed",
+    "DriveWay",
+    "DrivenRoute",
     "LastLeg",
+    "Move",
     "NeedleErrors",
     "NeedleScene",
     "Nodule",
@@ -29,7 +36,11 @@ __all__ = [
     "judge_scope",
     "judge_scopes",
     "last_leg",
+    "moves_between",
+    "place_at_start",
     "plan_route",
+    "replay_moves",
+    "search_drive",
     "surroundings",
     "tool",
     "tools",
