@@ -1,7 +1,11 @@
 """Planning: from a nodule in the lung to a way there."""
 
+from carina.plan.drive import DrivenRoute, moves_between, replay_moves
+from carina.plan.drive_search import place_at_start, search_drive
+from carina.plan.drive_way import DriveWay
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
+from carina.plan.moves import Move
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.report import PlanSheet, make_sheet, write_report
@@ -27,8 +31,11 @@ __all__ = [
     "WHERE_WORDS",
     "Check",
     "Crossed",
+    "DriveWay",
+    "DrivenRoute",
     "Landmark",
     "LastLeg",
+    "Move",
     "NeedleErrors",
     "NeedleScene",
     "Nodule",
@@ -62,10 +69,14 @@ __all__ = [
     "lung_surroundings",
     "main_carina_ridge_mm",
     "make_sheet",
+    "moves_between",
     "nodule_from_mask",
+    "place_at_start",
     "plan_route",
     "proposed_aims",
+    "replay_moves",
     "resized",
+    "search_drive",
     "sphere",
     "surroundings",
     "target_from_click",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,6 +54,15 @@ class DriveWay:
         room = 2.0 * np.concatenate([branch.wall_distance for branch in lineage])
         on_the_way = (at >= CUT_MM) & (at <= planned.along_mm + 1e-6)
         self.room_at_mm, self.room_mm = at[on_the_way], room[on_the_way]
+
+    @property
+    def wall_room_mm(self) -> float:
+        """Diameter of the largest ball that passes to where the scope stands, in the wall that a drive is held in.
+
+        It may differ from `room_mm`, which was measured on the CT: the wall is a mesh, and ends where the airway does.
+        """
+        on_the_way = (self._fine_mm >= CUT_MM) & (self._fine_mm <= self.park_mm)
+        return 2.0 * float(self._fine_room_mm[on_the_way].min()) if on_the_way.any() else math.inf
 
     @property
     def length_mm(self) -> float:

@@ -43,7 +43,8 @@ NEAR_MM = 1.5
 """The tip is where it should be within this."""
 POINTS, BARELY = 0.5, 0.1
 """It can be pointed where this share of needles hits; below the second it cannot: a pass can be repeated."""
-SLIMMER_MM = 0.8
+SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
+"""An instrument that is about as wide as the airway is driven as one that is so much thinner than that."""
 UNFOUND = 0.5
 """Told where a scope lies along the route but no drive was found: the search may have missed one (k)."""
 NUM_THREADS = 2
@@ -295,10 +296,12 @@ class _Bench:
         driven_as: ScopePreset | None = scope
         if any(check.answer == "no" for check in checks[:3]) or checks[1].answer == "unknown":
             driven_as = None
-        elif checks[0].answer == "perhaps":
-            # As wide as the airway, within the errors: how it gets on where it passes is told of one that does pass.
-            slim = max(float(self._way.room_mm.min()) - SLIMMER_MM, 1.5)
-            driven_as = replace(scope, tip_mm=min(scope.tip_mm, slim), tube_mm=None)
+        elif self._errors:
+            room_mm = min(float(self._way.room_mm.min()), self._way.wall_room_mm)
+            if checks[0].answer == "perhaps" or max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM:
+                # As wide as the airway, within the errors: how it gets on is told of one that does pass.
+                slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
+                driven_as = replace(scope, tip_mm=slim, tube_mm=None)
         return _Figures(scope, checks, driven_as)
 
     def undriven(self, figures: _Figures) -> Verdict:
@@ -315,7 +318,7 @@ class _Bench:
     def driven(self, figures: _Figures, drive: _Drive) -> Verdict:
         """The verdict of figures and a drive."""
         checks = drive.checks
-        if figures.checks[0].answer == "perhaps":
+        if figures.driven_as is not figures.scope:
             checks = tuple(
                 replace(one, answer="perhaps", words=f"if it fits: {one.words}") if one.answer == "yes" else one
                 for one in checks

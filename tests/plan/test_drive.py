@@ -1,0 +1,180 @@
+"""Drives: what is told as moves is carried out again by a script that knows nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from test_verdict import plan_in, tube
+
+from carina.errors import CancelledError, UsageError
+from carina.plan import Move
+from carina.plan.drive import DrivenRoute, moves_between, replay_moves
+from carina.plan.drive_aim import aim_drive
+from carina.plan.drive_search import place_at_start, search_drive
+from carina.plan.drive_way import DriveWay
+from carina.plan.last_leg import LastLeg
+from carina.plan.routes import PlannedRoute
+from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
+from carina.track import wall_field
+from made import made_airways, made_phantom
+
+CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1, "nodule": True}
+BRANCHES = (100, 24, 139)
+"""Tips of the tree, 4 to 6 forks on the way."""
+
+
+def thin() -> ScopePreset:
+    return scope_preset("ultrathin")
+
+
+@cache
+def chest_wall() -> WallField:
+    return wall_field(made_phantom(**CHEST).volume, made_airways(**CHEST))
+
+
+@cache
+def chest_way(branch_id: int) -> DriveWay:
+    """The way to a tip, as far as the airway is wider than the scope by half a millimetre."""
+    tree, wall = made_airways(**CHEST).tree, chest_wall()
+    route = tree.route_to(branch_id)
+    at = np.arange(20.0, route.length_mm - 4.0, 0.5)
+    points = np.stack([np.interp(at, route.cumulative_mm, route.points_lps[:, a]) for a in range(3)], axis=1)
+    narrow = np.flatnonzero(2.0 * wall.distance_mm(points) < thin().fit_mm + 0.5)
+    n = int(narrow[0]) - 1 if len(narrow) else len(at) - 1
+    place = (float(points[n][0]), float(points[n][1]), float(points[n][2]))
+    leg = LastLeg(place, place, place, 0.0, 0.0, 0.0, (), 0.0, 0.0, None, None, None, 1.0, reaches=True)
+    planned = PlannedRoute(branch_id, "", float(at[n]), None, (0.0, 0.0, -1.0), 3.0, True, leg, {}, 1.0, ())
+    return DriveWay(tree, planned, wall)
+
+
+@cache
+def chest_drive(branch_id: int) -> DrivenRoute:
+    return search_drive(chest_way(branch_id), chest_wall(), thin(), effort=30_000.0)
+
+
+def carried_out(way: DriveWay, wall: WallField, told: dict[str, Any]) -> ScopeDrive:
+    """A script that has the told moves and nothing else: turn, set the lever, advance in steps of 1 mm."""
+    drive = ScopeDrive(wall, thin(), way.points)
+    state = drive.place(way.points, told["start_mm"])
+    roll_deg = 0.0
+    for move in told["moves"]:
+        roll_deg += move["turn_deg"]
+        state = drive.drive(state.insertion_mm, math.radians(roll_deg), state.flexion_rad, 0.1)
+        flexion_rad = math.radians(move["flexion_deg"])
+        state = drive.drive(state.insertion_mm, math.radians(roll_deg), flexion_rad, 0.1)
+        for _ in range(round(move["advance_mm"])):
+            state = drive.drive(state.insertion_mm + 1.0, math.radians(roll_deg), flexion_rad, 0.1)
+    return drive
+
+
+@pytest.mark.parametrize("branch_id", BRANCHES)
+def test_a_blind_replay_of_the_told_moves_ends_in_the_right_branch(branch_id: int) -> None:
+    way, driven = chest_way(branch_id), chest_drive(branch_id)
+    assert driven.arrived, driven.why
+    drive = carried_out(way, chest_wall(), json.loads(json.dumps(driven.to_json(poses=False))))
+    tip = drive.state.pose.position_lps
+    assert np.array_equal(drive.state.pose.lps_from_camera, driven.lps_from_camera[-1])
+    assert np.linalg.norm(tip - way.at(way.park_mm)) <= 1.5 + way.radius_mm(way.park_mm)
+    tree = made_airways(**CHEST).tree
+    found, _, _ = tree.nearest_branch(tip)
+    assert found.id in {branch.id for branch in tree.lineage(branch_id)}
+    # Further on than the last fork that lies clearly behind it.
+    passed = way.forks_mm[way.forks_mm < way.park_mm - 6.0]
+    assert found.generation >= len(passed)
+
+
+def test_a_drive_of_a_chest_is_few_moves_in_steps_that_a_hand_can_set() -> None:
+    driven = chest_drive(BRANCHES[0])
+    assert len(driven.moves) <= 80
+    for move in driven.moves:
+        assert move.turn_deg % 5.0 == 0.0 and move.flexion_deg % 5.0 == 0.0 and move.advance_mm % 1.0 == 0.0
+        assert abs(move.turn_deg) <= 180.0 and -130.0 <= move.flexion_deg <= 210.0
+    assert list(driven.ends_mm) == sorted(driven.ends_mm)
+    assert len(driven.samples) == len(driven.lps_from_camera) == len(driven.time_s)
+    assert (np.diff(driven.time_s) >= 0.0).all()
+    # Between samples of an advance the tip goes a millimetre, no more: it can be flown.
+    steps = np.linalg.norm(np.diff(driven.lps_from_camera[:, :3, 3], axis=0), axis=1)
+    advanced = np.diff(driven.samples[:, 0]) > 0.01
+    assert np.median(steps[advanced]) < 1.5
+    assert np.isin(np.round(driven.lps_from_camera[:, 3], 9), [0.0, 1.0]).all()
+
+
+def test_the_same_search_gives_the_same_drive() -> None:
+    again = search_drive(chest_way(BRANCHES[0]), chest_wall(), thin(), effort=30_000.0)
+    assert again.moves == chest_drive(BRANCHES[0]).moves
+
+
+def test_the_moves_between_places_are_all_the_moves() -> None:
+    driven = chest_drive(BRANCHES[0])
+    last = driven.ends_mm[-1]
+    cuts = [driven.start_mm, 100.0, 150.5, 180.0, last]
+    parts = [moves_between(driven, low, high) for low, high in itertools.pairwise(cuts)]
+    assert sum(move.turn_deg for part in parts for move in part) == sum(move.turn_deg for move in driven.moves)
+    for part, low, high in zip(parts, cuts[:-1], cuts[1:], strict=True):
+        assert sum(move.advance_mm for move in part) == pytest.approx(high - low, abs=0.1 * len(part))
+    assert parts[-1][-1].flexion_deg == driven.moves[-1].flexion_deg
+
+
+def test_in_a_bent_tube_the_scope_arrives_and_is_pointed_at_what_lies_beside() -> None:
+    tree, field, points = tube(60.0)
+    plan = plan_in(points)
+    scope = dataclasses.replace(thin(), tip_mm=2.6)
+    way = DriveWay(tree, plan.routes[0], field)
+    driven = search_drive(way, field, scope)
+    assert driven.arrived and driven.stopped_mm == pytest.approx(way.park_mm, abs=1.1)
+    # The needle must go 15 degrees beside the tube's axis.
+    beside = way.at(way.park_mm) + 12.0 * way.direction(way.park_mm) + np.array([0.0, 3.0, 0.0])
+    way.aim = beside
+
+    def share(tip: np.ndarray, forward: np.ndarray) -> float:
+        off = beside - tip
+        return max(1.0 - 0.05 * math.degrees(math.acos(min(float(forward @ off / np.linalg.norm(off)), 1.0))), 0.0)
+
+    aimed = aim_drive(way, field, scope, driven, share)
+    start = place_at_start(way, field, scope)
+    before = replay_moves(place_at_start(way, field, scope), driven.moves)[-1].lps_from_camera
+    assert aimed.share >= share(before[:3, 3], before[:3, 2])
+    assert aimed.driven.moves[: len(driven.moves)] == driven.moves
+    assert all(move.advance_mm == 0.0 for move in aimed.driven.moves[len(driven.moves) :])
+    tip = replay_moves(start, aimed.driven.moves)[-1].lps_from_camera
+    assert share(tip[:3, 3], tip[:3, 2]) == aimed.share
+
+
+def test_a_scope_that_does_not_pass_stops_before_the_narrow_place_and_says_why() -> None:
+    tree, _, points = tube(30.0)
+    # From 60 mm on the tube is 2.4 mm wide instead of 4.
+    step = 0.5
+    lo, hi = points.min(axis=0) - 4.0, points.max(axis=0) + 4.0
+    z, y, x = (np.arange(lo[a], hi[a] + step, step) for a in (2, 1, 0))
+    grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1)[..., ::-1]
+    values = np.full(grid.shape[:3], -9.0, dtype=np.float32)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    for point, mm in zip(points, along, strict=True):
+        values = np.maximum(values, (2.0 if mm < 60.0 else 1.2) - np.linalg.norm(grid - point, axis=-1))
+    place = np.diag([step, step, step, 1.0])
+    place[:3, 3] = lo
+    field = WallField.from_distances(values.astype(np.float32), place)
+    way = DriveWay(tree, plan_in(points).routes[0], field)
+    driven = search_drive(way, field, dataclasses.replace(thin(), tip_mm=2.8), effort=400.0)
+    assert not driven.arrived and driven.stopped_mm == pytest.approx(60.0, abs=3.0)
+    assert driven.why is not None and driven.why.startswith("its tip ")
+    assert json.loads(json.dumps(driven.to_json()))["why"] == driven.why
+
+
+def test_a_search_can_be_cancelled_and_half_a_millimetre_is_refused() -> None:
+    tree, field, points = tube(60.0)
+    way = DriveWay(tree, plan_in(points).routes[0], field)
+    slim = dataclasses.replace(thin(), tip_mm=2.6)
+    with pytest.raises(CancelledError):
+        search_drive(way, field, slim, cancel=lambda: True)
+    with pytest.raises(UsageError, match=r"whole millimetres; found 0\.5"):
+        replay_moves(place_at_start(way, field, slim), [Move(0.0, 0.0, 0.5)])
+    with pytest.raises(UsageError, match="effort: expected above 0"):
+        search_drive(way, field, slim, effort=0.0)
