@@ -45,6 +45,8 @@ DENSEST_HU = 100.0
 TISSUE_HU = 40.0
 CAVITY_WALL_MM = 4.0
 """A cavity's wall is looked for this far outside of it."""
+RIM_DEEP_MM = (0.8, 1.3)
+"""There ground glass round a core is read again, once its boundary is known."""
 CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
 """Radius of the ball that a cavity has room for, and its volume: less is noise."""
 LEAST_RISE_HU = 110.0
@@ -95,6 +97,12 @@ class Boundary:
         self._grow(min(level, DENSEST_HU))
         glass = self._glass_hu()
         self._grow(min(level, DENSEST_HU) if glass is None else glass)
+        if glass is not None:
+            # Nearer to its edge less of the core is seen.
+            depth = ball_distance(self.inside, box.step_mm)
+            rim = (depth >= RIM_DEEP_MM[0]) & (depth <= RIM_DEEP_MM[1])
+            if rim.sum() >= 20:
+                self._grow(float(np.median(box.hu_zyx[rim])))
         self.has_glass = glass is not None
         """Round a denser part."""
 
@@ -226,7 +234,7 @@ class Boundary:
         densest = min(float(np.percentile(self.smooth[self.inside], 98.0)), DENSEST_HU)
         if level - self.lung_hu > GLASS_SHARE * (densest - self.lung_hu):
             return None
-        return level
+        return float(np.median(self.box.hu_zyx[ring]))
 
     @property
     def is_film(self) -> bool:

@@ -24,12 +24,14 @@ MOUTH_MM = 2.5
 """How uncertain the place of a cut through a vessel is."""
 CORE_MM = 1.5
 """Deeper than this the edge's blur is not felt."""
-RING_MM, RING_SHOWS, ALIKE = (0.8, 1.6), 0.9, 0.8
+RING_MM, RING_SHOWS, ALIKE = (0.8, 1.6), 0.97, 0.8
 """At this depth a nodule that is alike throughout shows 0.84 to 0.93 of its rise over the lung; one with a denser core
 less."""
 MOST_SHARE = 1.5
 SMALL_MM, SMALL_OFF = 2.4, 0.2
 """Radius of the largest ball in a small nodule, and how far its boundary may be off, in slices."""
+FAINT_SHARE, FAINT_HU, FAINT_MM, FAINT_SLICES_MM = 0.22, 80.0, 1.5, 1.5
+"""Beyond its rim the nodule's own blur has less than this share of its rise; in thick slices it has not."""
 THIN_OFF = 0.25
 """How far the boundary of a cavity's wall may be off, in slices."""
 SMALLEST_PART_MM3 = 15.0
@@ -52,8 +54,10 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     from_cavity = distance_from(grown.cavity, step, RIM_MM)
     tissue_depth = np.minimum(depth, from_cavity)
     away = distance_from(inside, step, RIM_MM + SHELL_MM)
-    free = distance_from(grown.others | grown.wall, step, RIM_MM) > RIM_MM
-    free &= ~(grown.others | grown.wall)
+    others = grown.others | grown.wall
+    if coarsest_mm <= FAINT_SLICES_MM:
+        others |= _faint(grown, away)
+    free = (distance_from(others, step, RIM_MM) > RIM_MM) & ~others
     shell = (away > RIM_MM) & (away <= RIM_MM + SHELL_MM) & free & (grown.smooth < grown.bar_hu)
     lung_hu = float(grown.box.hu_zyx[shell].mean()) if shell.sum() > 50 else grown.lung_hu
     core = (tissue_depth > CORE_MM) & ~grown.cavity
@@ -138,6 +142,13 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     return found
 
 
+def _faint(grown: Boundary, away: NDArray[np.float32]) -> Mask:
+    """Thin vessels that go on from the nodule: darker than its boundary, and no blur of it."""
+    rise = max(FAINT_SHARE * 2.0 * (grown.bar_hu - grown.lung_hu), FAINT_HU)
+    found: Mask = (away > RIM_MM) & (away <= RIM_MM + FAINT_MM) & (grown.smooth > grown.lung_hu + rise)
+    return found & ~grown.dense
+
+
 def _rim_hu(grown: Boundary, depth: NDArray[np.float32], lung_hu: float, core_hu: float) -> float | None:
     """How dense a nodule is near its edge that is denser in its middle; None for one that is alike throughout."""
     ring = (depth >= RING_MM[0]) & (depth <= RING_MM[1])
@@ -146,7 +157,8 @@ def _rim_hu(grown: Boundary, depth: NDArray[np.float32], lung_hu: float, core_hu
     level = float(np.median(grown.smooth[ring]))
     if (level - lung_hu) / (core_hu - lung_hu) >= ALIKE:
         return None
-    return lung_hu + (level - lung_hu) / RING_SHOWS
+    # Not smoothed any more, less of the core is seen there.
+    return lung_hu + (float(np.median(grown.box.hu_zyx[ring])) - lung_hu) / RING_SHOWS
 
 
 def _noise(box: Box, lung_hu: float) -> float:

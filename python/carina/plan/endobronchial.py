@@ -20,10 +20,8 @@ CLOSING_MM = 9.0
 """Hollows of a lumen narrower than twice this are filled: what stands into it up to about this far is a lesion."""
 THINNEST_MM = 1.0
 """A ball of this radius fits in a lesion; what is thinner is the wall's unevenness, or slime."""
-OWN_AIR = 0.7
+OWN_AIR = 0.9
 """Of the air beside a lesion in an airway this share is that airway's; a nodule beside one touches lung."""
-REACH_MM = 2.4
-"""The wall's distances are known this far outside of it."""
 NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
 BASE_OFF_MM = 0.5
 """How much more its boundary is uncertain than a drawn one: its base is where the wall would be (k)."""
@@ -49,7 +47,9 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     lesion = closed & tissue
     core = ball_distance(lesion, step) >= THINNEST_MM
     off = np.where(core, box.offsets_mm(point_lps), np.inf)
-    if float(off.min()) > CLICK_MM:
+    z, y, x = np.unravel_index(int(box.offsets_mm(point_lps).argmin()), off.shape)
+    # From a lumen what is near is meant; a click into tissue means that tissue: a node below the carina is no lesion.
+    if float(off.min()) > (CLICK_MM if lumen[z, y, x] else 2.0 * step) or not (lumen | lesion)[z, y, x]:
         return None
     z, y, x = np.unravel_index(int(off.argmin()), off.shape)
     core = component_at(core, (int(z), int(y), int(x)))
@@ -58,8 +58,8 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     inside = component_at(inside, seed)
     if any(inside.take(end, axis=axis).any() for axis in range(3) for end in (0, -1)):
         return None
-    air = (distance_from(inside, step, 1.6 * step) <= 1.6 * step) & ~inside & ~tissue
-    own = air & (to_wall > -min(2.0 * step, REACH_MM))
+    air = (distance_from(inside, step, 2.6 * step) <= 2.6 * step) & ~inside & ~tissue
+    own = air & (to_wall > -step)
     if not air.any() or float(own.sum()) < OWN_AIR * float(air.sum()):
         return None
     return measured_mask(volume, inside, box.lps_from_ijk, notes=(NOTE,), touches=("airway wall",), off_mm=BASE_OFF_MM)

@@ -149,7 +149,8 @@ def measured_mask(
     solid_mm3 = float(dense.sum()) * step**3
     if kind is None:
         is_part = solid_mm3 > SMALLEST_PART_MM3
-        alike = float((dense & core).sum()) >= SOLID_SHARE * float(core.sum())
+        # Not smoothed any more: blur alone makes a small solid nodule look like ground glass.
+        alike = float((box.hu_zyx[core] > SOLID_HU).mean()) >= SOLID_SHARE
         kind = "solid" if alike else "part-solid" if is_part else "ground-glass"
     counted_mm3 = float(cropped.sum()) * step**3
     mm3 = counted_mm3 if volume_mm3 is None else volume_mm3
