@@ -87,3 +87,8 @@ def test_a_note_longer_than_a_page_and_a_long_name_are_laid_out_whole(tmp_path) 
     text = plain("".join(page.extract_text() for page in read))
     assert all(f"word{n:04}" in text for n in range(1500))
     assert all(plain(name) in plain(page.extract_text()) for page in read)
+
+
+def test_the_target_in_the_tree_is_seen_through() -> None:
+    states = pages()[0]["/Resources"]["/ExtGState"].values()
+    assert any(state.get_object().get("/ca") == pytest.approx(0.55) for state in states)

@@ -8,6 +8,8 @@ from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule
 from carina.plan.places import branch_title
 from carina.plan.routes import Plan, PlannedRoute
+from carina.plan.score import MEDIASTINUM_MM
+from carina.plan.target_edits import BRUSHED, RESIZED, SPHERE
 from carina.plan.turns import TurnList
 from carina.plan.verdict import Verdict
 from carina.track import Airways, Branch, drawn_tree
@@ -19,6 +21,8 @@ THICK_MM = 1.5
 """Slices farther apart than this hide small airways and blur boundaries."""
 DENSE_HU = 110.0
 """Soft tissue without contrast medium is 20 to 60 HU, vessels with it 150 to 400 (k); tumours take up 20 to 60 (k)."""
+BY_HAND = (BRUSHED, RESIZED, SPHERE)
+"""Of a target's notes: its boundary is a person's."""
 NEAR_MM = 25.0
 """Doubts about airways so near to the target are told, too."""
 
@@ -64,7 +68,7 @@ def uncertain(
 
 def by_hand(airways: Airways, plan: Plan, route: PlannedRoute | None) -> tuple[str, ...]:
     """What rests on a person's hand and not on the CT: of the route first, then of other routes and the whole tree."""
-    found = []
+    found = [f"Target: {note}." for note in plan.nodule.notes if note in BY_HAND]
     if route is not None:
         for branch in airways.tree.lineage(route.branch_id):
             if branch.kind != "tracked":
@@ -117,13 +121,14 @@ def _of_target(nodule: Nodule) -> list[str]:
     if dense is not None:
         found.append(dense)
     touched = [words.get(what, what) for what in nodule.touches]
+    found += [f"Target: {note}." for note in nodule.notes]
     if touched:
         found.append(f"The target touches {' and '.join(touched)}: its boundary there is an estimate.")
     return found
 
 
 def _doubts(route: PlannedRoute) -> list[str]:
-    return [doubt[0].upper() + doubt[1:] for doubt in route.doubts]
+    return [doubt[0].upper() + doubt[1:] for doubt in (*route.doubts, *route.limits)]
 
 
 def _of_leg(route: PlannedRoute) -> list[str]:
@@ -136,6 +141,11 @@ def _of_leg(route: PlannedRoute) -> list[str]:
     ]
     if any(one.tissue == "not examined" for one in leg.crossed):
         found.append("Part of the needle's way lies beyond the scan and was not examined.")
+    if leg.mediastinum_mm > MEDIASTINUM_MM:
+        found.append(
+            f"The needle crosses {leg.mediastinum_mm:.0f} mm of mediastinum or chest wall before the target's far "
+            "edge: vessels in it are not visible."
+        )
     if route.from_carina_mm is None:
         found.append("The main carina was not recognised: distances from it cannot be given.")
     return found

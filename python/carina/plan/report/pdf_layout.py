@@ -319,8 +319,6 @@ class _Drawn(Flowable):  # type: ignore[misc, unused-ignore]
 
 
 def _take(canvas: Any, pen: Pen) -> None:
-    canvas.setStrokeAlpha(pen.opacity)
-    canvas.setFillAlpha(pen.opacity)
     if pen.line is not None:
         canvas.setStrokeColor(HexColor(pen.line))
         canvas.setLineWidth(pen.width)
@@ -330,6 +328,9 @@ def _take(canvas: Any, pen: Pen) -> None:
         canvas.setDash()
     else:
         canvas.setDash(*pen.dash)
+    # After the colours, which make it opaque.
+    canvas.setStrokeAlpha(pen.opacity)
+    canvas.setFillAlpha(pen.opacity)
 
 
 def _fonts(text: str) -> tuple[str, str]:

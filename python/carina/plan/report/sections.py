@@ -17,6 +17,7 @@ from carina.plan.report.wording import (
     per_cent,
 )
 from carina.plan.routes import PlannedRoute, ScoreWeights
+from carina.plan.score import MEDIASTINUM_MM
 from carina.plan.turn_pictures import TurnPicture
 from carina.plan.turn_words import hour_words, joined, moves_words
 from carina.plan.turns import Turn
@@ -147,9 +148,18 @@ def _way(sheet: PlanSheet) -> Section:
 def _route(sheet: PlanSheet) -> list[Section]:
     plan, route = sheet.plan, sheet.route
     if route is None:
-        why = (plan.why or "No route was found.").capitalize() if plan.why is None else plan.why
-        text = why[0].upper() + why[1:] + ("" if why.endswith(".") else ".")
-        return [Section("route", "No route", (Words(text, "warning"),))]
+        why = plan.why or "no route was found"
+        told: list[Block] = [Words(why[0].upper() + why[1:] + ("" if why.endswith(".") else "."), "warning")]
+        if plan.nearest is not None:
+            near = plan.nearest
+            place = (
+                ("Nearest airway found", near.branch_name),
+                ("From its middle to the target", f"{near.gap_mm:.0f} mm"),
+                ("Its width there", f"{near.width_mm:.1f} mm"),
+                ("Place (LPS)", ", ".join(f"{v:.1f}" for v in near.place_lps) + " mm"),
+            )
+            told.append(Facts(place))
+        return [Section("route", "No route", tuple(told))]
     leg = route.leg
     fits = f"{route.narrowest_mm:.1f} mm; {plan.scope.title} needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
@@ -157,13 +167,16 @@ def _route(sheet: PlanSheet) -> list[Section]:
     beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
     rows = (
         ("Tip of the scope", f"in {route.branch_name}"),
+        *((("Aim", f"{route.aim + 1} of {len(plan.aims)} in this target"),) if len(plan.aims) > 1 else ()),
         ("Beyond the main carina", carina_words(sheet.carina_mm(route))),
         ("Narrowest place", fits),
+        ("Sharpest bend", f"{route.bend_deg:.0f}\u00b0 over the scope's rigid tip and bending section"),
         ("Tool", plan.tool.title),
         ("To the target's edge", f"{leg.to_target_mm:.1f} mm, of which {leg.outside_mm:.1f} mm outside the lumen"),
         ("Angle to the airway", f"{leg.angle_deg:.0f}\u00b0"),
         ("Length in the target", least),
         ("Beyond the target", f"{beyond} to pleura or mediastinum"),
+        (f"Vessels within {plan.vessel_margin_mm:g} mm", _vessel_words(route)),
         ("Nearest vessel", vessel),
         ("Needle passes that hit", f"{per_cent(leg.hit_share)} where the CT shows the target"),
         ("If the target has moved", f"{per_cent(leg.hit_share_moved)}, anywhere within {plan.moved_mm:.0f} mm"),
@@ -171,8 +184,17 @@ def _route(sheet: PlanSheet) -> list[Section]:
     first = "First route" if sheet.route_number == 1 else f"Route {sheet.route_number}"
     title = f"{first} at a glance"
     blocks: list[Block] = [*_red(sheet)]
-    if not route.fits:
+    if route.limits:
+        text = "; ".join(route.limits)
+        blocks.append(Words(f"{text[0].upper()}{text[1:]}. See the instruments below.", "warning"))
+    elif not route.fits:
         text = f"The narrowest place on the way is {fits}: this scope may not pass. See the instruments below."
+        blocks.append(Words(text, "warning"))
+    if leg.mediastinum_mm > MEDIASTINUM_MM:
+        text = (
+            f"The needle crosses {leg.mediastinum_mm:.0f} mm of mediastinum or chest wall, whose vessels the CT does "
+            "not show without contrast."
+        )
         blocks.append(Words(text, "warning"))
     into = [one for one in leg.crossed if one.tissue == "vessel" and one.start_mm < leg.to_target_mm + leg.in_target_mm]
     if into:
@@ -186,6 +208,14 @@ def _route(sheet: PlanSheet) -> list[Section]:
         words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
         blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
     return [Section("route", title, tuple(blocks), starts_page=True)]
+
+
+def _vessel_words(route: PlannedRoute) -> str:
+    """0.5 mm at 6 mm, 2.1 mm at 14 mm from the tip"""
+    near = route.leg.vessels
+    if not near:
+        return "none seen"
+    return ", ".join(f"{one.distance_mm:.1f} mm off at {one.at_mm:.0f} mm" for one in near) + " from the tip"
 
 
 def _tree_figures(sheet: PlanSheet) -> Figures:
@@ -312,6 +342,8 @@ def _others(sheet: PlanSheet) -> list[Section]:
         *(f"Route {n}" + (" (this report)" if n == sheet.route_number else "") for n in range(1, len(routes) + 1)),
     )
     rows = [(name, *(tell(sheet, route) for route in routes)) for name, tell in _COMPARED]
+    if len(sheet.plan.aims) > 1:
+        rows.insert(0, ("Aim", *(f"{route.aim + 1} of {len(sheet.plan.aims)}" for route in routes)))
     doubts = [f"Route {n}: {doubt}." for n, route in enumerate(routes, 1) for doubt in route.doubts]
     share = 0.76 / len(routes)
     blocks: list[Block] = [Grid(head, tuple(rows), (0.24, *(share,) * len(routes)))]
@@ -327,6 +359,11 @@ _COMPARED = (
         "Narrowest place",
         lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})"),
     ),
+    (
+        "By figures, this scope",
+        lambda _, r: r.outlook + (f" ({per_cent(r.chance)})" if r.outlook == "may reach" else ""),
+    ),
+    ("Sharpest bend", lambda _, r: f"{r.bend_deg:.0f}\u00b0"),
     ("To the target's edge", lambda _, r: f"{r.leg.to_target_mm:.1f} mm"),
     ("Angle to the airway", lambda _, r: f"{r.leg.angle_deg:.0f}\u00b0"),
     ("Length in the target", lambda _, r: f"{r.leg.in_target_mm:.0f} mm"),
@@ -363,7 +400,7 @@ def _notes(sheet: PlanSheet) -> list[Section]:
 def _score(sheet: PlanSheet) -> list[Section]:
     if sheet.route is None:
         return []
-    weights = sheet.weights
+    weights = sheet.plan.weights
     total = sum(getattr(weights, field.name) for field in dataclasses.fields(ScoreWeights))
     rows = []
     for name, part in sheet.route.parts.items():

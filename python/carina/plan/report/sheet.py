@@ -6,7 +6,7 @@ import datetime
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from carina.plan.places import branch_doubts, branch_title
 from carina.plan.report.doubt import by_hand, uncertain
 from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, target_slices
 from carina.plan.report.tree_shape import TreeShape, tree_shape
-from carina.plan.routes import Plan, PlannedRoute, ScoreWeights
+from carina.plan.routes import Plan, PlannedRoute
 from carina.plan.surroundings import Surroundings, surroundings
 from carina.plan.turn_pictures import TurnPicture
 from carina.plan.turns import Turn, TurnList
@@ -135,8 +135,6 @@ class PlanSheet:
     """One of each turn, or none at all."""
     forks: tuple[Fork, ...]
     operator: Operator
-    weights: ScoreWeights
-    """By which the routes were scored."""
     place: TargetPlace
     slices: tuple[SlicePicture, ...]
     needle_slice: SlicePicture | None
@@ -173,7 +171,6 @@ class PlanSheet:
             "report": {
                 "route": self.route_number,
                 "operator": self.operator,
-                "weights": {one.name: getattr(self.weights, one.name) for one in fields(ScoreWeights)},
                 "place": self.place.to_json(),
                 "turn_pictures": [one.words for one in self.turn_pictures],
                 "uncertain": list(self.uncertain),
@@ -197,7 +194,6 @@ def make_sheet(
     notes: Sequence[str] = (),
     patient: str | None = None,
     operator: Operator = "head",
-    weights: ScoreWeights | None = None,
     made_on: datetime.date | None = None,
     wall: WallField | None = None,
     progress: Callable[[float], None] | None = None,
@@ -221,8 +217,6 @@ def make_sheet(
         A name or number to be printed; nothing names the patient unless told.
     operator
         Where the operator stands: clock hours are for this position first.
-    weights
-        Of the score, where the plan was made with others than the usual.
     made_on
         Date of the report; today unless told.
     wall
@@ -238,7 +232,7 @@ def make_sheet(
     Raises
     ------
     UsageError
-        If there is no such route, or turns, pictures or weights are not those of the route.
+        If there is no such route, or turns or pictures are not those of the route.
     CancelledError
         If ``cancel()`` said so.
 
@@ -258,8 +252,6 @@ def make_sheet(
     check_type("make_sheet", "plan", plan, Plan, "get a plan from carina.plan_route")
     route = _chosen(plan, route_number)
     _check_pictures(turns, turn_pictures, operator)
-    used = weights or ScoreWeights()
-    _check_weights(route, used)
     _check_turns(airways, route, turns)
     told = _Steps(progress, cancel)
     told(0.0)
@@ -282,7 +274,6 @@ def make_sheet(
         turn_pictures=tuple(turn_pictures),
         forks=() if route is None else _forks(airways, route, turns),
         operator=operator,
-        weights=used,
         place=place,
         slices=slices,
         needle_slice=along,
@@ -323,20 +314,6 @@ def _chosen(plan: Plan, number: int) -> PlannedRoute | None:
             code="plan.route-number",
         )
     return plan.routes[number - 1]
-
-
-def _check_weights(route: PlannedRoute | None, weights: ScoreWeights) -> None:
-    """Refuse weights that do not make the route's score: the report would tell others than were used."""
-    if route is None:
-        return
-    total = sum(getattr(weights, name) for name in route.parts)
-    score = 1.0 - sum(getattr(weights, name) * part for name, part in route.parts.items()) / total
-    if abs(score - route.score) > 1e-6:
-        raise UsageError(
-            f"report: these weights give the route a score of {score:.3f}, the plan says {route.score:.3f}; pass the "
-            "weights that the plan was made with",
-            code="plan.weights",
-        )
 
 
 def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) -> TargetPlace:
