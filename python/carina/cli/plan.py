@@ -155,7 +155,8 @@ def lines(plan: Plan) -> list[str]:
 
 def _route_words(plan: Plan, route: PlannedRoute) -> str:
     leg = route.leg
-    place = "" if route.from_carina_mm is None else f", {route.from_carina_mm:.0f} mm beyond the carina"
+    past_mm = plan.past_carina_mm(route)
+    place = "" if past_mm is None else f", {past_mm:.0f} mm beyond the carina"
     fits = "" if route.fits else f" ({plan.scope.title} needs {plan.scope.fit_mm:.1f} mm)"
     vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm away"
     moved = "" if leg.hit_share_moved is None else f", {100 * leg.hit_share_moved:.0f} % if the target has moved"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,14 @@ from carina.plan.fork_view import (
     turned_hours,
     whole_hour,
 )
+from carina.plan.main_carina import SAME_PLACE_MM, ridge_beyond_axes_mm
 from carina.plan.moves import Move
 from carina.plan.places import branch_doubts, branch_title
 from carina.plan.routes import PlannedRoute
 from carina.plan.turns import OtherWay, Turn, TurnList, Zero
 from carina.render.lettering import letters_of
 from carina.track import Airways, AirwayTree, Branch
-from carina.track.measures.forks import angle_deg, find_forks
+from carina.track.measures.forks import angle_deg
 from carina.volume import Volume
 
 __all__ = ["main_carina_ridge_mm", "turn_list"]
@@ -37,7 +38,6 @@ Point = tuple[float, float, float]
 
 TOGETHER_MM = 2.0
 """Forks no farther apart than this are one turn: a tip of 3 mm cannot stop between them."""
-SAME_PLACE_MM = 1e-6
 MOST_RIDGE_MM = 60.0
 MOST_DEPTH_MM = 600.0
 SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
@@ -155,14 +155,7 @@ def main_carina_ridge_mm(volume: Volume, airways: Airways, planned: PlannedRoute
     if planned.from_carina_mm is None:
         return None
     axes_mm = planned.along_mm - planned.from_carina_mm
-    for group in _forks(airways.tree.lineage(planned.branch_id)):
-        for fork in group:
-            if abs(fork.at_mm - axes_mm) < SAME_PLACE_MM:
-                ids = {fork.mother.id, *fork.mother.children}
-                rest = tuple(_without_rest(branch, ids) for branch in airways.tree.branches if branch.id in ids)
-                alone = AirwayTree(rest)
-                return find_forks(volume, airways.lumen_zyx, alone)[0].fork_to_carina_mm
-    return None
+    return ridge_beyond_axes_mm(volume, airways, planned.branch_id, axes_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,12 +278,6 @@ def _notes(zero: Zero | None, carina_depth_mm: float | None) -> tuple[str, ...]:
     if carina_depth_mm is not None and zero is not None:
         found.append("depths at the nose or mouth are estimates: the depth that was set for the carina, plus the way")
     return tuple(found)
-
-
-def _without_rest(branch: Branch, ids: set[int]) -> Branch:
-    """A branch of a tree that has these branches only."""
-    parent = branch.parent if branch.parent in ids else None
-    return replace(branch, parent=parent, children=tuple(i for i in branch.children if i in ids))
 
 
 def _point(point: Points) -> Point:

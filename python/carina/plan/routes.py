@@ -19,6 +19,7 @@ from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.hindrances import check_target, notes_of_target, notes_of_tools, why_none
 from carina.plan.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
+from carina.plan.main_carina import ridge_beyond_axes_mm
 from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule, grow_nodule
 from carina.plan.places import BronchusSign, NearestPlace, Places, branch_title
@@ -164,6 +165,13 @@ class Plan:
     weights: ScoreWeights = field(default_factory=ScoreWeights)
     nearest: NearestPlace | None = None
     """The place in the airways nearest to the target, whether or not a route leads there; None where there is none."""
+    carina_ridge_mm: float | None = None
+    """How far the ridge of the main carina lies beyond the place where the axes of the main bronchi meet, from which
+    `PlannedRoute.from_carina_mm` counts; None where no ridge was found."""
+
+    def past_carina_mm(self, route: PlannedRoute) -> float | None:
+        """Where a route's scope stands, from the ridge of the main carina, as in theatre; None where there is none."""
+        return None if route.from_carina_mm is None else route.from_carina_mm - (self.carina_ridge_mm or 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types."""
@@ -182,7 +190,8 @@ class Plan:
             "sign_branch": self.sign_branch,
             "sign_lps": None if self.sign_lps is None else list(self.sign_lps),
             "moved_mm": self.moved_mm,
-            "routes": [route.to_json() for route in self.routes],
+            "carina_ridge_mm": self.carina_ridge_mm,
+            "routes": [route.to_json() | {"past_carina_mm": self.past_carina_mm(route)} for route in self.routes],
             "why": self.why,
             "nearest": None if self.nearest is None else self.nearest.to_json(),
             "notes": list(self.notes),
@@ -291,6 +300,10 @@ def plan_route(
             replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
             for route in standing_apart(sorted(best, key=order))
         )
+    told = next((route for route in kept if route.from_carina_mm is not None), None)
+    ridge_mm = None
+    if told is not None and told.from_carina_mm is not None:
+        ridge_mm = ridge_beyond_axes_mm(volume, airways, told.branch_id, told.along_mm - told.from_carina_mm)
     say(1.0)
     return Plan(
         nodule=nodule,
@@ -311,6 +324,7 @@ def plan_route(
         vessel_margin_mm=vessel_margin_mm,
         weights=judge.weights,
         nearest=nearest,
+        carina_ridge_mm=ridge_mm,
     )
 
 

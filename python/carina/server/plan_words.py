@@ -12,7 +12,7 @@ from carina.server import messages as wire
 from carina.session import PlannedTarget, PlanningInfo, chosen_number, nodule_surface
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, PlannedRoute, Verdict
+    from carina.plan import Nodule, Plan, PlannedRoute, Verdict
 
 __all__ = ["plans_message"]
 
@@ -46,7 +46,7 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         options=lesion.options,
         moved_mm=None if plan is None else plan.moved_mm,
         bronchus_sign=None if plan is None else plan.bronchus_sign,
-        routes=() if plan is None else tuple(_route(route) for route in plan.routes),
+        routes=() if plan is None else tuple(_route(plan, route) for route in plan.routes),
         problem=None if planned is None else planned.problem,
         notes=() if plan is None else plan.notes,
         chosen=None if plan is None or not mine else chosen_number(info.document, plan),
@@ -66,12 +66,12 @@ def _surface(nodule: Nodule) -> wire.TargetSurface:
     return wire.TargetSurface(vertices, tuple(int(n) for n in mesh.triangles.ravel()))
 
 
-def _route(route: PlannedRoute) -> wire.RouteOffer:
+def _route(plan: Plan, route: PlannedRoute) -> wire.RouteOffer:
     leg = route.leg
     return wire.RouteOffer(
         branch_id=route.branch_id,
         branch_name=route.branch_name,
-        from_carina_mm=route.from_carina_mm,
+        from_carina_mm=plan.past_carina_mm(route),
         narrowest_mm=route.narrowest_mm,
         outlook=route.outlook,
         limits=tuple(route.limits),

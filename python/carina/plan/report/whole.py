@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from carina.display import one_line
 from carina.plan.fork_view import Operator
 from carina.plan.report.sheet import PlanSheet, make_sheet
-from carina.plan.route_turns import main_carina_ridge_mm, turn_list
+from carina.plan.route_turns import turn_list
 from carina.plan.routes import Plan
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import TurnList
@@ -77,7 +77,7 @@ def whole_sheet(
             route,
             moves=None if driven is None else driven.moves,
             insertion_mm=None if driven is None else driven.ends_mm,
-            carina_ridge_mm=main_carina_ridge_mm(made.volume, made.airways, route),
+            carina_ridge_mm=plan.carina_ridge_mm,
             carina_depth_mm=made.carina_depth_mm,
         )
         pictures = turn_pictures(
