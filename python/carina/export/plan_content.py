@@ -188,8 +188,9 @@ def _target_words(plan: Plan) -> str:
 def _route_words(route: PlannedRoute, plan: Plan) -> str:
     leg = route.leg
     said = [f"DOUBTFUL: {doubt}" for doubt in route.doubts]
-    if route.from_carina_mm is not None:
-        said.append(f"scope tip {route.from_carina_mm:.0f} mm beyond the main carina")
+    past_mm = plan.past_carina_mm(route)
+    if past_mm is not None:
+        said.append(f"scope tip {past_mm:.0f} mm beyond the main carina")
     said.append(f"narrowest place on the way {route.narrowest_mm:.1f} mm")
     if not route.fits:
         said.append(f"too narrow for {plan.scope.title}, which needs {plan.scope.fit_mm:.1f} mm")

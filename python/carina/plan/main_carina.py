@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
-from carina.track import Airways, AirwayTree, Branch, find_forks
+from carina.track import Airways, AirwayTree, Branch
+from carina.track.measures.forks import find_forks
 from carina.volume import Volume
 
 __all__ = ["SAME_PLACE_MM", "ridge_beyond_axes_mm"]
