@@ -1,7 +1,9 @@
 """Planning: from a nodule in the lung to a way there."""
 
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
+from carina.plan.fissures import FissureBox
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
+from carina.plan.lobes import Lobes, lobes
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
@@ -15,8 +17,10 @@ __all__ = [
     "EBUS_LIMITS",
     "Check",
     "Crossed",
+    "FissureBox",
     "Landmark",
     "LastLeg",
+    "Lobes",
     "NeedleErrors",
     "NeedleScene",
     "Nodule",
@@ -37,6 +41,7 @@ __all__ = [
     "judge_scope",
     "judge_scopes",
     "last_leg",
+    "lobes",
     "lung_surroundings",
     "plan_route",
     "surroundings",

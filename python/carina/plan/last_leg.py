@@ -19,8 +19,11 @@ from carina.scopes import WallField
 __all__ = ["Crossed", "LastLeg", "NeedleScene", "Tissue", "last_leg", "where_it_may_have_moved"]
 
 Points = NDArray[np.float64]
-Tissue = Literal["lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall", "not examined"]
-"""*Not examined*: beyond the CT, or too far from the target to have been looked at."""
+Tissue = Literal[
+    "lumen", "airway wall", "lung", "fissure", "vessel", "target", "mediastinum or chest wall", "not examined"
+]
+"""*Fissure*: only where one is seen. *Not examined*: beyond the CT, or too far from the target to have been looked at.
+"""
 
 STEP_MM = 0.25
 LEAST_MM = 0.5
@@ -132,6 +135,8 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points) -> LastLeg:
     to_wall = wall.distance_mm(points)
     in_lumen = (to_wall > 0.0) & (np.cumsum(to_wall <= 0.0) == 0)
     tissue = np.full(len(at), "lung", dtype=object)
+    if around.fissure is not None:
+        tissue[around.fissure.crossed(points)] = "fissure"
     tissue[around.read(around.vessel, points)] = "vessel"
     tissue[around.read(around.thick, points)] = "mediastinum or chest wall"
     examined = around.holds(points)
