@@ -19,7 +19,7 @@ from carina_bench.paint import PaintOptions, Scene
 from carina_bench.paint_tubes import Tube, wall_mm
 from carina_bench.track_truth import truth_of_mask
 
-__all__ = ["Masks", "mask_folders", "masks_of", "scene_of_masks", "tubes_of_mask"]
+__all__ = ["Masks", "mask_folders", "masks_of", "opened", "scene_of_masks", "tubes_of_mask"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -58,10 +58,10 @@ def mask_folders(data: Path) -> dict[str, Path]:
 
 def masks_of(folder: Path) -> Masks:
     """The masks of a folder; the lungs are a mask of their own or the five lobes."""
-    airways = next(volume for name in AIRWAY_FILES if (volume := _opened(folder / name)) is not None)
+    airways = next(volume for name in AIRWAY_FILES if (volume := opened(folder / name)) is not None)
 
     def mask(name: str) -> Mask | None:
-        volume = _opened(folder / name)
+        volume = opened(folder / name)
         if volume is None:
             return None
         if volume.shape_zyx != airways.shape_zyx or not np.allclose(
@@ -90,7 +90,7 @@ def masks_of(folder: Path) -> Masks:
     )
 
 
-def _opened(path: Path) -> Volume | None:
+def opened(path: Path) -> Volume | None:
     """A mask as a volume, so that all turn from their files' axes in the same way."""
     if not path.is_file():
         return None

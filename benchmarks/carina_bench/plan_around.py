@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import itertools
 import json
 import pickle
 import time
@@ -25,11 +26,12 @@ from carina.config import load_settings
 from carina.phantom import generate_phantom
 from carina.plan import surroundings
 from carina.plan.box import ball_distance
+from carina.plan.lobes import LOBE_NAMES, STEP_MM, lobes, nearest_lobe
 from carina.scopes import WallField
 from carina.track import AirwayTree, find_airways, lumen_mesh
 from carina.volume import Volume, VolumeSource
 
-__all__ = ["Known", "known_case", "vessel_row"]
+__all__ = ["Known", "fissures_row", "known_case", "lobes_row", "vessel_row"]
 
 Mask = NDArray[np.bool_]
 Points = NDArray[np.float64]
@@ -126,6 +128,98 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
         "false_alarm": f"{int((found[true > 2.0] <= 1.0).sum())} of {int((true > 2.0).sum())}",
         "box_s": round(float(np.median(seconds)), 2),
     }
+
+
+def lobes_row(name: str) -> Row:
+    """Lobes from airways alone, on a patient's masks: Dice, and how often the told certainty holds."""
+    from carina_bench.paint_scene import AIRWAY_FILES, mask_folders, opened
+
+    data = load_settings().data_dir
+    assert data is not None
+    folder = mask_folders(data)[name]
+    airway = next(volume for file in AIRWAY_FILES if (volume := opened(folder / file)) is not None)
+    volume = Volume(np.where(airway.hu_zyx != 0, -1000, 0).astype(np.int16), airway.lps_from_ijk)
+    tree = find_airways(volume, lumen_zyx=(airway.hu_zyx != 0).astype(np.uint8)).tree
+    truth = np.zeros(volume.shape_zyx, np.uint8)
+    for lobe in ("RUL", "RML", "RLL", "LUL", "LLL"):
+        mask = opened(folder / f"{lobe}.nii.gz")
+        assert mask is not None
+        truth[mask.hu_zyx != 0] = LOBE_NAMES.index(lobe) + 1
+    inside = np.argwhere(truth)
+    places = volume.to_lps(inside[[0, -1]][:, ::-1].astype(np.float64))
+    corners = volume.to_lps(np.array([inside.min(axis=0), inside.max(axis=0)])[:, ::-1].astype(np.float64))
+    low, high = np.concatenate([corners, places]).min(axis=0) - 4.0, np.concatenate([corners, places]).max(axis=0) + 4.0
+    matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
+    matrix[:3, 3] = low
+    num = np.ceil((high - low) / STEP_MM).astype(int)[::-1]
+    k, j, i = np.indices(num).reshape(3, -1)
+    points = np.stack([i, j, k], axis=1) * STEP_MM + low
+    true = np.where(_holds(volume, points), _read(truth, volume, points), 0).reshape(num)
+    # Airways and vessels are cut out of the masks.
+    lungs = ball_distance(ball_distance(~(true > 0), STEP_MM) <= 6.0, STEP_MM) >= 5.0
+    begun = time.process_time()
+    found = nearest_lobe(lungs | (true > 0), matrix, tree)
+    row: Row = {"case": name, "cpu_s": round(time.process_time() - begun, 1), "missing": found.missing}
+    row["dice"] = {
+        lobe: round(
+            2.0
+            * float(((true == n) & (found.label_zyx == n)).sum())
+            / float((true == n).sum() + (found.label_zyx[true > 0] == n).sum()),
+            3,
+        )
+        for n, lobe in enumerate(LOBE_NAMES, 1)
+        if (true == n).any()
+    }
+    judged = true > 0
+    right = (true == found.label_zyx)[judged]
+    sure = found.sure_zyx[judged]
+    row["right"] = round(float(right.mean()), 3)
+    steps = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.01)
+    row["right_by_sure"] = {
+        f"{a}-{b}": [round(float(right[(sure >= a) & (sure < b)].mean()), 2), int(((sure >= a) & (sure < b)).sum())]
+        for a, b in itertools.pairwise(steps)
+        if ((sure >= a) & (sure < b)).any()
+    }
+    return row
+
+
+def fissures_row(known: Known) -> Row:
+    """Fissures that are seen beside those that were drawn, and what they do for the lobes' borders."""
+    assert known.fissures is not None
+    begun = time.process_time()
+    found = lobes(known.volume, known.tree)
+    spent = time.process_time() - begun
+    assert found.fissure is not None
+    alone = nearest_lobe(found.label_zyx > 0, found.lps_from_ijk, known.tree)
+    seen = found.fissure
+    told = np.argwhere(seen.mask)[:, ::-1] * seen.box.step_mm + seen.box.lps_from_ijk[:3, 3]
+    drawn = known.volume.to_lps(np.argwhere(known.fissures)[::13, ::-1].astype(np.float64))
+    far = _away(known.fissures, known.volume)
+    to_seen = _at(_away_mm(seen.mask, seen.box.step_mm), seen.box.lps_from_ijk, seen.box.step_mm, drawn)
+    return {
+        "case": known.name,
+        "cpu_s": round(spent, 1),
+        "precision_2mm": round(float((_read(far, known.volume, told) <= 2.0).mean()), 3),
+        "recall_2mm": round(float((to_seen <= 2.0).mean()), 3),
+        "border_off_mm": {
+            what: [
+                round(float(v), 1)
+                for v in np.quantile(_at(one.border_mm, one.lps_from_ijk, STEP_MM, drawn), (0.5, 0.9))
+            ]
+            for what, one in (("airways alone", alone), ("with fissures", found))
+        },
+        "ml": {lobe: round(found.ml(lobe)) for lobe in LOBE_NAMES if found.ml(lobe) > 0.0},
+    }
+
+
+def _at(values: NDArray[Any], lps_from_ijk: Points, step_mm: float, points: Points) -> NDArray[Any]:
+    ijk = np.rint((points - lps_from_ijk[:3, 3]) / step_mm).astype(np.intp)
+    found: NDArray[Any] = values[tuple(np.clip(ijk, 0, np.array(values.shape[::-1]) - 1).T[::-1])]
+    return found
+
+
+def _away_mm(mask: Mask, step_mm: float) -> NDArray[np.float32]:
+    return ball_distance(~mask, step_mm)
 
 
 def _away(mask: Mask, grid: Volume) -> NDArray[np.float32]:
@@ -311,13 +405,24 @@ def _draw(mask: Mask, grid: Volume, points: Points, radius: Points) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["vessels"])
+    parser.add_argument("what", choices=["vessels", "fissures", "lobes"])
     parser.add_argument("cases", nargs="*")
     parser.add_argument("--keep", type=Path, default=Path("around-cases"))
     parser.add_argument("--lines", type=int, default=NUM_LINES)
     asked = parser.parse_args(arguments)
-    for name in asked.cases or ["phantom-3", "Patient1"]:
-        print(json.dumps(vessel_row(known_case(name, asked.keep), asked.lines)), flush=True)
+    usual = {
+        "vessels": ["phantom-3", "Patient1"],
+        "fissures": ["Patient1"],
+        "lobes": ["lobes-Patient1", "lobes-Patient2", "lobes-Patient3"],
+    }
+    for name in asked.cases or usual[asked.what]:
+        if asked.what == "lobes":
+            row = lobes_row(name)
+        elif asked.what == "fissures":
+            row = fissures_row(known_case(name, asked.keep))
+        else:
+            row = vessel_row(known_case(name, asked.keep), asked.lines)
+        print(json.dumps(row), flush=True)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@ from carina.plan.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.drive_search import place_at_start, search_drive
 from carina.plan.drive_way import DriveWay
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
+from carina.plan.fissures import FissureBox
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
+from carina.plan.lobes import Lobes, lobes
 from carina.plan.moves import Move
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
@@ -33,8 +35,10 @@ __all__ = [
     "Crossed",
     "DriveWay",
     "DrivenRoute",
+    "FissureBox",
     "Landmark",
     "LastLeg",
+    "Lobes",
     "Move",
     "NeedleErrors",
     "NeedleScene",
@@ -66,6 +70,7 @@ __all__ = [
     "judge_scope",
     "judge_scopes",
     "last_leg",
+    "lobes",
     "lung_surroundings",
     "main_carina_ridge_mm",
     "make_sheet",

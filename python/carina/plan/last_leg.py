@@ -29,8 +29,11 @@ __all__ = [
 ]
 
 Points = NDArray[np.float64]
-Tissue = Literal["lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall", "not examined"]
-"""*Not examined*: beyond the CT, or too far from the target to have been looked at."""
+Tissue = Literal[
+    "lumen", "airway wall", "lung", "fissure", "vessel", "target", "mediastinum or chest wall", "not examined"
+]
+"""*Fissure*: only where one is seen. *Not examined*: beyond the CT, or too far from the target to have been looked at.
+"""
 
 STEP_MM = 0.25
 LEAST_MM = 0.5
@@ -199,6 +202,8 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
     to_wall = wall.distance_mm(points)
     in_lumen = (to_wall > 0.0) & (np.cumsum(to_wall <= 0.0) == 0)
     tissue = np.full(len(at), "lung", dtype=object)
+    if around.fissure is not None:
+        tissue[around.fissure.crossed(points)] = "fissure"
     tissue[around.read(around.vessel, points)] = "vessel"
     tissue[around.read(around.thick, points)] = "mediastinum or chest wall"
     examined = around.holds(points)

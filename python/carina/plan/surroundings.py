@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carina.display import one_line
 from carina.errors import NoResultError
 from carina.plan.box import Box, ball_distance, lung_median_hu, smoothed
+from carina.plan.fissures import FissureBox
 from carina.plan.nodule import Nodule
 from carina.plan.vessels import RISE_HU as LINE_RISE_HU
 from carina.plan.vessels import VesselTree, grow_tree, thin_vessels
@@ -55,6 +56,9 @@ class Surroundings:
     sure: NDArray[np.float32]
     """How sure it is that a voxel of ``vessel`` is one, 0.5 to 1; 0 elsewhere. What stands out by itself is 1."""
 
+    fissure: FissureBox | None = None
+    """Fissures that are seen, of the whole lungs; None where nobody looked for them."""
+
     def vessel_tree(self) -> VesselTree:
         """The vessels as lines with radii; made anew each time."""
         return grow_tree(self.box, self.vessel, self.sure)
@@ -81,10 +85,19 @@ class Surroundings:
 
 
 def surroundings(
-    volume: Volume, centre_lps: NDArray[np.float64], half_mm: float, nodule: Nodule | None, wall: WallField
+    volume: Volume,
+    centre_lps: NDArray[np.float64],
+    half_mm: float,
+    nodule: Nodule | None,
+    wall: WallField,
+    *,
+    fissure: FissureBox | None = None,
 ) -> Surroundings:
-    """The tissue in a box of ``half_mm`` round a point, without the nodule and the airways' own walls."""
-    return _seen(Box.around(volume, centre_lps, half_mm), nodule, wall)
+    """The tissue in a box of ``half_mm`` round a point, without the nodule and the airways' own walls.
+
+    ``fissure`` is what was seen of the fissures (`carina.plan.lobes`), where that is at hand.
+    """
+    return replace(_seen(Box.around(volume, centre_lps, half_mm), nodule, wall), fissure=fissure)
 
 
 def lung_surroundings(volume: Volume, wall: WallField) -> Surroundings:

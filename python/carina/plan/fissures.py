@@ -1,0 +1,145 @@
+"""Fissures between lobes, as far as a CT shows them: thin bright plates near where airways put the border."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.plan.box import Box, ball_distance, lung_median_hu, smoothed
+from carina.plan.vessels import eigenvalues, second_differences
+
+__all__ = ["FissureBox", "fissures"]
+
+Mask = NDArray[np.bool_]
+Values = NDArray[np.float32]
+
+SIGMA_MM = 1.2
+LEAST_HU = 30.0
+TIMES_NOISE = 7.0
+"""Curvature across (HU, times the square of sigma): at least so much, and so many times what noise alone gives."""
+EVEN = 0.5
+"""A plate's other two curvatures are at most this share of the first."""
+LEAST_MM2 = 600.0
+"""A smaller piece of plate is none: with half of both, the texture of a lung without fissures gave pieces of 7 cm2."""
+FROM_BORDER_MM = 30.0
+"""So far from the border that airways give a plate may be a fissure; elsewhere it is a scar or the pleura."""
+FROM_EDGE_MM = 3.0
+"""The pleura of the chest wall looks like a plate too."""
+FAINT = 0.5
+"""A part of a fissure that is this much of the least belongs to it where they are one piece."""
+SLAB = 48
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class FissureBox:
+    """What is seen of the fissures, at 1 mm along LPS. Where none is seen there may be one, or the lobes are fused."""
+
+    mask: Mask
+    """(nz, ny, nx) plates about 2 mm thick."""
+    box: Box
+
+    def crossed(self, points_lps: NDArray[np.float64]) -> Mask:
+        """Whether points lie in a fissure that is seen, (n,)."""
+        ijk = np.rint((points_lps - self.box.lps_from_ijk[:3, 3]) / self.box.step_mm).astype(np.intp)
+        top = np.array(self.mask.shape[::-1])
+        inside = ((ijk >= 0) & (ijk < top)).all(axis=1)
+        found: Mask = inside & self.mask[tuple(np.clip(ijk, 0, top - 1).T[::-1])]
+        return found
+
+    def on_grid(self, shape: tuple[int, ...], lps_from_ijk: NDArray[np.float64], step_mm: float) -> Mask:
+        """The same on a coarser grid: a voxel that holds any of it."""
+        ijk = np.argwhere(self.mask)[:, ::-1] * self.box.step_mm + self.box.lps_from_ijk[:3, 3]
+        at = np.rint((ijk - lps_from_ijk[:3, 3]) / step_mm).astype(np.intp)[:, ::-1]
+        at = at[((at >= 0) & (at < np.array(shape))).all(axis=1)]
+        found = np.zeros(shape, dtype=bool)
+        found[tuple(at.T)] = True
+        return found
+
+
+def fissures(
+    box: Box, label_zyx: NDArray[np.uint8], border_mm: Values, lps_from_ijk: NDArray[np.float64]
+) -> FissureBox:
+    """Plates in the lungs near the lobes' borders.
+
+    Parameters
+    ----------
+    box
+        Both lungs at 1 mm.
+    label_zyx, border_mm, lps_from_ijk
+        Lobes by the airways alone, on their own grid (`carina.plan.lobes`).
+    """
+    near = _near_border(box, label_zyx, border_mm, lps_from_ijk)
+    lung_hu = lung_median_hu(box.hu_zyx[::2, ::2, ::2])
+    soft = smoothed(box.hu_zyx, SIGMA_MM / box.step_mm)
+    # Vessels and what they blur into: a plate of two layers of pleura is never so bright.
+    bright = ball_distance(~(box.hu_zyx > lung_hu + 450.0), box.step_mm)
+    where = near & box.known & (bright > 1.5) & (soft < lung_hu + 300.0)
+    strength, noise = _plate_strength(soft, where, SIGMA_MM / box.step_mm)
+    least = max(LEAST_HU, TIMES_NOISE * noise)
+    sheets = _large_sheets(strength > least, box.step_mm)
+    return FissureBox(_with_faint_parts(sheets, strength > FAINT * least), box)
+
+
+def _near_border(box: Box, label_zyx: NDArray[np.uint8], border_mm: Values, lps_from_ijk: NDArray[np.float64]) -> Mask:
+    step = float(lps_from_ijk[0, 0])
+    depth = ball_distance(label_zyx > 0, step)
+    good = (label_zyx > 0) & (border_mm < FROM_BORDER_MM) & (depth > FROM_EDGE_MM)
+    every = []
+    for axis, num in enumerate(box.hu_zyx.shape):
+        start = (box.lps_from_ijk[2 - axis, 3] - lps_from_ijk[2 - axis, 3]) / step
+        places = np.rint(start + box.step_mm / step * np.arange(num)).astype(np.intp)
+        every.append(np.clip(places, 0, label_zyx.shape[axis] - 1))
+    found: Mask = good[np.ix_(*every)]
+    return found
+
+
+def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values, float]:
+    """Curvature across plates, less what curves along them; and its spread where nothing is."""
+    found = np.zeros(soft.shape, dtype=np.float32)
+    num = soft.shape[0]
+    noise = []
+    for first in range(0, num, SLAB):
+        last = min(first + SLAB, num)
+        part = slice(first, last)
+        wide = soft[max(first - 1, 0) : min(last + 1, num)]
+        pad = (int(first == 0), int(last == num))
+        second = second_differences(np.pad(wide, (pad, (1, 1), (1, 1)), mode="edge"))
+        least, middle, most = eigenvalues([one[where[part]] for one in second])
+        side = np.maximum(np.abs(middle), np.abs(most))
+        across = np.where(side <= EVEN * np.abs(least), -least - side, 0.0)
+        found[part][where[part]] = sigma_vox**2 * np.maximum(across, 0.0)
+        noise.append(sigma_vox**2 * middle[::31])
+    spread = np.concatenate(noise)
+    if spread.size < 200:
+        return found, LEAST_HU / TIMES_NOISE
+    return found, 1.4826 * float(np.median(np.abs(spread - np.median(spread))))
+
+
+def _large_sheets(mask: Mask, step_mm: float) -> Mask:
+    """Pieces large enough, small gaps between them closed."""
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
+    labels: Any = sitk.GetArrayFromImage(
+        sitk.RelabelComponent(
+            sitk.ConnectedComponent(joined, True), minimumObjectSize=int(3.0 * LEAST_MM2 / step_mm**2)
+        )
+    )
+    found: Mask = mask & (labels > 0)
+    return found
+
+
+def _with_faint_parts(sheets: Mask, faint: Mask) -> Mask:
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(faint.astype(np.uint8)), True))
+    keep = np.zeros(int(labels.max()) + 1, dtype=bool)
+    keep[np.unique(labels[sheets])] = True
+    keep[0] = False
+    found: Mask = keep[labels]
+    return found

@@ -1,0 +1,195 @@
+"""The lobes of the lungs from the airways, and from fissures where the CT shows them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.errors import NoResultError
+from carina.plan.box import Box, ball_distance
+from carina.plan.fissures import FissureBox, fissures
+from carina.plan.surroundings import lung_box
+from carina.track import AirwayTree, branch_side_and_lobe
+from carina.volume import Volume
+
+__all__ = ["LOBE_NAMES", "Lobes", "lobes", "nearest_lobe"]
+
+Mask = NDArray[np.bool_]
+Values = NDArray[np.float32]
+
+LOBE_NAMES = ("RUL", "RML", "RLL", "LUL", "LML", "LLL")
+"""Label 1 and on; 0 is no lung."""
+STEP_MM = 2.0
+FISSURE_SLOWS = 12.0
+"""A fissure that is seen holds a lobe back as this many times its thickness of lung."""
+UNSEEN_MM, SEEN_MM = 9.0, 3.0
+"""How far a border lies from where it is told, as a standard deviation: from airways alone (measured on patients with
+masks of lobes, benchmarks/carina_bench/plan_around.py), and where a fissure is seen."""
+SEEN_REACH_MM = 6.0
+"""A fissure this near to a border is that border."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Lobes:
+    """Lobes on a grid of 2 mm along LPS."""
+
+    label_zyx: NDArray[np.uint8]
+    """(nz, ny, nx) 0 outside the lungs, else the place in `LOBE_NAMES` and one."""
+    border_mm: Values
+    """(nz, ny, nx) distance to the border with another lobe of the same lung; infinite where there is none."""
+    sure_zyx: Values
+    """(nz, ny, nx) how sure the lobe is, 0 to 1."""
+    lps_from_ijk: NDArray[np.float64]
+    missing: tuple[str, ...]
+    """Lobes of which no bronchus is on the tree: their room is told as their neighbours'."""
+    fissure: FissureBox | None
+    """What was seen of the fissures."""
+
+    def at(self, point_lps: NDArray[np.float64]) -> tuple[str | None, float]:
+        """The lobe at a place and how sure it is; None outside the lungs, with 0."""
+        ijk = np.rint((np.asarray(point_lps) - self.lps_from_ijk[:3, 3]) / STEP_MM).astype(np.intp)
+        k, j, i = ijk[::-1]
+        nz, ny, nx = self.label_zyx.shape
+        if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz) or self.label_zyx[k, j, i] == 0:
+            return None, 0.0
+        return LOBE_NAMES[self.label_zyx[k, j, i] - 1], float(self.sure_zyx[k, j, i])
+
+    def ml(self, lobe: str) -> float:
+        """Volume of a lobe."""
+        return float((self.label_zyx == LOBE_NAMES.index(lobe) + 1).sum()) * STEP_MM**3 / 1000.0
+
+
+def lobes(volume: Volume, tree: AirwayTree) -> Lobes:
+    """The lobes by the airways that are nearest through the lung; fissures that are seen move the borders to them.
+
+    Parameters
+    ----------
+    volume
+        The CT.
+    tree
+        Its airways, named (`carina.find_airways`).
+
+    Raises
+    ------
+    NoResultError
+        If there is no lung in the CT (``plan.no_lung``) or no lobe's bronchus on the tree (``plan.no_lobe``).
+    """
+    box = lung_box(volume)
+    inside, matrix = _coarse(box)
+    first = nearest_lobe(inside, matrix, tree)
+    seen = fissures(box, first.label_zyx, first.border_mm, matrix)
+    return nearest_lobe(inside, matrix, tree, seen)
+
+
+def nearest_lobe(
+    inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree, seen: FissureBox | None = None
+) -> Lobes:
+    """Each place of the lungs (a grid of 2 mm) belongs to the lobe whose airways are nearest through the lung."""
+    seeds = _seeds(inside, lps_from_ijk, tree)
+    if not seeds:
+        raise NoResultError(
+            "the lobes: no bronchus of a lobe is on the airway tree; find the airways again, or name the lobar bronchi",
+            code="plan.no_lobe",
+        )
+    speed = np.where(inside, 1.0, 0.0).astype(np.float32)
+    near_seen = np.zeros(inside.shape, dtype=bool)
+    if seen is not None:
+        near_seen = seen.on_grid(inside.shape, lps_from_ijk, STEP_MM)
+        speed[near_seen & inside] = 1.0 / FISSURE_SLOWS
+    times = np.full((len(LOBE_NAMES), *inside.shape), np.inf, dtype=np.float32)
+    for lobe, at in seeds.items():
+        times[LOBE_NAMES.index(lobe)] = _arrival(speed, at)
+    best = times.argmin(axis=0)
+    reached = np.isfinite(times.min(axis=0)) & inside
+    label = np.where(reached, best + 1, 0).astype(np.uint8)
+    border = _border_mm(label)
+    spread = np.full(inside.shape, UNSEEN_MM, dtype=np.float32)
+    if near_seen.any():
+        # A place is as sure as the piece of border that is nearest to it.
+        spread[_nearest_border_is_seen(label, near_seen)] = SEEN_MM
+    sure = np.where(reached, 0.5 * (1.0 + _erf(border / (spread * math.sqrt(2.0)))), 0.0).astype(np.float32)
+    expected = {"RUL", "RML", "RLL", "LUL", "LLL"} if "LML" not in seeds else {"RUL", "RLL", "LUL", "LML", "LLL"}
+    return Lobes(label, border, sure, lps_from_ijk, tuple(sorted(expected - set(seeds))), seen)
+
+
+def _coarse(box: Box) -> tuple[Mask, NDArray[np.float64]]:
+    every = round(STEP_MM / box.step_mm)
+    matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
+    matrix[:3, 3] = box.lps_from_ijk[:3, 3]
+    # Chest wall and mediastinum within the closed lungs are no way from lobe to lobe, vessels are.
+    tissue = box.known[::every, ::every, ::every] & (box.hu_zyx[::every, ::every, ::every] > -300.0)
+    solid = ball_distance(tissue, STEP_MM) > 5.0
+    inside: Mask = box.known[::every, ::every, ::every] & ~solid
+    return inside, matrix
+
+
+def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) -> dict[str, NDArray[np.intp]]:
+    """Voxels (n, 3) k, j, i of the lungs on each lobe's airways."""
+    lobe_of = branch_side_and_lobe(tree)
+    found: dict[str, list[NDArray[np.intp]]] = {}
+    for branch in tree.branches:
+        lobe = lobe_of[branch.id]
+        if lobe not in LOBE_NAMES:
+            continue
+        ijk = np.rint((branch.points - lps_from_ijk[:3, 3]) / STEP_MM).astype(np.intp)
+        kept = ijk[((ijk >= 0) & (ijk < np.array(inside.shape[::-1]))).all(axis=1)][:, ::-1]
+        kept = kept[inside[tuple(kept.T)]]
+        if len(kept):
+            found.setdefault(str(lobe), []).append(kept)
+    return {lobe: np.unique(np.concatenate(parts), axis=0) for lobe, parts in found.items()}
+
+
+def _arrival(speed: Values, at: NDArray[np.intp]) -> Values:
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    march = sitk.FastMarchingImageFilter()
+    march.SetTrialPoints([(int(i), int(j), int(k)) for k, j, i in at])
+    times: Values = sitk.GetArrayFromImage(march.Execute(sitk.GetImageFromArray(speed))).astype(np.float64)
+    return np.where(times < 1e6, times, np.inf).astype(np.float32)
+
+
+def _border_mm(label: NDArray[np.uint8]) -> Values:
+    """Distance to the next lobe of the same lung."""
+    right = np.isin(label, [1, 2, 3])
+    out = np.full(label.shape, np.inf, dtype=np.float32)
+    for side in (right, (label > 0) & ~right):
+        for lobe in np.unique(label[side]):
+            others = side & (label != lobe)
+            own = label == lobe
+            if others.any():
+                out[own] = ball_distance(~others, STEP_MM)[own]
+    return out
+
+
+def _nearest_border_is_seen(label: NDArray[np.uint8], near_seen: Mask) -> Mask:
+    """Places whose nearest piece of border has a fissure beside it."""
+    right = np.isin(label, [1, 2, 3])
+    edge = np.zeros(label.shape, dtype=bool)
+    for axis in range(3):
+        one, other = label.take(range(1, label.shape[axis]), axis), label.take(range(label.shape[axis] - 1), axis)
+        a, b = right.take(range(1, label.shape[axis]), axis), right.take(range(label.shape[axis] - 1), axis)
+        cut = (one != other) & (one > 0) & (other > 0) & (a == b)
+        where = [slice(None)] * 3
+        where[axis] = slice(1, None)
+        edge[tuple(where)] |= cut
+    seen = edge & (ball_distance(~near_seen, STEP_MM) <= SEEN_REACH_MM)
+    unseen = edge & ~seen
+    if not seen.any():
+        return np.zeros(label.shape, dtype=bool)
+    if not unseen.any():
+        return np.ones(label.shape, dtype=bool)
+    found: Mask = ball_distance(~seen, STEP_MM) <= ball_distance(~unseen, STEP_MM)
+    return found
+
+
+def _erf(values: Values) -> Values:
+    """Abramowitz and Stegun 7.1.26, good to 2e-7, of values from 0 up."""
+    t = 1.0 / (1.0 + 0.3275911 * values)
+    poly = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+    found: Values = 1.0 - poly * np.exp(-np.minimum(values * values, 80.0))
+    return found

@@ -1,0 +1,149 @@
+"""Lobes by the nearest airways, and fissures that move their borders."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from carina.errors import NoResultError
+from carina.plan import FissureBox, Lobes
+from carina.plan.box import Box, smoothed
+from carina.plan.fissures import fissures
+from carina.plan.lobes import LOBE_NAMES, STEP_MM, nearest_lobe
+from carina.track import AirwayTree, branch_side_and_lobe
+from made import made_phantom
+
+CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
+LOW = np.array([-110.0, -90.0, -140.0])
+
+
+@cache
+def tree() -> AirwayTree:
+    return AirwayTree.from_json(made_phantom(**CHEST).truth)
+
+
+@cache
+def lungs() -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """A block for each lung, the mediastinum between them."""
+    matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
+    matrix[:3, 3] = LOW
+    inside = np.ones((100, 90, 110), dtype=bool)
+    x = LOW[0] + STEP_MM * np.arange(110)
+    inside[:, :, np.abs(x) < 6.0] = False
+    return inside, matrix
+
+
+def plate(at_mm: float, seen_share: float = 1.0) -> FissureBox:
+    """A level plate across the right lung that high, seen from its back forwards."""
+    box = Box(np.zeros((200, 180, 110), np.float32), np.ones((200, 180, 110), dtype=bool), 1.0, np.eye(4))
+    box.lps_from_ijk[:3, 3] = LOW
+    mask = np.zeros(box.known.shape, dtype=bool)
+    k = round(at_mm - LOW[2])
+    mask[k - 1 : k + 2, int(180 * (1.0 - seen_share)) :, :104] = True
+    return FissureBox(mask, box)
+
+
+@cache
+def by_airways() -> Lobes:
+    return nearest_lobe(*lungs(), tree())
+
+
+def test_airways_lie_in_their_own_lobe_and_sides_do_not_mix() -> None:
+    lobe_of = branch_side_and_lobe(tree())
+    for branch in tree().branches:
+        lobe = lobe_of[branch.id]
+        if lobe is not None and abs(branch.tip_lps[0]) > 20.0:
+            assert by_airways().at(branch.tip_lps)[0] == lobe
+    found = by_airways()
+    x = LOW[0] + STEP_MM * np.arange(110)
+    sides = {"R": x < 0.0, "L": x > 0.0}
+    for n, name in enumerate(LOBE_NAMES, 1):
+        assert not (found.label_zyx == n)[:, :, sides["L" if name[0] == "R" else "R"]].any()
+    assert found.missing == ()
+    assert found.ml("LML") == 0.0
+    assert sum(found.ml(name) for name in LOBE_NAMES) == pytest.approx(lungs()[0].sum() * 0.008)
+
+
+def test_it_is_less_sure_at_a_border_and_knows_nothing_outside() -> None:
+    found = by_airways()
+    inner = found.label_zyx > 0
+    near, far = inner & (found.border_mm < 3.0), inner & (found.border_mm > 20.0) & np.isfinite(found.border_mm)
+    assert found.sure_zyx[near].max() < 0.75
+    assert found.sure_zyx[far].min() > 0.95
+    assert found.at(np.array([0.0, 0.0, 0.0])) == (None, 0.0)
+    assert found.at(np.array([900.0, 0.0, 0.0])) == (None, 0.0)
+
+
+def test_a_fissure_that_is_seen_draws_the_border_to_it_and_makes_it_surer() -> None:
+    # Between the airways of the right upper and lower lobes, at the side of the chest.
+    line = np.stack([np.full(60, -70.0), np.full(60, 40.0), np.linspace(-100.0, 40.0, 60)], axis=1)
+    names = [by_airways().at(p)[0] for p in line]
+    assert names[0] == "RLL"
+    assert names[-1] == "RUL"
+    border = line[names.index("RUL"), 2]
+    wanted = border + 8.0
+    moved = nearest_lobe(*lungs(), tree(), plate(wanted))
+    names = [moved.at(p)[0] for p in line]
+    assert abs(line[names.index("RUL"), 2] - wanted) < 4.0
+    beside = np.array([-70.0, 40.0, wanted - 7.0])
+    assert moved.at(beside)[0] == "RLL"
+    assert moved.at(beside)[1] > 0.95
+    below = np.array([-70.0, 40.0, border - 7.0])
+    assert by_airways().at(below)[1] < 0.9
+
+
+def test_a_lobe_without_a_bronchus_is_said_and_a_tree_without_lobes_refused() -> None:
+    lobe_of = branch_side_and_lobe(tree())
+    gone = {one.id for one in tree().branches if lobe_of[one.id] == "RML"}
+    kept = tuple(
+        dataclasses.replace(b, children=tuple(c for c in b.children if c not in gone))
+        for b in tree().branches
+        if b.id not in gone
+    )
+    assert "RML" in nearest_lobe(*lungs(), AirwayTree(kept)).missing
+    trunk = dataclasses.replace(tree().root, children=())
+    with pytest.raises(NoResultError):
+        nearest_lobe(*lungs(), AirwayTree((trunk,)))
+
+
+def scan(thick_mm: float, at_mm: float, noise_hu: float, tube: bool = False) -> Box:
+    """60 mm of lung with a tilted plate, and a vessel that runs through it."""
+    num = 64
+    z, y, x = (np.indices((num, num, num)) - num / 2.0).astype(np.float32)
+    off = np.abs(z - 0.4 * y - at_mm)
+    share = np.clip(0.5 * thick_mm + 0.5 - off, 0.0, 1.0).astype(np.float32) * min(thick_mm, 1.0)
+    if tube:
+        share = np.maximum(share, np.clip(2.5 - np.hypot(x - 6.0, y), 0.0, 1.0))
+    hu = -860.0 + 900.0 * smoothed(share, 0.6)
+    hu = hu + noise_hu * np.random.default_rng(2).standard_normal(hu.shape)
+    return Box(hu.astype(np.float32), np.ones(hu.shape, dtype=bool), 1.0, np.eye(4))
+
+
+def sought(box: Box) -> FissureBox:
+    """Looked for everywhere."""
+    grid = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
+    grid[:3, 3] = -20.0
+    label = np.ones((52, 52, 52), np.uint8)
+    return fissures(box, label, np.zeros(label.shape, np.float32), grid)
+
+
+@pytest.mark.parametrize("at_mm", [0.0, 5.3])
+def test_a_thin_plate_is_seen_where_it_is(at_mm: float) -> None:
+    found = sought(scan(0.5, at_mm, 20.0, tube=True)).mask
+    z, y, x = np.nonzero(found)
+    off = np.abs((z - 32.0) - 0.4 * (y - 32.0) - at_mm) / np.hypot(1.0, 0.4)
+    assert (off < 2.0).mean() > 0.97
+    # Most of its area: one voxel and more in each column.
+    assert len({(a, b) for a, b in zip(y, x, strict=True)}) > 0.7 * 64 * 64
+    crossing = np.stack([np.full(81, 20.0), np.full(81, 32.0), np.linspace(12.0, 52.0, 81)], axis=1)
+    hit = crossing[sought(scan(0.5, at_mm, 20.0)).crossed(crossing), 2]
+    assert np.median(hit) == pytest.approx(32.0 + at_mm, abs=1.0)
+
+
+def test_lung_and_vessels_alone_are_no_fissure() -> None:
+    assert not sought(scan(0.0, 0.0, 30.0)).mask.any()
+    assert not sought(scan(0.0, 0.0, 20.0, tube=True)).mask.any()
