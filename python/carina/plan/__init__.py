@@ -8,8 +8,9 @@ from carina.plan.moves import Move
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
+from carina.plan.scope_file import scope_from_file, scope_to_json
 from carina.plan.surroundings import Surroundings, surroundings
-from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 
 __all__ = [
@@ -40,8 +41,11 @@ __all__ = [
     "place_at_start",
     "plan_route",
     "replay_moves",
+    "scope_from_file",
+    "scope_to_json",
     "search_drive",
     "surroundings",
     "tool",
+    "tool_from_file",
     "tools",
 ]
