@@ -13,7 +13,7 @@ import pytest
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
-from carina.plan import Plan, Verdict, drive_aim, judge_scope, judge_scopes, plan_route, tool
+from carina.plan import Plan, Verdict, judge_scope, judge_scopes, plan_route, tool
 from carina.plan.last_leg import LastLeg
 from carina.plan.routes import PlannedRoute
 from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
@@ -80,23 +80,19 @@ def check(found: Verdict, name: str):
     return next(one for one in found.checks if one.name == name)
 
 
-@pytest.fixture
-def few_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests that ask nothing of how a scope points: most of what a verdict costs in a narrow tube."""
-    monkeypatch.setattr(drive_aim, "NUM_ROLLS", 2)
-    monkeypatch.setattr(drive_aim, "NUM_LEVERS", 1)
+def judged(*args: Any, **options: Any) -> Verdict:
+    """For tests that ask nothing of the drive: one attempt at it, whatever comes of that."""
+    return judge_scope(*args, **options, effort=1.0)
 
 
-@pytest.mark.usefixtures("few_holds")
 @pytest.mark.parametrize("tip_mm", [3.0, 3.8, 3.95, 4.05, 4.2, 5.0])
 def test_without_errors_what_is_thinner_than_the_tube_passes_to_a_tenth_of_a_millimetre(tip_mm: float) -> None:
     tree, field, points = tube(30.0)
     thick = dataclasses.replace(scope(), tip_mm=tip_mm)
-    answer = check(judge_scope(tree, plan_in(points), field, thick, errors=False), "diameter").answer
+    answer = check(judged(tree, plan_in(points), field, thick, errors=False), "diameter").answer
     assert answer == ("yes" if tip_mm <= 2 * RADIUS_MM else "no")
 
 
-@pytest.mark.usefixtures("few_holds")
 @pytest.mark.parametrize(("bend_deg", "bend_radius_mm"), [(30.0, 20.0), (60.0, 20.0), (100.0, 20.0), (120.0, 15.0)])
 def test_the_angle_that_a_bend_asks_is_within_two_degrees_of_the_circle(bend_deg: float, bend_radius_mm: float) -> None:
     tree, field, points = tube(bend_deg, bend_radius_mm)
@@ -106,17 +102,16 @@ def test_the_angle_that_a_bend_asks_is_within_two_degrees_of_the_circle(bend_deg
         bends = scope(flexion_deg=(asked + spare, 10.0), bending_mm=(40.0, 40.0), rigid_tip_mm=10.0)
         # Thin enough that its rigid tip passes the bend.
         bends = dataclasses.replace(bends, tip_mm=1.5)
-        found = check(judge_scope(tree, plan_in(points), field, bends, errors=False), "bend")
+        found = check(judged(tree, plan_in(points), field, bends, errors=False), "bend")
         assert found.answer == answer, found.words
 
 
-@pytest.mark.usefixtures("few_holds")
 def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> None:
     tree, field, points = tube(100.0)
     plan = plan_in(points)
 
     def shares(name: str, presets: list[ScopePreset]) -> list[float]:
-        return [check(judge_scope(tree, plan, field, one, spacing_mm=0.8), name).share for one in presets]
+        return [check(judged(tree, plan, field, one, spacing_mm=0.8), name).share for one in presets]
 
     wider = shares("diameter", [dataclasses.replace(scope(), tip_mm=tip) for tip in (2.5, 3.2, 3.6, 4.0, 5.0)])
     assert wider == sorted(wider, reverse=True) and wider[0] > 0.99 and wider[-1] < 0.01
@@ -125,7 +120,7 @@ def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> No
     order = {"yes": 2, "perhaps": 1, "no": 0}
     for entry_mm in (None, 200.0):
         lengths = [
-            order[check(judge_scope(tree, plan, field, scope(length_mm=mm), entry_mm=entry_mm), "length").answer]
+            order[check(judged(tree, plan, field, scope(length_mm=mm), entry_mm=entry_mm), "length").answer]
             for mm in (600.0, 300.0, 250.0, 60.0)
         ]
         assert lengths == sorted(lengths, reverse=True) and (lengths[0], lengths[-1]) == (2, 0)
@@ -134,7 +129,7 @@ def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> No
 def test_between_yes_and_no_lies_perhaps_as_wide_as_the_errors() -> None:
     tree, field, points = tube(30.0, 80.0)
     fits = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4)
-    coarse = judge_scope(tree, plan_in(points), field, fits, spacing_mm=2.0)
+    coarse = judged(tree, plan_in(points), field, fits, spacing_mm=2.0)
     assert check(coarse, "diameter").answer == "perhaps" and check(coarse, "diameter").share == pytest.approx(0.5)
     assert coarse.outcome == "may reach" and coarse.words.startswith("may reach: needs 4.0 mm; the narrowest place")
 
@@ -146,6 +141,9 @@ def test_a_scope_that_fits_and_bends_reaches_and_points_at_what_lies_ahead() -> 
     assert found.words == "reaches the standing place and can point at the target" and found.would is None
     assert found.reached_mm == pytest.approx(plan_in(points).routes[0].along_mm, abs=1.5)
     assert check(found, "pointing").share > 0.8 and found.hold is not None
+    assert found.driven is not None and found.driven.arrived
+    assert found.hold.flexion_rad == found.driven.samples[-1][2]
+    assert found.to_json()["drive"]["moves"][0]["ends_mm"] == found.driven.ends_mm[0]
     assert json.loads(json.dumps(found.to_json())) == found.to_json()
 
 
@@ -163,6 +161,20 @@ def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
     assert found.outcome == "does not reach"
     assert found.words.endswith("21 G has a diameter of 1.8 mm; the working channel has 1.7 mm")
     assert found.would == "would reach if a thinner tool were used"
+    assert found.driven is not None and found.driven.arrived, "that nothing else hinders it is said of a drive"
+
+
+def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
+    tree, field, points = tube(60.0)
+    told: list[Verdict] = []
+    presets = [scope(name="fits"), scope(name="wide", title="wide")]
+    presets[1] = dataclasses.replace(presets[1], tip_mm=3.6, tube_mm=5.0)
+    found = judge_scopes(tree, plan_in(points), field, scopes=presets, spacing_mm=0.6, found=told.append)
+    assert [one.scope.name for one in found] == ["fits", "wide"]
+    assert [one.scope.name for one in told] == ["wide", "fits"]
+    assert told[0].driven is None and told[0].words.startswith("stops at ")
+    assert told[0].would == "could reach only if the airway were wider or the scope thinner"
+    assert told[1].outcome == "reaches"
 
 
 def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancelled() -> None:
@@ -173,7 +185,7 @@ def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancell
         made_phantom(**chest).volume, airways, made_phantom(**chest).truth["nodule"]["center_lps"], wall=wall
     )
     told: list[float] = []
-    found = judge_scopes(airways.tree, plan, wall, spacing_mm=1.1, progress=told.append)
+    found = judge_scopes(airways.tree, plan, wall, spacing_mm=1.1, effort=4000.0, progress=told.append)
     assert [one.scope for one in found] == list(scope_presets())
     assert told == sorted(told) and told[-1] == 1.0
     for one in found:

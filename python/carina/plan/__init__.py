@@ -13,13 +13,14 @@ from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
+from carina.plan.scope_file import scope_from_file, scope_to_json
 from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
 from carina.plan.target_click import is_plain_nodule, target_from_click
 from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.target_files import target_from_file
 from carina.plan.target_mask import nodule_from_mask, target_from_mask
-from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tools
+from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
 from carina.plan.turn_flight import turn_flight
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
@@ -81,6 +82,8 @@ __all__ = [
     "proposed_aims",
     "replay_moves",
     "resized",
+    "scope_from_file",
+    "scope_to_json",
     "search_drive",
     "sphere",
     "surroundings",
@@ -88,6 +91,7 @@ __all__ = [
     "target_from_file",
     "target_from_mask",
     "tool",
+    "tool_from_file",
     "tools",
     "turn_flight",
     "turn_list",

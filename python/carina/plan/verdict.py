@@ -6,6 +6,7 @@ the airways' own wall, from the trachea to where the route ends, and there point
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
@@ -181,7 +182,7 @@ def judge_scopes(
         bench.stop_if_cancelled()
         figures = bench.figures(scope)
         if figures.driven_as is None:
-            tell(n, bench.undriven(figures))
+            tell(n, bench.undriven(scope, figures))
         else:
             waiting[n] = figures
     with ThreadPoolExecutor(NUM_THREADS) as pool:
@@ -198,7 +199,7 @@ def judge_scopes(
                 for n, figures in waiting.items():
                     assert figures.driven_as is not None
                     if drives[_sizes(figures.driven_as)] is done:
-                        tell(n, bench.driven(figures, drive))
+                        tell(n, bench.driven(listed[n], figures, drive))
         except BaseException:
             bench.stopped = True
             raise
@@ -232,15 +233,14 @@ def judge_scope(
     )
     figures = bench.figures(scope)
     if figures.driven_as is None:
-        return bench.undriven(figures)
-    return bench.driven(figures, bench.drive(figures.driven_as))
+        return bench.undriven(scope, figures)
+    return bench.driven(scope, figures, bench.drive(figures.driven_as))
 
 
 @dataclass(frozen=True, slots=True)
 class _Figures:
     """What figures tell of an instrument."""
 
-    scope: ScopePreset
     checks: tuple[Check, ...]
     driven_as: ScopePreset | None
     """What is driven; None where it need not be, or cannot."""
@@ -302,30 +302,28 @@ class _Bench:
                 # As wide as the airway, within the errors: how it gets on is told of one that does pass.
                 slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
                 driven_as = replace(scope, tip_mm=slim, tube_mm=None)
-        return _Figures(scope, checks, driven_as)
+        return _Figures(checks, driven_as)
 
-    def undriven(self, figures: _Figures) -> Verdict:
+    def undriven(self, scope: ScopePreset, figures: _Figures) -> Verdict:
         """The verdict of figures alone: the scope is laid along the route as far as it goes."""
         reached_mm = 0.0
         if figures.checks[1].answer != "unknown":
-            try:
-                reached_mm = self._laid_mm(figures.scope)
-            except UsageError as error:
-                check = Check("drive", "no", 0.0, f"the scope does not enter the airway: {error}", MECHANICS)
-                return _verdict(figures.scope, (*figures.checks, check), 0.0, None, driven=False)
-        return _verdict(figures.scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
+            # Too wide to enter: it reaches nothing.
+            with contextlib.suppress(UsageError):
+                reached_mm = self._laid_mm(scope)
+        return _verdict(scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
 
-    def driven(self, figures: _Figures, drive: _Drive) -> Verdict:
+    def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
         """The verdict of figures and a drive."""
         checks = drive.checks
-        if figures.driven_as is not figures.scope:
+        if figures.driven_as is not scope:
             checks = tuple(
                 replace(one, answer="perhaps", words=f"if it fits: {one.words}") if one.answer == "yes" else one
                 for one in checks
             )
-        route = None if drive.route is None else replace(drive.route, scope_name=figures.scope.name)
+        route = None if drive.route is None else replace(drive.route, scope_name=scope.name)
         reached_mm = 0.0 if route is None else route.stopped_mm
-        return _verdict(figures.scope, (*figures.checks, *checks), reached_mm, route, driven=True)
+        return _verdict(scope, (*figures.checks, *checks), reached_mm, route, driven=True)
 
     def drive(self, scope: ScopePreset) -> _Drive:
         """Drive it, and point it at the target where it arrives."""
@@ -345,10 +343,22 @@ class _Bench:
         words = f"arrives at the standing place by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
         answer: Answer = "yes" if aimed.share >= POINTS else "perhaps" if aimed.share >= BARELY else "no"
+        loss_deg, basis = self._plan.tool.flexion_loss_deg, MECHANICS
+        if loss_deg is None:
+            basis += f"; how much flexion is lost with {self._plan.tool.title} in the channel is not known"
+        elif answer == "yes" and not self._flexes_with_tool(scope, aimed.driven, loss_deg):
+            answer = "perhaps"
+            basis += f"; {self._plan.tool.title} in the channel takes {loss_deg:g} degrees of the flexion that it needs"
         words = (
             f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * aimed.share:.0f} % of needle passes hit"
         )
-        return _Drive(aimed.driven, (arrives, Check("pointing", answer, aimed.share, words, MECHANICS)))
+        return _Drive(aimed.driven, (arrives, Check("pointing", answer, aimed.share, words, basis)))
+
+    @staticmethod
+    def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
+        flexion_deg = math.degrees(float(driven.samples[-1, 2]))
+        up_deg, down_deg = scope.flexion_deg or (0.0, 0.0)
+        return -(down_deg - loss_deg) <= flexion_deg <= up_deg - loss_deg
 
     def _laid_mm(self, scope: ScopePreset) -> float:
         drive = ScopeDrive(self._wall, scope, self._way.points)

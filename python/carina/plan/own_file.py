@@ -1,0 +1,112 @@
+"""Reading an own instrument from a file, where each refusal says what, where, what was expected and what was found."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from carina.errors import UsageError
+
+__all__ = ["OwnFile"]
+
+MOST_BYTES = 100_000
+MOST_LETTERS = 300
+
+
+@dataclass(frozen=True, slots=True)
+class OwnFile:
+    """A JSON document and the name of the file that it came from."""
+
+    where: str
+    document: Any
+
+    @classmethod
+    def read(cls, path: str | Path) -> OwnFile:
+        """The document in a file.
+
+        Raises
+        ------
+        UsageError
+            If it cannot be read (code ``plan.own-file``).
+        """
+        file = Path(path)
+        try:
+            if file.stat().st_size > MOST_BYTES:
+                raise UsageError(f"{file.name}: expected at most {MOST_BYTES} bytes", code="plan.own-file")
+            return cls(file.name, json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, RecursionError) as error:
+            if isinstance(error, UsageError):
+                raise
+            words = f"{file.name}: expected a JSON file with one instrument; it could not be read ({error})"
+            raise UsageError(words, code="plan.own-file") from error
+
+    def refusal(self, what: str, expected: str, found: object) -> UsageError:
+        """To be raised."""
+        return UsageError(f"{self.where}: {what}: expected {expected}; found {found!r}", code="plan.own-file")
+
+    def check(self, form: str, version: int, names: Iterable[str]) -> None:
+        """That it is an object of this format with no other names."""
+        if not isinstance(self.document, dict):
+            raise self.refusal("the whole", "an object in braces", self.document)
+        found = (self.document.get("format"), self.document.get("version"))
+        if found != (form, version):
+            raise self.refusal("format and version", f'"{form}" and {version}', found)
+        known = set(names)
+        strange = sorted(set(self.document) - known - {"format", "version"})
+        if strange:
+            raise self.refusal("names", f"only {', '.join(sorted(known))}", strange)
+
+    def text(self, name: str) -> str:
+        """Words."""
+        found = self.document.get(name)
+        if not (isinstance(found, str) and 0 < len(found.strip()) <= MOST_LETTERS):
+            raise self.refusal(name, f"words, at most {MOST_LETTERS} letters", found)
+        return found
+
+    def text_or_none(self, name: str) -> str | None:
+        """Words, or nothing."""
+        return None if self.document.get(name) is None else self.text(name)
+
+    def flag(self, name: str, expected: str) -> bool:
+        """True or false."""
+        found = self.document.get(name)
+        if not isinstance(found, bool):
+            raise self.refusal(name, expected, found)
+        return found
+
+    def size(self, name: str, most: float) -> float:
+        """A number above 0."""
+        found = self.document.get(name)
+        if not _is_number(found) or not 0.0 < found <= most:
+            raise self.refusal(name, f"a number above 0 up to {most:g} {_unit(name)}", found)
+        return float(found)
+
+    def number_or_none(self, name: str, most: float) -> float | None:
+        """A number from 0 up, or nothing."""
+        found = self.document.get(name)
+        if found is None:
+            return None
+        if not _is_number(found) or not 0.0 <= found <= most:
+            raise self.refusal(name, f"0 to {most:g} {_unit(name)}, or null", found)
+        return float(found)
+
+    def pair_or_none(self, name: str, most: float) -> tuple[float, float] | None:
+        """Two numbers from 0 up, or nothing."""
+        found = self.document.get(name)
+        if found is None:
+            return None
+        if not (isinstance(found, list) and len(found) == 2 and all(_is_number(v) and 0.0 <= v <= most for v in found)):
+            raise self.refusal(name, f"two numbers from 0 to {most:g} {_unit(name)}, or null", found)
+        return float(found[0]), float(found[1])
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _unit(name: str) -> str:
+    return "degrees" if name.endswith("_deg") else "mm"
