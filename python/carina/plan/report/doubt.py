@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule
 from carina.plan.places import branch_title
@@ -23,8 +21,6 @@ DENSE_HU = 110.0
 """Soft tissue without contrast medium is 20 to 60 HU, vessels with it 150 to 400 (k); tumours take up 20 to 60 (k)."""
 BY_HAND = (BRUSHED, RESIZED, SPHERE)
 """Of a target's notes: its boundary is a person's."""
-NEAR_MM = 25.0
-"""Doubts about airways so near to the target are told, too."""
 
 
 def movement_words(plan: Plan) -> str:
@@ -50,7 +46,7 @@ def uncertain(
         found += [f"{doubt}." for doubt in _doubts(route)]
         found += _of_leg(route)
     found += _of_ct(volume)
-    found += _of_airways(airways, plan, route)
+    found += _of_airways(airways, route)
     if verdicts:
         found.append(
             "The probabilities of the instruments follow from assumed errors of lumen width, instrument and needle; "
@@ -161,18 +157,15 @@ def _of_ct(volume: Volume) -> list[str]:
     ]
 
 
-def _of_airways(airways: Airways, plan: Plan, route: PlannedRoute | None) -> list[str]:
-    centre = np.array(plan.nodule.centre_lps)
-    lineage = set() if route is None else {branch.id for branch in airways.tree.lineage(route.branch_id)}
-    names = {branch.id: branch_title(branch) for branch in airways.tree.branches}
+def _of_airways(airways: Airways, route: PlannedRoute | None) -> list[str]:
+    """Doubts about the airways of the route, and about all; those lost near the target are among the plan's notes."""
+    lineage = {} if route is None else {branch.id: branch for branch in airways.tree.lineage(route.branch_id)}
     found = []
     for place in airways.uncertain:
-        away = float(np.linalg.norm(np.array(place.lps) - centre))
         if place.branch_id is None:
             found.append(_sentence(place.reason))
-        elif place.branch_id in lineage or away <= NEAR_MM:
-            where = names.get(place.branch_id, "an airway")
-            found.append(f"{where[0].upper()}{where[1:]}, {away:.0f} mm from the target: {place.reason}.")
+        elif place.branch_id in lineage and place.kind in {"filled", "faint"}:
+            found.append(_sentence(f"{branch_title(lineage[place.branch_id])}, on the route: {place.reason}"))
     return found
 
 

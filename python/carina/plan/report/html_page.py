@@ -120,7 +120,8 @@ def _block(block: Block) -> str:
         case Figure():
             return _figure(block)
         case Figures(items=items, columns=columns):
-            return f'<div class="row of-{columns}">{"".join(_figure(one) for one in items)}</div>'
+            many = " many" if len(items) > columns else ""
+            return f'<div class="row of-{columns}{many}">{"".join(_figure(one) for one in items)}</div>'
 
 
 def _tone(tone: str) -> str:

@@ -32,7 +32,7 @@ PART_WORDS = {
     "vessels": "vessel within the margin",
     "shallow": "short length in the target",
 }
-CHECKS = ("diameter", "bend", "length", "channel", "pointing")
+CHECKS = ("diameter", "bend", "length", "channel", "drive", "pointing")
 LEGEND = (
     "Slices through the middle of the target, lung window (width 1500, level \u2212600 HU); the patient's right is on "
     "the left of axial and coronal slices. Yellow: outline of the target. Orange: last leg, dotted where it lies "
@@ -42,6 +42,8 @@ STILLS = (
     "The airway from a diameter before each fork, level, made from the CT without texture. The opening to enter is "
     "outlined."
 )
+NOT_ASKED = "\u2013"
+"""Of a check that was not made, since another decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
 
@@ -318,15 +320,15 @@ def _verdicts(sheet: PlanSheet) -> list[Section]:
             (
                 one.scope.title,
                 f"{one.outcome}{chance}",
-                *(answers.get(name, "") for name in CHECKS),
+                *(answers.get(name, NOT_ASKED) for name in CHECKS),
                 one.words.removeprefix(f"{one.outcome}: "),
             )
         )
-    head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Aim", "What decides")
-    shares = (0.185, 0.135, 0.075, 0.075, 0.075, 0.085, 0.075, 0.295)
+    head = ("Instrument", "Verdict", "Width", "Bend", "Length", "Channel", "Drive", "Aim", "What decides")
+    shares = (0.17, 0.11, 0.075, 0.075, 0.07, 0.085, 0.075, 0.075, 0.265)
     said = (
-        f"On this route, with {sheet.plan.tool.title}. ?: not known. The figures behind each answer, and what they "
-        "rest on, are listed at the end."
+        f"On this route, with {sheet.plan.tool.title}. ?: not known; {NOT_ASKED}: not examined, since another check "
+        "decides. The figures behind each answer, and what they rest on, are listed at the end."
     )
     return [
         Section("instruments", "Instruments", (Words(said, "quiet"), Grid(head, tuple(rows), shares)), starts_page=True)
