@@ -25,6 +25,7 @@ from carina.plan.nodule import Nodule, grow_nodule
 from carina.plan.places import BronchusSign, NearestPlace, Places, branch_title
 from carina.plan.score import Judge, Outlook, ScoreWeights, bending_mm, order
 from carina.plan.surroundings import surroundings
+from carina.plan.target import PlanTarget
 from carina.plan.tools import DEFAULT_TOOL, Tool, tools
 from carina.plan.tools import tool as tool_named
 from carina.scopes import ScopeHold, ScopePreset, WallField, scope_preset
@@ -201,7 +202,7 @@ class Plan:
 def plan_route(
     volume: Volume,
     airways: Airways,
-    target: Nodule | ArrayLike,
+    target: PlanTarget | Nodule | ArrayLike,
     *,
     scope: ScopePreset | str = PLANNED_SCOPE,
     tool: Tool | str = DEFAULT_TOOL,
@@ -221,7 +222,7 @@ def plan_route(
     volume, airways
         The CT and the airways in it.
     target
-        A nodule, or a point in one, LPS mm (`grow_nodule`).
+        A target with its aims, a nodule, or a point in one, LPS mm (`grow_nodule`).
     scope, tool
         Instruments or their names in the libraries. A tool that does not pierce needs a target in a lumen or against
         it. What a scope can reach is told by its drive.
@@ -271,7 +272,14 @@ def plan_route(
         if not (math.isfinite(value) and 0.0 <= value <= most):
             raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
     say = _Steps(progress, cancel)
-    nodule = target if isinstance(target, Nodule) else grow_nodule(volume, target)
+    if not isinstance(target, PlanTarget | Nodule):
+        # With the wall a lesion in an airway is told as such.
+        wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
+        target = grow_nodule(volume, target, wall=wall)
+    if isinstance(target, PlanTarget):
+        aims = target.aims if aims is None else aims
+        target = target.nodule
+    nodule = target
     check_target(volume, airways, nodule)
     meant = _aims(nodule, aims)
     say(0.1)
@@ -349,7 +357,7 @@ def _best(scene: NeedleScene, judge: Judge, drafts: list[PlannedRoute]) -> Plann
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
     """(k, 3) points in the nodule."""
     if aims is None:
-        return np.array([nodule.centre_lps], dtype=np.float64)
+        return np.array([nodule.middle_lps], dtype=np.float64)
     try:
         found = np.asarray(aims, dtype=np.float64).reshape(-1, 3)
     except (TypeError, ValueError):
