@@ -254,7 +254,7 @@ def test_masks_that_do_not_belong_are_refused(tmp_path):
         target_from_mask(volume, inside[:-1])
     with pytest.raises(UsageError, match="other values than 0 and 1"):
         nodule_from_mask(volume, inside.astype(np.uint8) * 3)
-    with pytest.raises(NoResultError, match="the mask is empty"):
+    with pytest.raises(NoResultError, match="the segmentation is empty"):
         nodule_from_mask(volume, np.zeros_like(inside))
     moved = volume.lps_from_ijk.copy()
     moved[:3, 3] += 0.3

@@ -62,8 +62,8 @@ def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), o
     extent_mm = float(np.max((np.ptp(ijk, axis=0) + 1.0) * spacing))
     if extent_mm > LARGEST_MM:
         raise NoResultError(
-            f"the structure is {extent_mm:.0f} mm long; a target has at most {LARGEST_MM:.0f} mm; choose the mask of "
-            "the nodule, not of a lung or an airway tree",
+            f"the structure is {extent_mm:.0f} mm long; a target has at most {LARGEST_MM:.0f} mm; choose the "
+            "segmentation of the nodule, not of a lung or an airway tree",
             code="plan.mask",
         )
     volume_mm3 = float(weights.sum()) * abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))

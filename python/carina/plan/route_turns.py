@@ -250,7 +250,7 @@ def _moves_by_fork(
             code="plan.moves",
         )
     if not all(math.isfinite(mm) for mm in insertion_mm):
-        raise UsageError("insertion_mm: expected finite numbers in mm from the root of the tree", code="plan.moves")
+        raise UsageError("insertion_mm: expected finite numbers in mm from the tracheal entry", code="plan.moves")
     parts: list[list[Move]] = [[] for _ in range(len(forks_mm) + 1)]
     turn = 0
     begins = insertion_mm[0] - moves[0].advance_mm if moves else 0.0
@@ -266,7 +266,7 @@ def _notes(zero: Zero | None, carina_depth_mm: float | None) -> tuple[str, ...]:
     found = []
     if zero is None:
         found.append(
-            "the tree shows no main carina on the way, so distances are counted from fork to fork and no depth is told"
+            "the tree shows no main carina on the way, so distances are counted from fork to fork and depths cannot be given"
             if carina_depth_mm is not None
             else "the tree shows no main carina on the way, so distances are counted from fork to fork"
         )

@@ -24,7 +24,7 @@ from carina.volume.dicom_structures import (
     is_structure_set,
     read_references,
     read_structures,
-    refused,
+    structures_refused,
 )
 from carina.volume.opening import guarded
 from carina.volume.watch import Watch
@@ -171,16 +171,16 @@ def _from_structures(
         problem = f"the structure {_told(chosen)} is empty"
         if chosen.num_open:
             problem = f"the structure {_told(chosen)} holds only points or open lines, which enclose nothing"
-        raise refused(file, problem, "choose another structure, or click on the nodule")
+        raise structures_refused(file, problem, "choose another structure, or click on the nodule")
     notes = _belonging(file, chosen.references, ours)
     watch.step("Placing the outlines", None)
     closed = [contour for contour in chosen.contours if contour.area_mm2 >= LEAST_MM2]
     if not closed:
-        raise refused(file, f"the structure {_told(chosen)} encloses no area", "export it again")
+        raise structures_refused(file, f"the structure {_told(chosen)} encloses no area", "export it again")
     try:
         drawn, said, off_mm = drawn_in(volume, closed)
     except OutlineError as error:
-        raise refused(file, str(error), "open the CT that it was drawn on", code=error.code) from None
+        raise structures_refused(file, str(error), "open the CT that it was drawn on", code=error.code) from None
     drawn, left = one_piece(volume, drawn, at_lps)
     if chosen.num_open:
         left = (*left, f"{chosen.num_open} of its points or open lines left out")
@@ -196,7 +196,7 @@ def _chosen(file: Path, structures: tuple[Structure, ...], wanted: int | str | N
             return drawn[0]
         if not drawn:
             problem = "all of its structures are empty" if len(structures) > 1 else "its structure is empty"
-            raise refused(file, problem, "export it with the outline of the nodule")
+            raise structures_refused(file, problem, "export it with the outline of the nodule")
         raise _several(file, tuple(label for label in labels if label.volume_ml > 0.0), "choose the nodule")
     number = _named(file, wanted, labels).number if isinstance(wanted, str) else wanted
     for one in structures:

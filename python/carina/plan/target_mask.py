@@ -62,10 +62,12 @@ def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: 
             code="plan.mask",
         )
     if inside.dtype != bool and not np.isin(inside, (0, 1)).all():
-        raise UsageError("the mask holds other values than 0 and 1; choose one structure of it", code="plan.mask")
+        raise UsageError(
+            "the segmentation contains values other than 0 and 1; choose one structure of it", code="plan.mask"
+        )
     filled = np.flatnonzero(inside.any(axis=(1, 2)))
     if not filled.size:
-        raise NoResultError("the mask is empty: it has no voxel in this CT", code="plan.mask")
+        raise NoResultError("the segmentation is empty: it has no voxel in this CT", code="plan.mask")
     low, high = [int(filled[0])], [int(filled[-1]) + 1]
     for axes in ((0, 2), (0, 1)):
         filled = np.flatnonzero(inside[low[0] : high[0]].any(axis=axes))

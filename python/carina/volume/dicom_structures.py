@@ -29,7 +29,7 @@ __all__ = [
     "is_structure_set",
     "read_references",
     "read_structures",
-    "refused",
+    "structures_refused",
 ]
 
 _STRUCTURE_SET_STORAGE = "1.2.840.10008.5.1.4.1.1.481.3"
@@ -101,9 +101,9 @@ def read_structures(path: Path, watch: Watch) -> StructureSet:
     try:
         data = read_dataset(path, pixels=True)
     except ValueError as error:
-        raise refused(path, f"it {error}", "copy or export it again") from None
+        raise structures_refused(path, f"it {error}", "copy or export it again") from None
     if str(data.get("SOPClassUID", "")) != _STRUCTURE_SET_STORAGE:
-        raise refused(path, "it is DICOM, but not a structure set (RTSTRUCT)", "choose the RTSTRUCT file")
+        raise structures_refused(path, "it is DICOM, but not a structure set (RTSTRUCT)", "choose the RTSTRUCT file")
     whole = _references(data)
     try:
         regions = {int(item.ROINumber): item for item in data.get("StructureSetROISequence") or []}
@@ -112,9 +112,9 @@ def read_structures(path: Path, watch: Watch) -> StructureSet:
             drawn.setdefault(int(item.ReferencedROINumber), []).extend(item.get("ContourSequence") or [])
         found = tuple(_structure(path, item, drawn.get(number, []), whole) for number, item in regions.items())
     except (AttributeError, TypeError, ValueError, OverflowError):
-        raise refused(path, "one of its structures is damaged", "export it again") from None
+        raise structures_refused(path, "one of its structures is damaged", "export it again") from None
     if not found:
-        raise refused(path, "it contains no structures", "export it with the outline of the nodule")
+        raise structures_refused(path, "it contains no structures", "export it with the outline of the nodule")
     return StructureSet(found)
 
 
@@ -127,7 +127,7 @@ def _structure(path: Path, region: Dataset, items: list[Dataset], whole: Referen
         points = np.array([] if values is None else values, dtype=np.float64).reshape(-1, 3)
         num_points += len(points)
         if num_points > _MOST_POINTS:
-            raise refused(path, "a structure has implausibly many points", "export it again")
+            raise structures_refused(path, "a structure has implausibly many points", "export it again")
         if not np.isfinite(points).all() or (points.size and np.abs(points).max() > _LARGEST_LPS):
             raise ValueError(kind)
         images.update(_uids(item, "ContourImageSequence", "ReferencedSOPInstanceUID"))
@@ -213,7 +213,7 @@ def ct_references(path: Path, volume: Volume, watch: Watch) -> References | None
     )
 
 
-def refused(path: Path, problem: str, way_out: str, *, code: str = "import.mask") -> VolumeImportError:
+def structures_refused(path: Path, problem: str, way_out: str, *, code: str = "import.mask") -> VolumeImportError:
     """A structure set that is not taken."""
     return VolumeImportError(f"reading the structure set {path.name}: {problem}; {way_out}", code=code)
 
