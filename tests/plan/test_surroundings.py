@@ -70,6 +70,17 @@ def test_axes_of_any_order_give_one_box(turn: NDArray[np.float64]) -> None:
     np.testing.assert_allclose(turned.hu_zyx, plain.hu_zyx, atol=0.5)
 
 
+def test_a_ct_that_is_cut_through_the_lungs_has_them_still() -> None:
+    volume = made_phantom(**SMALL_CHEST).volume
+    whole = lung_box(volume)
+    nx = volume.shape_zyx[2]
+    first = round(0.22 * nx)
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, 3] += matrix[:3, 0] * first
+    cut = lung_box(Volume(np.ascontiguousarray(volume.hu_zyx[:, :, first : nx - first]), matrix))
+    assert 0.3 * whole.known.sum() < cut.known.sum() < 0.95 * whole.known.sum()
+
+
 def test_a_ct_without_lungs_is_refused() -> None:
     with pytest.raises(NoResultError):
         lung_box(Volume(np.full((40, 60, 60), 40, np.int16), np.diag([2.0, 2.0, 2.0, 1.0])))

@@ -29,6 +29,8 @@ FISSURE_SLOWS = 12.0
 UNSEEN_MM, SEEN_MM = 9.0, 3.0
 """How far a border lies from where it is told, as a standard deviation: from airways alone (measured on patients with
 masks of lobes, benchmarks/carina_bench/plan_around.py), and where a fissure is seen."""
+FAR_SHARE = 0.35
+"""The first is at least this share of the way to the nearest airway: of a short tree borders are poorly known (k)."""
 SEEN_REACH_MM = 6.0
 """A fissure this near to a border is that border."""
 
@@ -108,7 +110,9 @@ def nearest_lobe(
     reached = np.isfinite(times.min(axis=0)) & inside
     label = np.where(reached, best + 1, 0).astype(np.uint8)
     border = _border_mm(label)
-    spread = np.full(inside.shape, UNSEEN_MM, dtype=np.float32)
+    # Far from all airways that were found the border is no better known than they tell it.
+    way_mm = STEP_MM * np.where(reached, np.minimum(times.min(axis=0), 200.0), 0.0)
+    spread: Values = np.maximum(UNSEEN_MM, FAR_SHARE * way_mm).astype(np.float32)
     if near_seen.any():
         # A place is as sure as the piece of border that is nearest to it.
         spread[_nearest_border_is_seen(label, near_seen)] = SEEN_MM

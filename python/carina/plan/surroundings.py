@@ -160,6 +160,8 @@ def lung_box(volume: Volume) -> Box:
 
 
 OUTSIDE_HU = -4096.0
+AIR_HU, SIDE_AIR_HU = -980.0, -950.0
+"""Darker than this in the middle a piece is gas or the air round the body, at the sides of the CT sooner."""
 CLOSED_MM = 12.0
 """Holes of the lungs up to twice this wide are vessels and airways in them."""
 
@@ -179,15 +181,20 @@ def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_m
 
 
 def _lung(coarse: NDArray[np.float32]) -> Mask:
-    """Large dark pieces that do not reach the sides of the CT, where the air round the body lies."""
+    """Large dark pieces that are no plain air: of a CT that is cut close, lungs reach the sides too."""
     import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
 
     dark = sitk.GetImageFromArray((coarse < -500.0).astype(np.uint8))
     labels: Any = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(dark)))
     sides = np.unique(np.concatenate([labels[:, 0], labels[:, -1], labels[:, :, 0].T, labels[:, :, -1].T], axis=None))
     sizes = np.bincount(labels.reshape(-1))
-    keep = np.flatnonzero(sizes * 64.0 / 1000.0 > 100.0)
-    found: Mask = np.isin(labels, [n for n in keep if n and n not in sides])
+    found = np.zeros(labels.shape, dtype=bool)
+    for n in np.flatnonzero(sizes * 64.0 / 1000.0 > 100.0):
+        if n == 0:
+            continue
+        piece = labels == n
+        if float(np.median(coarse[piece])) > (SIDE_AIR_HU if n in sides else AIR_HU):
+            found |= piece
     return found
 
 
