@@ -208,7 +208,13 @@ def test_places_are_counted_from_the_ridge_that_the_list_of_turns_knows() -> Non
     assert sheet().carina_mm(route) == pytest.approx(route.from_carina_mm - 9.0)
     assert sheet().carina_mm(other) == pytest.approx(other.from_carina_mm - 9.0)
     assert sheet(turns=turns(airways(), plan(), ridge_mm=None)).carina_mm(route) == pytest.approx(route.from_carina_mm)
-    assert sheet(turns=None).carina_mm(other) == other.from_carina_mm
+    ridge = plan().carina_ridge_mm
+    assert ridge is not None and 3.0 < ridge < 20.0
+    alone = sheet(turns=None)
+    assert alone.carina_mm(other) == pytest.approx(other.from_carina_mm - ridge)
+    # The forks of the report's own list are counted alike, but for the one at the carina.
+    told = [fork.carina_mm for fork in sheet(turns=turns(airways(), plan(), ridge_mm=ridge)).forks]
+    assert [fork.carina_mm for fork in alone.forks] == pytest.approx(told, abs=1e-6)
     park = f"{route.from_carina_mm - 9.0:.0f}"
     text = "\n".join(everything())
     assert text.count(f"{park} mm") >= 3 and f"{route.from_carina_mm:.0f} mm beyond the carina" not in text

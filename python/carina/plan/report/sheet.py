@@ -14,6 +14,7 @@ import numpy as np
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.fork_view import Operator
+from carina.plan.main_carina import SAME_PLACE_MM
 from carina.plan.nodule import Nodule
 from carina.plan.places import branch_doubts, branch_title
 from carina.plan.report.doubt import by_hand, uncertain
@@ -155,13 +156,11 @@ class PlanSheet:
         return None if self.route_number is None else self.plan.routes[self.route_number - 1]
 
     def carina_mm(self, route: PlannedRoute) -> float | None:
-        """Where a route's scope stands, counted from the zero of the list of turns where there is one."""
-        told = self.route
-        if route.from_carina_mm is None or told is None or told.from_carina_mm is None or self.turns is None:
-            return route.from_carina_mm
-        if self.turns.park_from_carina_mm is None:
-            return route.from_carina_mm
-        return route.from_carina_mm - (told.from_carina_mm - self.turns.park_from_carina_mm)
+        """Where a route's scope stands, from the main carina as the list of turns counts, or else the plan."""
+        told, zero = self.route, None if self.turns is None else self.turns.park_from_carina_mm
+        if zero is None or told is None or told.from_carina_mm is None or route.from_carina_mm is None:
+            return self.plan.past_carina_mm(route)
+        return route.from_carina_mm - (told.from_carina_mm - zero)
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types: the plan as ``carina plan`` writes it, and under ``report`` what only the report tells."""
@@ -272,7 +271,7 @@ def make_sheet(
         verdicts=tuple(verdicts),
         turns=turns,
         turn_pictures=tuple(turn_pictures),
-        forks=() if route is None else _forks(airways, route, turns),
+        forks=() if route is None else _forks(airways, plan, route, turns),
         operator=operator,
         place=place,
         slices=slices,
@@ -378,7 +377,7 @@ def _check_turns(airways: Airways, route: PlannedRoute | None, turns: TurnList |
         raise UsageError(f"report: the list of turns is that of another route: {where}", code="plan.turns")
 
 
-def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tuple[Fork, ...]:
+def _forks(airways: Airways, plan: Plan, route: PlannedRoute, turns: TurnList | None) -> tuple[Fork, ...]:
     tree = airways.tree
     if turns is not None:
         return tuple(
@@ -395,7 +394,7 @@ def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tup
             )
             for number, turn in enumerate(turns.turns, 1)
         )
-    carina_mm = None if route.from_carina_mm is None else route.along_mm - route.from_carina_mm
+    axes_mm = None if route.from_carina_mm is None else route.along_mm - route.from_carina_mm
     found: list[Fork] = []
     along = 0.0
     for before, branch in itertools.pairwise(tree.lineage(route.branch_id)):
@@ -411,13 +410,18 @@ def _forks(airways: Airways, route: PlannedRoute, turns: TurnList | None) -> tup
                 to_name=branch_title(branch),
                 to_branch_id=branch.id,
                 place_lps=(x, y, z),
-                carina_mm=None if carina_mm is None else along - carina_mm,
+                carina_mm=None if axes_mm is None else _past_carina_mm(along - axes_mm, plan),
                 others=tuple(branch_title(one) for one in others),
                 warnings=branch_doubts(branch),
                 turn=None,
             )
         )
     return tuple(found)
+
+
+def _past_carina_mm(from_axes_mm: float, plan: Plan) -> float:
+    """From the ridge of the main carina; the fork there is at the carina, whatever counts as its place."""
+    return 0.0 if abs(from_axes_mm) < SAME_PLACE_MM else from_axes_mm - (plan.carina_ridge_mm or 0.0)
 
 
 def _provenance(volume: Volume, made_on: datetime.date | None) -> Provenance:
