@@ -5,15 +5,17 @@ from carina.plan.drive_search import place_at_start, search_drive
 from carina.plan.drive_way import DriveWay
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.fissures import FissureBox
-from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
+from carina.plan.last_leg import Crossed, LastLeg, NearVessel, NeedleScene, last_leg
 from carina.plan.lobes import Lobes, lobes
 from carina.plan.moves import Move
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
+from carina.plan.places import BronchusSign, NearestPlace
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
 from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
 from carina.plan.scope_file import scope_from_file, scope_to_json
+from carina.plan.score import Outlook, ScoreWeights
 from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
 from carina.plan.target_click import is_plain_nodule, target_from_click
@@ -32,6 +34,7 @@ __all__ = [
     "DEFAULT_TOOL",
     "EBUS_LIMITS",
     "WHERE_WORDS",
+    "BronchusSign",
     "Check",
     "Crossed",
     "DriveWay",
@@ -41,12 +44,15 @@ __all__ = [
     "LastLeg",
     "Lobes",
     "Move",
+    "NearVessel",
+    "NearestPlace",
     "NeedleErrors",
     "NeedleScene",
     "Nodule",
     "NoduleKind",
     "OtherWay",
     "Outcome",
+    "Outlook",
     "Plan",
     "PlanSheet",
     "PlanTarget",
