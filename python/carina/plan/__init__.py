@@ -13,7 +13,7 @@ from carina.plan.nodule import Nodule, NoduleKind, grow_nodule
 from carina.plan.places import BronchusSign, NearestPlace
 from carina.plan.report import PlanSheet, make_sheet, write_report
 from carina.plan.route_turns import main_carina_ridge_mm, turn_list
-from carina.plan.routes import Plan, PlannedRoute, ScoreWeights, plan_route
+from carina.plan.routes import Plan, PlannedRoute, plan_route
 from carina.plan.scope_file import scope_from_file, scope_to_json
 from carina.plan.score import Outlook, ScoreWeights
 from carina.plan.surroundings import Surroundings, lung_surroundings, surroundings

@@ -266,7 +266,7 @@ def _notes(zero: Zero | None, carina_depth_mm: float | None) -> tuple[str, ...]:
     found = []
     if zero is None:
         found.append(
-            "the tree shows no main carina on the way, so distances are counted from fork to fork and depths cannot be given"
+            "the tree shows no main carina on the way, so distances are from fork to fork, and there are no depths"
             if carina_depth_mm is not None
             else "the tree shows no main carina on the way, so distances are counted from fork to fork"
         )
