@@ -234,7 +234,9 @@ def test_targets_come_from_files_and_as_balls(case: carina.Case, chest: Phantom,
     assert drawn.lesion.nodule.volume_mm3 == pytest.approx(7**3 * 1.5**3, rel=0.02)
     assert ball.lesion.nodule.long_mm == pytest.approx(12.0, abs=0.7)
     assert {one.target.name for one in case.ask(PlanningOf()).targets} == {drawn.name, ball.name}
-    write_grid(tmp_path / "other.nrrd", mask[:-1], chest.volume.lps_from_ijk, what="a target")
+    shifted = np.array(chest.volume.lps_from_ijk)
+    shifted[:3, 3] += 0.7
+    write_grid(tmp_path / "other.nrrd", mask, shifted, what="a target")
     with pytest.raises(CarinaError, match="grid"):
         case.do(TakeTarget(str(tmp_path / "other.nrrd")))
     assert len(case.state.document.targets) == 2

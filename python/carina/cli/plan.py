@@ -66,6 +66,8 @@ def report(
     else:
         nodule, aims = carina.grow_nodule(source.volume, target), None
         say(f"target: {nodule.words}")
+    for note in nodule.notes:
+        say(f"target: {note}")
     airways = source.airways(progress)
     source.badges.add(airways.badges)
     wall = carina.wall_field(source.volume, airways)

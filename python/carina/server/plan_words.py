@@ -48,7 +48,7 @@ def _target(one: PlannedTarget, info: PlanningInfo) -> wire.TargetPlan:
         bronchus_sign=None if plan is None else plan.bronchus_sign,
         routes=() if plan is None else tuple(_route(plan, route) for route in plan.routes),
         problem=None if planned is None else planned.problem,
-        notes=() if plan is None else plan.notes,
+        notes=(*lesion.nodule.notes, *(() if plan is None else plan.notes)),
         chosen=None if plan is None or not mine else chosen_number(info.document, plan),
     )
 
