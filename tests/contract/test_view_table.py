@@ -93,8 +93,9 @@ PRODUCT = [
     if path.suffix in suffixes and ".test." not in path.name and path.name not in {"views.ts", "messages.ts"}
     if "_web" not in path.parts
 ]
-TREE_MESSAGE = re.compile(r"case/|server/|session/|cli/|export/|app/workstation\.ts|state/app-state\.ts")
-"""The airway tree itself is a topic, a message and a table of the case file, all of the same name."""
+TREE_MESSAGE = re.compile(r"case/|server/|session/|cli/|export/|plan/|app/workstation\.ts|state/app-state\.ts")
+"""The airway tree itself is a topic, a message, a table of the case file and an argument of planning, all of the same
+name."""
 
 
 @pytest.mark.parametrize("view", VIEW_NAMES)

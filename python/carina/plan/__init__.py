@@ -1,5 +1,10 @@
 """Planning: from a nodule in the lung to a way there."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.drive_search import place_at_start, search_drive
 from carina.plan.drive_way import DriveWay
@@ -20,8 +25,6 @@ from carina.plan.surroundings import Surroundings, lung_surroundings, surroundin
 from carina.plan.target import PlanTarget, TargetSource, proposed_aims
 from carina.plan.target_click import is_plain_nodule, target_from_click
 from carina.plan.target_edits import brushed, resized, sphere
-from carina.plan.target_files import target_from_file
-from carina.plan.target_mask import nodule_from_mask, target_from_mask
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
 from carina.plan.turn_flight import turn_flight
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
@@ -29,6 +32,10 @@ from carina.plan.turns import OtherWay, Turn, TurnList
 from carina.plan.verdict import Check, Outcome, Verdict, judge_scope, judge_scopes
 from carina.plan.vessels import VesselBranch, VesselTree
 from carina.plan.whereabouts import WHERE_WORDS, Whereabouts, whereabouts
+
+if TYPE_CHECKING:
+    from carina.plan.target_files import target_from_file
+    from carina.plan.target_mask import nodule_from_mask, target_from_mask
 
 __all__ = [
     "DEFAULT_TOOL",
@@ -105,3 +112,17 @@ __all__ = [
     "whereabouts",
     "write_report",
 ]
+
+# What reads files waits for its readers: whoever plans to a click needs none.
+_HOME = {
+    "nodule_from_mask": "target_mask",
+    "target_from_file": "target_files",
+    "target_from_mask": "target_mask",
+}
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOME.get(name)
+    if home is None:
+        raise AttributeError(f"module 'carina.plan' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"carina.plan.{home}"), name)

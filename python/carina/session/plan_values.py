@@ -11,6 +11,7 @@ import numpy as np
 
 from carina.case.document import Document, Lesion, Target
 from carina.commands.plan import PlanOptions
+from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
 from carina.session.derived import Attempt, Derived, Standing
 from carina.session.jobs import JobRunner
@@ -61,6 +62,7 @@ class MadePlans:
         return next((one for one in self.plans if one.task == task), None)
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class PlannedTarget:
     """A target with a size, and its plan once it is made."""
@@ -69,6 +71,7 @@ class PlannedTarget:
     planned: TargetPlan | None
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class PlanningInfo:
     """The plans of a case's targets, and the verdicts on the route that is chosen."""
