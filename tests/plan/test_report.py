@@ -18,7 +18,7 @@ from reported import airways, plan, sheet, turns, verdicts, volume, wall, with_d
 
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.plan import ScoreWeights
-from carina.plan.last_leg import NearVessel
+from carina.plan.last_leg import Crossed, NearVessel
 from carina.plan.report import make_sheet, write_report
 from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Words
 from carina.plan.report.drawing import Label
@@ -384,3 +384,17 @@ def test_the_first_sentence_sums_up_the_instruments(outcomes, words) -> None:
     (target, *_) = sections(dataclasses.replace(sheet(), verdicts=told))
     (lead,) = [block.text for block in target.blocks if isinstance(block, Words) and block.tone == "lead"]
     assert words in lead
+
+
+@pytest.mark.parametrize(("tissue", "before"), [("vessel", True), ("fissure", True), ("vessel", False)])
+def test_a_needle_through_a_vessel_or_a_fissure_is_warned_of_up_to_the_targets_far_edge(tissue, before) -> None:
+    route = plan().routes[0]
+    way = [("lumen", 3.0), ("lung", 2.0), (tissue if before else "lung", 1.0), ("target", 9.0), (tissue, 2.0)]
+    ends = np.cumsum([length for _, length in way])
+    crossed = tuple(Crossed(t, float(end - length), length) for (t, length), end in zip(way, ends, strict=True))
+    changed = dataclasses.replace(route, leg=dataclasses.replace(route.leg, crossed=crossed))
+    told = dataclasses.replace(sheet(), plan=dataclasses.replace(plan(), routes=(changed, *plan().routes[1:])))
+    (part,) = [part for part in sections(told) if part.name == "route"]
+    warnings = [block.text for block in part.blocks if isinstance(block, Words) and block.tone == "warning"]
+    assert (f"The needle's way crosses a {tissue} 5 mm from the scope's tip." in warnings) == before
+    assert sum("crosses a" in text for text in warnings) == before

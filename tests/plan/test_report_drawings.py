@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from nodules import ellipsoid
 from reported import plan, sheet
 
 from carina.plan import tool
-from carina.plan.last_leg import Crossed
+from carina.plan.last_leg import Crossed, Tissue
 from carina.plan.report.drawing import Disc, Label, Raster, Stroke, svg
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
 from carina.plan.report.outline import boundary_in_plane, surface_of
@@ -116,7 +117,7 @@ def test_a_needle_that_leaves_the_slice_is_dotted_there() -> None:
         assert any(dash is not None for dash in dashes) == (far > 1.6)
 
 
-TISSUES = ("lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall", "not examined")
+TISSUES = get_args(Tissue)
 
 
 @settings(max_examples=60, deadline=None)

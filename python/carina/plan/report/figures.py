@@ -24,6 +24,7 @@ FILLS: dict[Tissue, str] = {
     "lumen": "#ffffff",
     "airway wall": "#8b949c",
     "lung": "#e6ebef",
+    "fissure": "#00796b",
     "vessel": "#7b1fa2",
     "target": LEG,
     "mediastinum or chest wall": "#6d4c41",

@@ -198,10 +198,11 @@ def _route(sheet: PlanSheet) -> list[Section]:
             "not show without contrast."
         )
         blocks.append(Words(text, "warning"))
-    into = [one for one in leg.crossed if one.tissue == "vessel" and one.start_mm < leg.to_target_mm + leg.in_target_mm]
-    if into:
-        text = f"The needle's way crosses a vessel {into[0].start_mm:.0f} mm from the scope's tip."
-        blocks.append(Words(text, "warning"))
+    for tissue in ("vessel", "fissure"):
+        met = next((one for one in leg.crossed if one.tissue == tissue and one.start_mm < _far_edge_mm(route)), None)
+        if met is not None:
+            text = f"The needle's way crosses a {tissue} {met.start_mm:.0f} mm from the scope's tip."
+            blocks.append(Words(text, "warning"))
     blocks += [
         Facts(rows),
         Figure(needle_bar(leg, plan.tool), "Tissue on the needle's way in order, mm from the scope's tip."),
@@ -210,6 +211,12 @@ def _route(sheet: PlanSheet) -> list[Section]:
         words = "CT in the plane of the needle, which points to the right; the airway comes from the left and above."
         blocks.append(Figures((Figure(slice_drawing(sheet.needle_slice), words),), 1))
     return [Section("route", title, tuple(blocks), starts_page=True)]
+
+
+def _far_edge_mm(route: PlannedRoute) -> float:
+    """Where the needle's way leaves the target, from the scope's tip; where it has none, its aim's edge."""
+    ends = [one.end_mm for one in route.leg.crossed if one.tissue == "target"]
+    return max(ends, default=route.leg.to_target_mm)
 
 
 def _vessel_words(route: PlannedRoute) -> str:
