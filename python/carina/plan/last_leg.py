@@ -16,7 +16,17 @@ from carina.plan.surroundings import WALL_MM, Surroundings
 from carina.plan.tools import Tool
 from carina.scopes import WallField
 
-__all__ = ["Crossed", "LastLeg", "NearVessel", "NeedleScene", "Tissue", "last_leg", "where_it_may_have_moved"]
+__all__ = [
+    "Crossed",
+    "LastLeg",
+    "NearVessel",
+    "NeedleScene",
+    "Tissue",
+    "last_leg",
+    "leg_as_aimed",
+    "where_it_may_have_moved",
+    "with_errors",
+]
 
 Points = NDArray[np.float64]
 Tissue = Literal["lumen", "airway wall", "lung", "vessel", "target", "mediastinum or chest wall", "not examined"]
@@ -159,7 +169,25 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Poin
     aim_lps
         (3,); the nodule's centroid unless told.
     """
-    nodule, wall, around, tool, errors = scene.nodule, scene.wall, scene.around, scene.tool, scene.errors
+    return with_errors(scene, leg_as_aimed(scene, tip_lps, forward, aim_lps))
+
+
+def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
+    """A leg with what the needle's errors do to it: its hits, and the least length in the target."""
+    tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
+    distance = float(np.linalg.norm(aim - tip))
+    least = leg.in_target_mm
+    if distance >= LEAST_MM:
+        sigma = math.hypot(math.radians(scene.errors.angle_deg), scene.errors.tip_mm / max(distance, 1.0))
+        ring = _ring((aim - tip) / distance, SPREAD * sigma)
+        least = min(least, _length_in(scene.nodule, tip, ring, scene.tool.reach_mm))
+    share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors)
+    return replace(leg, least_in_target_mm=least, hit_share=share)
+
+
+def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
+    """`last_leg` of a needle that goes as it is aimed: its hits are 1."""
+    nodule, wall, around, tool = scene.nodule, scene.wall, scene.around, scene.tool
     aim = np.array(nodule.centre_lps) if aim_lps is None else np.asarray(aim_lps, dtype=np.float64)
     off = aim - tip_lps
     distance = float(np.linalg.norm(off))
@@ -189,7 +217,7 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Poin
     nearest = int(np.argmin(to_vessel)) if to_vessel.size else 0
     has_vessel = bool(to_vessel.size) and math.isfinite(float(to_vessel[nearest]))
     is_thick = tissue == "mediastinum or chest wall"
-    sigma = math.hypot(math.radians(errors.angle_deg), errors.tip_mm / max(distance, 1.0))
+    in_target_mm = _length_in(nodule, tip_lps, along[None], tool.reach_mm)
     return LastLeg(
         tip_lps=_point(tip_lps),
         aim_lps=_point(aim),
@@ -198,12 +226,12 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Poin
         outside_mm=max(edge_mm - float(at[entry]), 0.0),
         angle_deg=math.degrees(math.acos(float(np.clip(along @ forward, -1.0, 1.0)))),
         crossed=crossed,
-        in_target_mm=_length_in(nodule, tip_lps, along[None], tool.reach_mm),
-        least_in_target_mm=_length_in(nodule, tip_lps, _ring(along, SPREAD * sigma), tool.reach_mm),
+        in_target_mm=in_target_mm,
+        least_in_target_mm=in_target_mm,
         vessel_mm=float(to_vessel[nearest]) if has_vessel else None,
         vessel_lps=_point(points[between][nearest]) if has_vessel else None,
         beyond_mm=_first_mm(is_thick[far:]),
-        hit_share=hit_share(nodule, tip_lps, aim, tool.reach_mm, errors),
+        hit_share=1.0,
         reaches=edge_mm <= tool.reach_mm,
         vessels=_near_vessels(to_vessel, at[between], points[between], scene.margin_mm),
         vessel_beyond_mm=_first_mm(tissue[far:] == "vessel"),

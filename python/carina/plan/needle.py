@@ -21,6 +21,7 @@ STEP_MM = 0.5
 NUM_RINGS, NUM_ROUND = 14, 24
 NUM_WAYS, NUM_SHELLS = 96, 6
 FEW_RINGS, FEW_ROUND = 4, 8
+TIPS_AT_ONCE = 32
 
 
 @one_line
@@ -99,10 +100,11 @@ def _cone(along: Points, sigma_rad: float, num_rings: int, num_round: int) -> Po
 
 def _share(nodule: Nodule, tips: Points, ways: Points, reach_mm: float) -> float:
     at = np.arange(0.0, reach_mm + 1e-9, STEP_MM)
+    lines = at[None, :, None] * ways[:, None, :]
     num = 0
-    for tip in tips:
-        points = tip + at[None, :, None] * ways[:, None, :]
-        num += int(nodule.contains(points.reshape(-1, 3)).reshape(len(ways), -1).any(axis=1).sum())
+    for first in range(0, len(tips), TIPS_AT_ONCE):
+        points = tips[first : first + TIPS_AT_ONCE, None, None] + lines
+        num += int(nodule.contains(points.reshape(-1, 3)).reshape(-1, len(at)).any(axis=1).sum())
     return num / (len(tips) * len(ways))
 
 

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.nodule import Nodule
+from carina.plan.room import rooms_mm
 from carina.plan.score import Demands, Worst
 from carina.plan.tools import Tool
+from carina.scopes import WallField
 from carina.track import AirwayTree, Branch, branch_side_and_lobe
 
 __all__ = ["BronchusSign", "NearestPlace", "Places", "branch_title"]
@@ -63,11 +65,11 @@ class NearestPlace:
 class Places:
     """All points of a tree's branches, against one nodule."""
 
-    def __init__(self, tree: AirwayTree, nodule: Nodule) -> None:
+    def __init__(self, tree: AirwayTree, nodule: Nodule, wall: WallField | None = None) -> None:
         self._tree, self.nodule = tree, nodule
         branches = [branch for branch in tree.branches if len(branch.points) > 1]
         self._row = {branch.id: branch for branch in tree.branches}
-        along, narrowest, narrowest_at = _on_the_way(tree)
+        along, narrowest, narrowest_at = _on_the_way(tree, wall)
         self._bends: dict[int, tuple[Points, Points, Points]] = {}
         self._doubts: dict[int, tuple[str, ...]] = {}
 
@@ -199,7 +201,9 @@ def branch_title(branch: Branch) -> str:
     return branch.name or f"branch {branch.id}"
 
 
-def _on_the_way(tree: AirwayTree) -> tuple[dict[int, Points], dict[int, Points], dict[int, Points]]:
+def _on_the_way(
+    tree: AirwayTree, wall: WallField | None
+) -> tuple[dict[int, Points], dict[int, Points], dict[int, Points]]:
     """For the points of each branch the way from the root, the diameter of the ball that gets there, and where the way
     is as narrow as that; mm."""
     along: dict[int, Points] = {}
@@ -208,7 +212,7 @@ def _on_the_way(tree: AirwayTree) -> tuple[dict[int, Points], dict[int, Points],
     # Parents come first.
     for branch in tree.branches:
         own = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-        room = 2.0 * branch.wall_distance
+        room = rooms_mm(branch, wall)
         if branch.parent is None:
             # Where the trachea begins, the CT may end.
             room = np.full(len(own), float(np.median(room)))

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.hindrances import check_target, notes_of_target, notes_of_tools, why_none
-from carina.plan.last_leg import LastLeg, NeedleScene, last_leg, where_it_may_have_moved
+from carina.plan.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
 from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule, grow_nodule
 from carina.plan.places import BronchusSign, NearestPlace, Places, branch_title
@@ -265,30 +265,28 @@ def plan_route(
     say(0.1)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     say(0.5)
-    places = Places(airways.tree, nodule)
+    places = Places(airways.tree, nodule, wall)
     judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, max(volume.spacing_mm))
     moved = places.moved_mm() if moved_mm is None else moved_mm
     sign, sign_branch, sign_lps = places.bronchus_sign()
     nearest = places.nearest()
     candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
-    best: dict[tuple[int, int], PlannedRoute] = {}
     kept: tuple[PlannedRoute, ...] = ()
     if candidates:
         half = max(float(places.distance[n]) for n, _ in candidates) + 0.5 * nodule.long_mm + BOX_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
+        drafts: dict[tuple[int, int], list[PlannedRoute]] = {}
         for step, (n, aim) in enumerate(candidates):
-            say(0.6 + 0.35 * step / len(candidates))
-            leg = last_leg(scene, places.points[n], places.forward[n], meant[aim])
-            if not leg.reaches or not (used.pierces or leg.is_open):
-                continue
-            route = _route(places, int(n), aim, leg, judge)
-            known = best.get((route.branch_id, aim))
-            if known is None or order(route) < order(known):
-                best[route.branch_id, aim] = route
+            say(0.6 + 0.3 * step / len(candidates))
+            leg = leg_as_aimed(scene, places.points[n], places.forward[n], meant[aim])
+            if leg.reaches and (used.pierces or leg.is_open):
+                route = _route(places, int(n), aim, leg, judge)
+                drafts.setdefault((route.branch_id, aim), []).append(route)
+        best = [_best(scene, judge, rows) for rows in drafts.values()]
         kept = tuple(
             replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
-            for route in standing_apart(sorted(best.values(), key=order))
+            for route in standing_apart(sorted(best, key=order))
         )
     say(1.0)
     return Plan(
@@ -311,6 +309,24 @@ def plan_route(
         weights=judge.weights,
         nearest=nearest,
     )
+
+
+def _best(scene: NeedleScene, judge: Judge, drafts: list[PlannedRoute]) -> PlannedRoute:
+    """The best of routes whose needles go as they are aimed, with the needle's errors.
+
+    What cannot be the best even if no needle missed is not looked at.
+    """
+    found: PlannedRoute | None = None
+    for draft in sorted(drafts, key=order):
+        if found is not None and order(found) <= order(draft):
+            break
+        leg = with_errors(scene, draft.leg)
+        parts = judge.parts(leg, draft.narrowest_mm, scene.nodule)
+        route = replace(draft, leg=leg, parts=parts, score=judge.score(parts))
+        if found is None or order(route) < order(found):
+            found = route
+    assert found is not None
+    return found
 
 
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
