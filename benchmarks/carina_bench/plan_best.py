@@ -2,10 +2,11 @@
 
 ``python -m carina_bench.plan_best FOLDER`` reads the cases that ``plan_truth`` keeps there, or makes them.
 
-The search shares no code with the plan but what both are given: the tree, the nodule's voxels, the wall's distances,
-the vessels of the box, the weights. It stands at all centreline points 0.35 mm apart (the plan: 0.7), walks each needle
-in steps of 0.1 mm (the plan: 0.25), draws its needles (the plan: quadrature), and finds width and bend of the way by
-following it from the trachea. Places whose score cannot beat the best even if no needle misses are not drawn for.
+The search shares no code with the plan but what both are given: the tree, the lumen's width along each branch, the
+nodule's voxels, the wall's distances, the vessels of the box, the weights. It stands at all centreline points 0.35 mm
+apart (the plan: 0.7), walks each needle in steps of 0.1 mm (the plan: 0.25), draws its needles (the plan: quadrature),
+and follows each way from the trachea for its narrowest place and its sharpest bend. Places that cannot be the best even
+if no needle misses are not drawn for.
 
 Tolerance of a score: 0.25 x 0.02 for the needles, 0.15 x (0.35 mm + 0.25 mm) / 15 mm for the way, 0.15 x 2 degrees /
 90 for the angle, 0.15 x 0.5 mm / 8 mm for the length in the target, and 0.1 x 0.5 mm / 3 mm for a vessel: 0.04 at most.
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from carina.errors import CarinaError
 from carina.plan import Nodule, Plan, Surroundings, grow_nodule, plan_route, surroundings
+from carina.plan.room import rooms_mm
 from carina.scopes import ScopePreset
 from carina.track import AirwayTree, Branch
 from carina_bench.plan_cases import PlanCase, found_case, phantom_case
@@ -52,24 +54,30 @@ def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
     centre = np.array(nodule.centre_lps)
     found = []
+    rooms = {branch.id: rooms_mm(branch, case.wall) for branch in case.airways.tree.branches}
     for branch in case.airways.tree.branches:
-        for place in _places(case.airways.tree, branch, plan.scope, max(case.volume.spacing_mm)):
+        for place in _places(case.airways.tree, branch, plan.scope, max(case.volume.spacing_mm), rooms):
             if np.linalg.norm(place["point"] - centre) > reach_mm + nodule.long_mm:
                 continue
             walked = _walked(case, plan, around, place)
             if walked is not None:
                 found.append(place | walked)
     # The best first, as if no needle missed.
-    found.sort(key=lambda one: (one["rank"], -_score(plan, one["lost"])))
+    found.sort(key=lambda one: (one["rank"], -_worth(plan, one, one["lost"])))
     best: tuple[int, float, Row] | None = None
     for one in found:
-        if best is not None and (one["rank"] > best[0] or _score(plan, one["lost"]) <= best[1]):
+        if best is not None and (one["rank"] > best[0] or _worth(plan, one, one["lost"]) <= best[1]):
             break
         lost = one["lost"] + plan.weights.misses * (1.0 - _drawn(nodule, one["point"], centre, reach_mm, rng))
-        if best is None or _score(plan, lost) > best[1]:
-            best = one["rank"], _score(plan, lost), one
+        if best is None or _worth(plan, one, lost) > best[1]:
+            best = one["rank"], _worth(plan, one, lost), one
     assert best is not None
     return best[1], RANKS[best[0]], best[2]
+
+
+def _worth(plan: Plan, place: Row, lost: float) -> float:
+    """The score, where the scope *may* get there times how likely."""
+    return _score(plan, lost) * (place["chance"] if place["rank"] == 1 else 1.0)
 
 
 def _score(plan: Plan, lost: float) -> float:
@@ -78,7 +86,9 @@ def _score(plan: Plan, lost: float) -> float:
     return 1.0 - lost / total
 
 
-def _places(tree: AirwayTree, branch: Branch, scope: ScopePreset, spacing_mm: float) -> Iterator[Row]:
+def _places(
+    tree: AirwayTree, branch: Branch, scope: ScopePreset, spacing_mm: float, rooms: dict[int, Floats]
+) -> Iterator[Row]:
     """Points of a branch 0.35 mm apart, each with its direction and what the way there allows."""
     lineage: list[Branch] = []
     one: Branch | None = branch
@@ -91,14 +101,15 @@ def _places(tree: AirwayTree, branch: Branch, scope: ScopePreset, spacing_mm: fl
     for number, part in enumerate(lineage):
         if number == len(lineage) - 1:
             first = len(line)
-        own = part.wall_distance if number else np.full(len(part.points), np.median(part.wall_distance))
-        line += list(part.points if not line else part.points[1:])
-        width += list(2.0 * (own if len(width) == 0 else own[1:]))
+        own = rooms[part.id] if number else np.full(len(part.points), np.median(rooms[part.id]))
+        width += list(own[1:] if line else own)
+        line += list(part.points[1:] if line else part.points)
     first = max(first - 1, 0)
     points, widths = np.array(line), np.array(width)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    doubtful = any(
-        part.kind != "tracked" or (part.confidence is not None and part.confidence < 0.5) for part in lineage
+    trust = min(
+        0.5 if part.kind != "tracked" else 1.0 if part.confidence is None or part.confidence >= 0.5 else part.confidence
+        for part in lineage
     )
     at_branch = np.gradient(branch.points, axis=0)
     own_along = along[first : first + len(branch.points)]
@@ -110,7 +121,7 @@ def _places(tree: AirwayTree, branch: Branch, scope: ScopePreset, spacing_mm: fl
             "point": np.array([np.interp(mm, along, points[:, axis]) for axis in range(3)]),
             "forward": ahead / np.linalg.norm(ahead),
             "width_mm": (width_mm := float(widths[along <= mm + 1e-9].min())),
-            "rank": _rank(scope, width_mm, _bend(points, along, mm, scope), spacing_mm, doubtful=doubtful),
+            **_outlook(scope, width_mm, _bend(points, along, mm, scope), spacing_mm, trust),
         }
 
 
@@ -132,17 +143,15 @@ def _bend(points: Floats, along: Floats, mm: float, scope: ScopePreset) -> float
     return max(turns, default=0.0)
 
 
-def _rank(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: float, *, doubtful: bool) -> int:
+def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: float, trust: float) -> Row:
     """0 where width and bend suffice with nine chances of ten, 2 where one does not, 1 between and where in doubt."""
-    ranks = [int(doubtful)]
     sigma = math.hypot(0.2 * spacing_mm, 0.15)
-    spare = [((width_mm - max(scope.tip_mm + 0.4, scope.tube_mm or 0.0)) / sigma)]
+    spare = [(width_mm - max(scope.tip_mm + 0.4, scope.tube_mm or 0.0)) / sigma]
     if scope.flexion_deg is not None:
         spare.append((max(scope.flexion_deg) - bend_deg) / 8.0)
-    else:
-        ranks.append(1)
-    ranks += [0 if one >= 1.2816 else 2 if one <= -1.2816 else 1 for one in spare]
-    return max(ranks)
+    chances = [0.5 * math.erfc(-one / math.sqrt(2.0)) for one in spare]
+    ranks = [0 if one >= 0.9 else 2 if one <= 0.1 else 1 for one in chances]
+    return {"rank": max([int(trust < 1.0), *ranks]), "chance": trust * math.prod(chances)}
 
 
 def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row | None:
@@ -209,17 +218,20 @@ def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
                 nodule = grow_nodule(case.volume, target.centre_lps)
             except CarinaError:
                 continue
-            plan = plan_route(case.volume, case.airways, nodule, scope=SCOPES[(seed + num) % 2], wall=case.wall)
+            plan = plan_route(
+                case.volume, case.airways, nodule, scope=SCOPES[(seed + num) % 2], wall=case.wall, moved_mm=0.0
+            )
             if not plan.routes:
                 continue
             half = plan.tool.reach_mm + 2.0 * nodule.long_mm + 14.0
             around = surroundings(case.volume, np.array(nodule.centre_lps), half, nodule, case.wall)
             score, outlook, place = best_of_all(case, plan, around, np.random.default_rng((seed, num)))
             first = plan.routes[0]
+            worth = first.score * (first.chance if first.outlook == "may reach" else 1.0)
             other_rank += outlook != first.outlook
-            off.append(score - first.score)
+            off.append(score - worth if outlook == first.outlook else 0.0)
             say(
-                f"phantom-{seed}, {plan.scope.name}: {first.score:.3f} {first.outlook} in {first.key}; best of all "
+                f"phantom-{seed}, {plan.scope.name}: {worth:.3f} {first.outlook} in {first.key}; best of all "
                 f"{score:.3f} {outlook} in {place['branch']}-{place['mm']:.1f}"
             )
             num += 1

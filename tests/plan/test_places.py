@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from nodules import ellipsoid
 
 from carina.plan.places import Places
-from carina.plan.score import Judge, ScoreWeights, bending_mm
+from carina.plan.score import RANK, Judge, ScoreWeights, bending_mm
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch
 
@@ -67,6 +67,21 @@ def test_the_narrowest_place_is_where_the_lumen_is_narrow() -> None:
     assert before.room_mm.value == pytest.approx(6.0)
 
 
+@settings(deadline=None, max_examples=30)
+@given(tip_mm=st.floats(3.0, 7.0), more_mm=st.floats(0.01, 2.0))
+def test_a_thicker_scope_is_never_likelier_to_get_there(tip_mm: float, more_mm: float) -> None:
+    tree = bent(90.0, 14.0)
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    asked = places.asks(len(places.points) - 1, SECTION_MM)
+    thin, thick = (
+        Judge(
+            dataclasses.replace(scope_preset("thin"), tip_mm=mm, tube_mm=None), 3.0, ScoreWeights(), 15.0, 1.0
+        ).outlook(asked)
+        for mm in (tip_mm, tip_mm + more_mm)
+    )
+    assert thin[1] >= thick[1] and RANK[thin[0]] <= RANK[thick[0]]
+
+
 @pytest.mark.parametrize(
     ("tip_mm", "most_deg", "outlook"),
     [
@@ -85,7 +100,7 @@ def test_the_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: flo
     assert bending_mm(scope) == SECTION_MM
     tree = bent(90.0, 14.0)
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
-    found, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(
+    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(
         places.asks(len(places.points) - 1, bending_mm(scope))
     )
     assert found == outlook and (limits == ()) == (outlook == "reaches")
@@ -95,5 +110,5 @@ def test_of_a_scope_whose_flexion_is_not_known_nothing_sure_is_said() -> None:
     tree = bent(90.0, 14.0)
     places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
     scope = dataclasses.replace(scope_preset("thin"), flexion_deg=None)
-    found, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(places.asks(100, bending_mm(scope)))
+    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(places.asks(100, bending_mm(scope)))
     assert found == "may reach" and limits[0].startswith("it is not known how far")

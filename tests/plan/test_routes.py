@@ -146,6 +146,8 @@ def test_a_route_that_the_scope_gets_to_comes_before_a_better_one_that_it_does_n
     far = dataclasses.replace(other, outlook="reaches", score=0.1)
     doubtful = dataclasses.replace(other, outlook="may reach", score=0.2)
     assert sorted([near, doubtful, far], key=order) == [far, doubtful, near]
+    likelier = dataclasses.replace(doubtful, score=0.15, chance=0.8)
+    assert sorted([dataclasses.replace(doubtful, chance=0.5), likelier], key=order)[0] == likelier
 
 
 def test_what_the_scope_cannot_do_is_told_with_its_figures() -> None:

@@ -129,7 +129,7 @@ class Places:
             if row >= 0:
                 bend = Worst(float(worst[row]), float(where[row]))
         room = Worst(float(self.narrowest_mm[n]), float(self.narrowest_at_mm[n]))
-        return Demands(room, bend, self._doubts[branch.id])
+        return Demands(room, bend, self._doubts[branch.id], self._trust(branch))
 
     def bronchus_sign(self) -> tuple[BronchusSign, str | None, tuple[float, float, float] | None]:
         """Whether an airway leads into the nodule or lies beside it, which one, and where."""
@@ -182,6 +182,11 @@ class Places:
         if branch.parent is None and {"RMB", "LMB"} & {self._row[child].name for child in branch.children}:
             return inside
         return None
+
+    def _trust(self, branch: Branch) -> float:
+        lineage = self._tree.lineage(branch.id)
+        found = [one.confidence for one in lineage if one.confidence is not None and one.confidence < DOUBTFUL]
+        return min([1.0, *found, *(DOUBTFUL for one in lineage if one.kind in {"bridge", "manual"})])
 
     def _doubts_of(self, branch: Branch) -> tuple[str, ...]:
         found = []

@@ -85,6 +85,8 @@ class PlannedRoute:
     """Which of the plan's aims, from 0."""
     outlook: Outlook = "may reach"
     """Whether the planned scope gets there, by diameter, bend and doubts; the verdict is its drive (`judge_scope`)."""
+    chance: float = 1.0
+    """How likely that is, by the same three."""
     limits: tuple[str, ...] = ()
     """What stands against it, or may."""
     bend_deg: float = 0.0
@@ -118,6 +120,7 @@ class PlannedRoute:
             "fits": self.fits,
             "bend_deg": self.bend_deg,
             "outlook": self.outlook,
+            "chance": self.chance,
             "limits": list(self.limits),
             "tools": list(self.tools),
             "leg": self.leg.to_json(),
@@ -357,7 +360,7 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
     branch = places.of_branch(n)
     asked = places.asks(n, bending_mm(judge.scope))
     parts = judge.parts(leg, asked.room_mm.value, places.nodule)
-    outlook, limits = judge.outlook(asked)
+    outlook, chance, limits = judge.outlook(asked)
     carina_mm = places.carina_mm(branch)
     forward = places.forward[n]
     return PlannedRoute(
@@ -374,6 +377,7 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
         doubts=asked.doubts,
         aim=aim,
         outlook=outlook,
+        chance=chance,
         limits=limits,
         bend_deg=asked.bend_deg.value,
         tools=tuple(

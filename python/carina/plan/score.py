@@ -21,8 +21,8 @@ RANK: dict[Outlook, int] = {"reaches": 0, "may reach": 1, "does not reach": 2}
 
 DEEP_MM = 8.0
 """So much of a needle's way in the target is enough for a sample."""
-SURE_SIGMA = 1.2816
-"""Nine of ten lie below the mean and this many standard deviations."""
+SURE = 0.9
+"""Told *reaches* from this chance up, *does not reach* at what is left below its rest."""
 EXCESS_SIGMA_MM = 0.15
 """Of a scope's true size: ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the deviation is our estimate)."""
 ROOM_SHARE = 0.2
@@ -79,6 +79,8 @@ class Demands:
     bend_deg: Worst
     """The sharpest turn over the length of rigid tip and bending section; where that ends."""
     doubts: tuple[str, ...]
+    trust: float
+    """How sure it is that the way is airway: 1 without doubts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,34 +114,45 @@ class Judge:
         lost = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return 1.0 - float(lost) / float(total)
 
-    def outlook(self, way: Demands) -> tuple[Outlook, tuple[str, ...]]:
-        """Whether the scope gets there, as far as diameters, bends and doubts say; and what stands against it."""
+    def outlook(self, way: Demands) -> tuple[Outlook, float, tuple[str, ...]]:
+        """Whether the scope gets there by diameter, bend and doubts; how likely that is; what stands against it."""
         found: Outlook = "may reach" if way.doubts else "reaches"
+        chance = way.trust
         limits = []
-        for answer, words in (self._room(way), self._bend(way)):
+        for share, words in (self._room(way), self._bend(way)):
+            answer: Outlook = (
+                "may reach"
+                if share is None
+                else "reaches"
+                if share >= SURE
+                else "does not reach"
+                if share <= 1.0 - SURE
+                else "may reach"
+            )
             if answer != "reaches":
                 limits.append(words)
             found = max(found, answer, key=lambda one: RANK[one])
-        return found, tuple(limits)
+            chance *= 0.5 if share is None else share
+        return found, chance, tuple(limits)
 
-    def _room(self, way: Demands) -> tuple[Outlook, str]:
+    def _room(self, way: Demands) -> tuple[float, str]:
         needs = self.scope.fit_mm
         sigma = math.hypot(ROOM_SHARE * self.spacing_mm, EXCESS_SIGMA_MM)
         words = (
             f"the narrowest place, {way.room_mm.at_mm:.0f} mm along the route, is {way.room_mm.value:.1f} \u00b1 "
             f"{1.645 * sigma:.1f} mm wide; {self.scope.title} needs {needs:.1f} mm"
         )
-        return _answer(way.room_mm.value - needs, sigma), words
+        return _share((way.room_mm.value - needs) / sigma), words
 
-    def _bend(self, way: Demands) -> tuple[Outlook, str]:
+    def _bend(self, way: Demands) -> tuple[float | None, str]:
         if self.scope.flexion_deg is None or self.scope.bending_mm is None:
-            return "may reach", f"it is not known how far {self.scope.title} flexes"
+            return None, f"it is not known how far {self.scope.title} flexes"
         most = max(self.scope.flexion_deg)
         words = (
             f"the bend {way.bend_deg.at_mm:.0f} mm along the route requires {way.bend_deg.value:.0f} degrees of "
             f"flexion; {self.scope.title} has {most:.0f}"
         )
-        return _answer(most - way.bend_deg.value, BEND_SIGMA_DEG), words
+        return _share((most - way.bend_deg.value) / BEND_SIGMA_DEG), words
 
 
 def bending_mm(scope: ScopePreset) -> float | None:
@@ -148,10 +161,11 @@ def bending_mm(scope: ScopePreset) -> float | None:
 
 
 def order(route: Any) -> tuple[Any, ...]:
-    """The better of two routes comes first: what the scope gets to, then the score."""
-    return RANK[route.outlook], -route.score, route.branch_id, route.aim
+    """The better of two comes first: what the scope gets to, then the score; where it *may*, times how likely."""
+    score = route.score * route.chance if route.outlook == "may reach" else route.score
+    return RANK[route.outlook], -score, route.branch_id, route.aim
 
 
-def _answer(spare: float, sigma: float) -> Outlook:
-    bar = SURE_SIGMA * sigma
-    return "reaches" if spare >= bar else "does not reach" if spare <= -bar else "may reach"
+def _share(sigmas: float) -> float:
+    """Of a Gaussian below so many standard deviations."""
+    return 0.5 * (1.0 + math.erf(sigmas / math.sqrt(2.0)))
