@@ -102,6 +102,8 @@ def _places(
         if number == len(lineage) - 1:
             first = len(line)
         own = rooms[part.id] if number else np.full(len(part.points), np.median(rooms[part.id]))
+        if line:
+            width[-1] = min(width[-1], float(own[0]))
         width += list(own[1:] if line else own)
         line += list(part.points[1:] if line else part.points)
     first = max(first - 1, 0)
@@ -120,7 +122,8 @@ def _places(
             "mm": float(mm),
             "point": np.array([np.interp(mm, along, points[:, axis]) for axis in range(3)]),
             "forward": ahead / np.linalg.norm(ahead),
-            "width_mm": (width_mm := float(widths[along <= mm + 1e-9].min())),
+            # Between two points of the centreline it is as wide as at the narrower of them.
+            "width_mm": (width_mm := float(widths[: int(np.searchsorted(along, mm - 1e-6)) + 1].min())),
             **_outlook(scope, width_mm, _bend(points, along, mm, scope), spacing_mm, trust),
         }
 

@@ -112,10 +112,13 @@ def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
 
 
 def _true_place(truth: TrueTree, way: Floats) -> int:
-    """The true centreline's point at which the way ends: the nearest by its own radius, of the last branch it is in."""
+    """The true centreline's point where the way ends; at a fork, in several lumens at once, that of the widest way."""
     inside = np.linalg.norm(truth.points - way[-1], axis=1) - truth.radius_mm
-    near = np.flatnonzero(inside <= inside.min() + 0.3)
-    return int(near[np.argmin(np.linalg.norm(truth.points[near] - way[-1], axis=1))])
+    near = np.flatnonzero(inside <= max(float(inside.min()) + 0.3, 0.0))
+    off = np.linalg.norm(truth.points[near] - way[-1], axis=1)
+    # Of each branch the nearest point.
+    best = {int(truth.branch[n]): int(n) for _, n in sorted(zip(-off, near, strict=True))}
+    return max(best.values(), key=lambda n: (float(truth.narrowest_mm[n]), -n))
 
 
 def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
