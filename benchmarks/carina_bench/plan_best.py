@@ -187,7 +187,12 @@ def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row
         + weights.vessels * near
         + weights.shallow * max(1.0 - in_mm / min(8.0, 0.9 * nodule.short_mm), 0.0)
     )
-    return {"lost": lost, "angle_deg": angle}
+    depth = 0.5 * math.erfc(-(reach_mm - first * WALK_MM) / 0.5 / math.sqrt(2.0))
+    return {
+        "lost": lost,
+        "rank": max(place["rank"], 0 if depth >= 0.9 else 2 if depth <= 0.1 else 1),
+        "chance": place["chance"] * depth,
+    }
 
 
 def _drawn(nodule: Nodule, tip: Floats, aim: Floats, reach_mm: float, rng: np.random.Generator) -> float:

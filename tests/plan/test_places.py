@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nodules import ellipsoid
 
+from carina.plan.last_leg import LastLeg
 from carina.plan.places import Places
 from carina.plan.score import RANK, Judge, ScoreWeights, bending_mm
 from carina.scopes import scope_preset
@@ -112,3 +113,18 @@ def test_of_a_scope_whose_flexion_is_not_known_nothing_sure_is_said() -> None:
     scope = dataclasses.replace(scope_preset("thin"), flexion_deg=None)
     found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(places.asks(100, bending_mm(scope)))
     assert found == "may reach" and limits[0].startswith("it is not known how far")
+
+
+@pytest.mark.parametrize(
+    ("to_target_mm", "outlook"), [(9.0, "reaches"), (14.8, "may reach"), (15.0, "may reach"), (15.9, "does not reach")]
+)
+def test_a_tool_that_only_just_gets_to_the_edge_may_reach_it(to_target_mm: float, outlook: str) -> None:
+    tree = bent(20.0, 14.0)
+    end = tree.branches[1].points[-1]
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), end))
+    at = (float(end[0]), float(end[1]), float(end[2]))
+    leg = LastLeg(at, at, at, to_target_mm, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
+    scope = dataclasses.replace(scope_preset("thin"), tip_mm=4.0, tube_mm=None)
+    found, chance, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(places.asks(100, SECTION_MM), leg)
+    assert found == outlook and (limits == ()) == (outlook == "reaches")
+    assert chance == pytest.approx(0.5 * math.erfc((to_target_mm - 15.0) / 0.5 / math.sqrt(2.0)), abs=0.01)

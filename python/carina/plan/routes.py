@@ -84,9 +84,9 @@ class PlannedRoute:
     aim: int = 0
     """Which of the plan's aims, from 0."""
     outlook: Outlook = "may reach"
-    """Whether the planned scope gets there, by diameter, bend and doubts; the verdict is its drive (`judge_scope`)."""
+    """Whether scope and tool get there, by width, bend, doubts and reach; the verdict is a drive (`judge_scope`)."""
     chance: float = 1.0
-    """How likely that is, by the same three."""
+    """How likely that is, by the same four."""
     limits: tuple[str, ...] = ()
     """What stands against it, or may."""
     bend_deg: float = 0.0
@@ -360,7 +360,7 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
     branch = places.of_branch(n)
     asked = places.asks(n, bending_mm(judge.scope))
     parts = judge.parts(leg, asked.room_mm.value, places.nodule)
-    outlook, chance, limits = judge.outlook(asked)
+    outlook, chance, limits = judge.outlook(asked, leg)
     carina_mm = places.carina_mm(branch)
     forward = places.forward[n]
     return PlannedRoute(

@@ -29,6 +29,8 @@ ROOM_SHARE = 0.2
 """Standard deviation of a lumen's width, of the CT's coarsest spacing (k)."""
 BEND_SIGMA_DEG = 8.0
 """Of the angle that a route asks of the bending section (k)."""
+DEPTH_SIGMA_MM = 0.5
+"""Of where the target's edge lies along the needle (k)."""
 MEDIASTINUM_MM = 2.0
 """Where the needle crosses more of it, a vessel may lie there unseen."""
 
@@ -114,12 +116,15 @@ class Judge:
         lost = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return 1.0 - float(lost) / float(total)
 
-    def outlook(self, way: Demands) -> tuple[Outlook, float, tuple[str, ...]]:
-        """Whether the scope gets there by diameter, bend and doubts; how likely that is; what stands against it."""
+    def outlook(self, way: Demands, leg: LastLeg | None = None) -> tuple[Outlook, float, tuple[str, ...]]:
+        """Whether it gets there by width, bend, doubts and the tool's reach; how likely; what stands against it."""
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust
         limits = []
-        for share, words in (self._room(way), self._bend(way)):
+        asked = [self._room(way), self._bend(way)]
+        if leg is not None:
+            asked.append(self._depth(leg))
+        for share, words in asked:
             answer: Outlook = (
                 "may reach"
                 if share is None
@@ -134,6 +139,10 @@ class Judge:
             found = max(found, answer, key=lambda one: RANK[one])
             chance *= 0.5 if share is None else share
         return found, chance, tuple(limits)
+
+    def _depth(self, leg: LastLeg) -> tuple[float, str]:
+        spare = self.reach_mm - leg.to_target_mm
+        return _share(spare / DEPTH_SIGMA_MM), f"the tool reaches no more than {spare:.1f} mm beyond the target's edge"
 
     def _room(self, way: Demands) -> tuple[float, str]:
         needs = self.scope.fit_mm
