@@ -62,12 +62,15 @@ class TrueTree:
         """Points, radii and parent of each branch, the parents first."""
         points, forward, radii, narrowest, numbers = [], [], [], [], []
         room: list[float] = []
+        with_children = {parent for _, _, parent in branches}
         for number, (line, radius, parent) in enumerate(branches):
             even, own = _even(line, radius)
             ahead = np.gradient(even, axis=0)
             wide = 2.0 * np.minimum.accumulate(own) if parent >= 0 else np.full(len(own), 2.0 * float(np.median(own)))
+            is_stub = number in with_children and STEP_MM * len(own) < 2.0 * float(np.median(own))
             if parent >= 0:
-                wide = np.minimum(wide, room[parent])
+                # Between two forks, shorter than it is wide: it lies in the lumens of its neighbours.
+                wide = np.minimum(np.inf if is_stub else wide, np.full(len(own), room[parent]))
             room.append(float(wide[-1]))
             points.append(even)
             forward.append(ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9))
