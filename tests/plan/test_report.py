@@ -106,6 +106,8 @@ def test_no_patient_is_named_unless_asked(tmp_path) -> None:
     named = dataclasses.replace(scan, source=source)
     for suffix in (".html", ".json"):
         text = write_report(tmp_path / f"plan{suffix}", sheet(volume=named)).read_text()
+        # Three letters may stand in the bytes of a picture by chance.
+        text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", text)
         assert "DOE" not in text and "2026-01-02" not in text
     assert "Jane Doe" in page(tmp_path, patient="Jane Doe")
 
