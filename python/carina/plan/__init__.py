@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.drive_search import place_at_start, search_drive
-from carina.plan.drive_way import DriveWay
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.fissures import FissureBox
 from carina.plan.last_leg import Crossed, LastLeg, NearVessel, NeedleScene, last_leg
@@ -44,7 +43,6 @@ __all__ = [
     "BronchusSign",
     "Check",
     "Crossed",
-    "DriveWay",
     "DrivenRoute",
     "FissureBox",
     "Landmark",
