@@ -1,7 +1,7 @@
 """Planning: from a nodule in the lung to a way there."""
 
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
-from carina.plan.drive_search import place_at_start, search_drive
+from carina.plan.drive_search import condense_drive, place_at_start, search_drive
 from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import Crossed, LastLeg, NeedleScene, last_leg
 from carina.plan.moves import Move
@@ -32,6 +32,7 @@ __all__ = [
     "Surroundings",
     "Tool",
     "Verdict",
+    "condense_drive",
     "grow_nodule",
     "hit_share",
     "judge_scope",
