@@ -17,7 +17,7 @@ from carina.errors import CancelledError, UsageError
 from carina.plan import Move
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.drive_aim import aim_drive
-from carina.plan.drive_search import place_at_start, search_drive
+from carina.plan.drive_search import condense_drive, place_at_start, search_drive
 from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
 from carina.plan.routes import PlannedRoute
@@ -104,6 +104,15 @@ def test_a_drive_of_a_chest_is_few_moves_in_steps_that_a_hand_can_set() -> None:
     advanced = np.diff(driven.samples[:, 0]) > 0.01
     assert np.median(steps[advanced]) < 1.5
     assert np.isin(np.round(driven.lps_from_camera[:, 3], 9), [0.0, 1.0]).all()
+
+
+def test_a_condensed_drive_has_fewer_moves_and_still_arrives() -> None:
+    way = chest_way(BRANCHES[0])
+    condensed = condense_drive(way, chest_wall(), thin(), chest_drive(BRANCHES[0]), tries=25)
+    assert condensed.arrived and len(condensed.moves) < len(chest_drive(BRANCHES[0]).moves)
+    tip = carried_out(way, chest_wall(), condensed.to_json(poses=False)).state.pose
+    assert np.array_equal(tip.lps_from_camera, condensed.lps_from_camera[-1])
+    assert np.linalg.norm(tip.position_lps - way.at(way.park_mm)) <= 2.0 + way.radius_mm(way.park_mm)
 
 
 def test_the_same_search_gives_the_same_drive() -> None:

@@ -6,7 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
-from carina.plan.drive_search import place_at_start, search_drive
+from carina.plan.drive_search import condense_drive, place_at_start, search_drive
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.fissures import FissureBox
 from carina.plan.last_leg import Crossed, LastLeg, NearVessel, NeedleScene, last_leg
@@ -75,6 +75,7 @@ __all__ = [
     "Whereabouts",
     "brushed",
     "clock_hours",
+    "condense_drive",
     "ebus_landmarks",
     "grow_nodule",
     "hit_share",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from carina.plan.drive_way import DriveWay
 from carina.plan.moves import Move
 from carina.scopes import ScopeDrive, ScopePreset, WallField
 
-__all__ = ["place_at_start", "search_drive"]
+__all__ = ["condense_drive", "place_at_start", "search_drive"]
 
 Points = NDArray[np.float64]
 
@@ -48,6 +48,8 @@ HOOKING = 0.5
 HOOK_BLOCKED_STEPS = 4
 PAST_FORK_MM = 6.0
 """So far beyond a fork it is still the next one."""
+CONDENSING = 60
+"""Shorter drives that are tried."""
 KEPT = 3
 """Attempts that others start from."""
 
@@ -198,6 +200,35 @@ def search_drive(
     return farthest.recorder.driven(stopped_mm=stopped_mm, why=None if farthest.arrived else farthest.why())
 
 
+def condense_drive(
+    way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, *, tries: int = CONDENSING
+) -> DrivenRoute:
+    """The same drive with fewer moves: moves are left out, last ones first, and the ones before go on instead.
+
+    Each shorter drive is carried out anew, and kept where it still arrives. A drive that did not arrive stays as it is.
+    """
+    if not driven.arrived:
+        return driven
+    moves, best = list(driven.moves), driven
+    for num in (4, 2, 1):
+        n = len(moves) - num
+        while n >= 1 and tries > 0:
+            left_out = sum(move.advance_mm for move in moves[n : n + num])
+            turned = sum(move.turn_deg for move in moves[n : n + num])
+            shorter = [*moves[: n - 1], replace(moves[n - 1], advance_mm=moves[n - 1].advance_mm + left_out)]
+            rest = moves[n + num :]
+            if rest:
+                # The roll that the rest begins with is the same.
+                rest = [replace(rest[0], turn_deg=(rest[0].turn_deg + turned + 180.0) % 360.0 - 180.0), *rest[1:]]
+            attempt = _Attempt(way, place_at_start(way, wall, scope))
+            tries -= 1
+            if attempt.arrives_by((*shorter, *rest)):
+                moves = [*shorter, *rest]
+                best = attempt.recorder.driven(stopped_mm=attempt.along_mm, why=None)
+            n -= num
+    return best
+
+
 class _Attempt:
     """One scope on its way."""
 
@@ -223,6 +254,16 @@ class _Attempt:
                 self._advance()
                 if self.along_mm >= until_mm:
                     break
+
+    def arrives_by(self, moves: tuple[Move, ...]) -> bool:
+        """Whether it stands where the route ends after these moves, and was never lost."""
+        for move in moves:
+            self.recorder.set(move.turn_deg, move.flexion_deg)
+            for _ in range(round(move.advance_mm)):
+                self._advance()
+                if self._is_lost():
+                    return False
+        return self._is_on_course() and abs(self.along_mm - self.way.park_mm) <= 2.0 * ARRIVED_MM
 
     def go(self, rule: _Rule) -> None:
         """On by a rule until it arrives or is lost."""

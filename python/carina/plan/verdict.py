@@ -20,7 +20,7 @@ from carina.display import one_line
 from carina.errors import CancelledError, UsageError
 from carina.plan.drive import DrivenRoute
 from carina.plan.drive_aim import aim_drive
-from carina.plan.drive_search import EFFORT, search_drive
+from carina.plan.drive_search import EFFORT, condense_drive, search_drive
 from carina.plan.drive_way import DriveWay
 from carina.plan.needle import NeedleErrors, hit_share
 from carina.plan.routes import Plan, PlannedRoute
@@ -48,6 +48,8 @@ SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
 """An instrument that is about as wide as the airway is driven as one that is so much thinner than that."""
 UNFOUND = 0.5
 """Told where a scope lies along the route but no drive was found: the search may have missed one (k)."""
+EFFORT_A_TRY = 1000.0
+"""One shorter drive is tried for so much of the effort that a search may take."""
 NUM_THREADS = 2
 MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
 
@@ -339,6 +341,9 @@ class _Bench:
                 return _Drive(route, (Check("drive", "no", 0.0, words, MECHANICS),))
             words += "; the scope fits along the whole route, and another way of driving it may get there"
             return _Drive(route, (Check("drive", "perhaps", UNFOUND, words, MECHANICS),))
+        tries = round(self._effort / EFFORT_A_TRY)
+        route = condense_drive(self._way, self._wall, scope, route, tries=tries)
+        self.stop_if_cancelled()
         aimed = aim_drive(self._way, self._wall, scope, route, self._hit_share)
         words = f"arrives at the standing place by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)

@@ -1,0 +1,180 @@
+"""What a verdict tells against what drives do: shares told and passed in tubes, and blind replays in phantoms.
+
+``python -m carina_bench.plan_drive tubes`` draws measures and their errors, judges by the measures and drives in the
+truth. ``python -m carina_bench.plan_drive phantoms`` searches drives to tips of generated airways and carries the moves
+out again with a fresh scope.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+import carina
+from carina.plan import DriveWay, place_at_start, replay_moves, search_drive
+from carina.plan.last_leg import LastLeg
+from carina.plan.routes import PlannedRoute
+from carina.plan.verdict_checks import BEND_SIGMA_DEG, EXCESS_SIGMA_MM, ROOM_SHARE, bend_check, diameter_check
+from carina.scopes import FIT_MARGIN_MM, ScopePreset, WallField, scope_preset
+from carina.track import AirwayTree, Branch, wall_field
+
+__all__ = ["TubeDrive", "calibration_table", "drive_in_a_tube", "phantom_drives"]
+
+Points = NDArray[np.float64]
+
+SPACING_MM = 0.8
+"""Of the CT that the widths are taken from."""
+WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
+STEP_MM = 0.4
+"""Of the wall's samples, as `carina.wall_field` has them."""
+TUBE_EFFORT, PHANTOM_EFFORT = 4000.0, 50_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class TubeDrive:
+    """One drive in one tube."""
+
+    told: float
+    passed: bool
+
+
+def _tube(radius_mm: float, bend_deg: float, bend_radius_mm: float) -> tuple[AirwayTree, WallField, Points]:
+    """Straight down, wide, then narrow, and from where it is narrow along a circle and straight again."""
+    at = np.arange(0.0, LENGTH_MM + 0.25, 0.5)
+    turned = np.clip((at - NARROW_FROM_MM) / bend_radius_mm, 0.0, math.radians(bend_deg))
+    steps = 0.5 * np.stack([np.sin(turned), np.zeros_like(turned), -np.cos(turned)], axis=1)
+    points = np.cumsum(steps, axis=0) - steps[0]
+    radius = np.interp(at, [NARROW_FROM_MM - 10.0, NARROW_FROM_MM], [WIDE_MM, radius_mm])
+    lo, hi = points.min(axis=0) - 6.0, points.max(axis=0) + 6.0
+    num = np.ceil((hi - lo) / STEP_MM).astype(int) + 1
+    values = np.full(num[::-1], -9.0, dtype=np.float32)
+    for point, r in zip(points, radius, strict=True):
+        first = np.maximum(((point - lo - r - 2.6) / STEP_MM).astype(int), 0)
+        last = np.minimum(((point - lo + r + 2.6) / STEP_MM).astype(int) + 2, num)
+        x, y, z = (lo[a] + STEP_MM * np.arange(first[a], last[a]) - point[a] for a in range(3))
+        off = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
+        part = values[first[2] : last[2], first[1] : last[1], first[0] : last[0]]
+        np.maximum(part, (r - off).astype(np.float32), out=part)
+    place = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
+    place[:3, 3] = lo
+    half = len(points) // 3
+    trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", points[: half + 1], radius[: half + 1])
+    rest = Branch(1, 0, (), 1, None, "tracked", points[half:], radius[half:])
+    return AirwayTree((trunk, rest)), WallField.from_distances(values, place), points
+
+
+def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
+    place = (float(tip[0]), float(tip[1]), float(tip[2]))
+    leg = LastLeg(place, place, place, 0.0, 0.0, 0.0, (), 0.0, 0.0, None, None, None, 1.0, reaches=True)
+    return PlannedRoute(branch_id, "", along_mm, None, (0.0, 0.0, -1.0), 1.0, True, leg, {}, 1.0, ())
+
+
+def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
+    """Judge by measures, drive in a truth that is off by their errors; ``kind`` is ``diameter`` or ``bend``."""
+    scope = scope_preset("ultrathin")
+    sigma = math.hypot(ROOM_SHARE * SPACING_MM, EXCESS_SIGMA_MM)
+    bend_deg, bend_radius_mm = (8.0, 90.0) if kind == "diameter" else (rng.uniform(50.0, 110.0), 22.0)
+    room_mm = scope.fit_mm + (sigma * rng.uniform(-1.8, 1.8) if kind == "diameter" else 1.6)
+    if kind == "bend":
+        asked = min(bend_deg, math.degrees(50.0 / bend_radius_mm))
+        lever = asked + BEND_SIGMA_DEG * rng.uniform(-1.8, 1.8)
+        scope = replace(scope, flexion_deg=(lever, lever))
+    tree, field, points = _tube(0.5 * room_mm, bend_deg, bend_radius_mm)
+    way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
+    if kind == "diameter":
+        told = diameter_check(way, scope, SPACING_MM, errors=True).share
+        true_room_mm = room_mm + rng.normal(0.0, ROOM_SHARE * SPACING_MM)
+        driven = replace(scope, tip_mm=scope.tip_mm + FIT_MARGIN_MM + rng.normal(0.0, EXCESS_SIGMA_MM))
+        radius_mm = 0.5 * true_room_mm
+        # Between samples the axis of a narrow tube reads up to 0.4 mm too narrow: the tube is widened until the wall
+        # that the drive is held in has the width that was drawn.
+        for _ in range(3):
+            _, field, _ = _tube(radius_mm, bend_deg, bend_radius_mm)
+            way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
+            radius_mm += 0.5 * (true_room_mm - way.wall_room_mm)
+    else:
+        told = bend_check(way, scope, errors=True).share
+        lever = max((scope.flexion_deg or (0.0, 0.0))[0] + rng.normal(0.0, BEND_SIGMA_DEG), 1.0)
+        driven = replace(scope, flexion_deg=(lever, lever))
+    assert told is not None
+    return TubeDrive(told, search_drive(way, field, driven, effort=TUBE_EFFORT).arrived)
+
+
+def calibration_table(drives: list[TubeDrive], edges: tuple[float, ...] = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)) -> str:
+    """Told share against the share that passed, by bins."""
+    rows = ["told          drives  told mean  passed"]
+    for low, high in itertools.pairwise(edges):
+        inside = [one for one in drives if low <= one.told < high or (high == 1.0 and one.told == 1.0)]
+        if inside:
+            told = float(np.mean([one.told for one in inside]))
+            passed = float(np.mean([one.passed for one in inside]))
+            rows.append(f"{low:.1f} to {high:.1f}    {len(inside):5d}     {told:6.2f}  {passed:6.2f}")
+    return "\n".join(rows)
+
+
+def phantom_drives(seed: int, scope: ScopePreset, num_tips: int, spare_mm: float = 0.5) -> list[tuple[bool, bool, int]]:
+    """Drives to some tips, as far as the lumen is wider than the scope with its margin by ``spare_mm``.
+
+    Returns
+    -------
+    list[tuple[bool, bool, int]]
+        Whether a drive arrives, whether its moves alone lead a fresh scope into the same branch, how many there are.
+    """
+    made = carina.generate_phantom(seed=seed, spacing_mm=1.1)
+    airways = carina.find_airways(made.volume)
+    tree, wall = airways.tree, wall_field(made.volume, airways)
+    tips = [branch.id for branch in tree.branches if not branch.children]
+    found = []
+    for branch_id in np.random.default_rng(seed).permutation(tips)[:num_tips]:
+        route = tree.route_to(int(branch_id))
+        at = np.arange(20.0, route.length_mm - 4.0, 0.5)
+        points = np.stack([np.interp(at, route.cumulative_mm, route.points_lps[:, a]) for a in range(3)], axis=1)
+        narrow = np.flatnonzero(2.0 * wall.distance_mm(points) < scope.fit_mm + spare_mm)
+        n = int(narrow[0]) - 1 if len(narrow) else len(at) - 1
+        way = DriveWay(tree, _route(int(branch_id), points[n], float(at[n])), wall)
+        driven = search_drive(way, wall, scope, effort=PHANTOM_EFFORT)
+        same = False
+        if driven.arrived:
+            tip = replay_moves(place_at_start(way, wall, scope), driven.moves)[-1].position_lps
+            nearest, _, _ = tree.nearest_branch(tip)
+            lineage = {branch.id for branch in tree.lineage(int(branch_id))}
+            same = nearest.id in lineage and bool(np.linalg.norm(tip - points[n]) < 1.5 + way.radius_mm(way.park_mm))
+        found.append((driven.arrived, same, len(driven.moves)))
+    return found
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("tubes", "phantoms"))
+    parser.add_argument("--drives", type=int, default=200)
+    parser.add_argument("--phantoms", type=int, default=10)
+    parser.add_argument("--tips", type=int, default=3)
+    parser.add_argument("--scope", default="ultrathin")
+    options = parser.parse_args()
+    start = process_time()
+    if options.what == "tubes":
+        rng = np.random.default_rng(66)
+        for kind, share in (("diameter", 0.75), ("bend", 0.25)):
+            drives = [drive_in_a_tube(rng, kind) for _ in range(round(share * options.drives))]
+            print(f"{kind}: {len(drives)} drives\n{calibration_table(drives)}", flush=True)
+    else:
+        every: list[tuple[bool, bool, int]] = []
+        for seed in range(11, 11 + options.phantoms):
+            every += phantom_drives(seed, scope_preset(options.scope), options.tips)
+            arrived, same = sum(one[0] for one in every), sum(one[1] for one in every)
+            print(
+                f"phantom {seed}: {len(every)} routes so far, {arrived} arrive, {same} blind replays right", flush=True
+            )
+        print(f"moves of a drive that arrives: {np.median([one[2] for one in every if one[0]]):.0f} in the median")
+    print(f"{process_time() - start:.0f} s of processor time")
+
+
+if __name__ == "__main__":
+    main()
