@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,12 @@ from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
 from carina.disk import ScratchFolder
 from carina.errors import NoResultError, UsageError
-from carina.export import PLAN_FORMATS, Identity, export_plan, send_plan, write_plan_pdf
+from carina.export import PLAN_FORMATS, export_plan, send_plan, write_plan_pdf
 from carina.plan import Plan, PlannedRoute, Verdict, judge_scopes, target_from_file
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
+
+if TYPE_CHECKING:
+    from carina.export.plan_dicom import Identity
 
 __all__ = ["report"]
 
