@@ -213,10 +213,10 @@ def plan(
         str | None, typer.Option("--structure", help="Name or number of the structure, where the file has several.")
     ] = None,
     scope: Annotated[
-        str, typer.Option("--scope", help="Bronchoscope: ultrathin, thin, standard, generic, ...")
+        str, typer.Option("--scope", help="Bronchoscope: ultrathin, thin, standard, ...; or a file (.json).")
     ] = "thin",
     tool: Annotated[
-        str, typer.Option("--tool", help="Needle: needle-21g, needle-19g or needle-21g-long.")
+        str, typer.Option("--tool", help="Tool: needle-21g, needle-19g, forceps, ...; or a file (.json).")
     ] = "needle-21g",
     vessel_margin_mm: Annotated[
         float, typer.Option("--vessel-margin-mm", help="Vessels closer to the needle than this lower a route's score.")

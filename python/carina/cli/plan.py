@@ -15,8 +15,18 @@ from carina.cli.opened import check_case_options, opened
 from carina.disk import ScratchFolder
 from carina.errors import NoResultError, UsageError
 from carina.export import PLAN_FORMATS, export_plan, send_plan, write_plan_pdf
-from carina.plan import Plan, PlannedRoute, Verdict, judge_scopes, target_from_file
+from carina.plan import (
+    Plan,
+    PlannedRoute,
+    Verdict,
+    judge_scopes,
+    scope_from_file,
+    target_from_file,
+    tool_from_file,
+)
+from carina.plan import tool as tool_named
 from carina.plan.report import Paper, PlanMaterials, ReportKind, whole_sheet, write_report
+from carina.scopes import scope_preset, scope_presets
 
 if TYPE_CHECKING:
     from carina.export.plan_dicom import Identity
@@ -55,6 +65,8 @@ def report(
             raise UsageError(f"-o: expected a file name that ends in {', '.join(known)}; found {output.name!r}")
         check_output_file(output)
     peer = None if send_to is None else _peer(send_to)
+    instrument = scope_from_file(scope) if Path(scope).is_file() else scope_preset(scope)
+    used = tool_from_file(tool) if Path(tool).is_file() else tool_named(tool)
     if paper not in PAPERS:
         raise UsageError(f"--paper: expected {' or '.join(PAPERS)}; found {paper}")
     check_case_options(path, ct)
@@ -78,8 +90,8 @@ def report(
         source.volume,
         airways,
         nodule,
-        scope=scope,
-        tool=tool,
+        scope=instrument,
+        tool=used,
         aims=aims,
         vessel_margin_mm=vessel_margin_mm,
         moved_mm=moved_mm,
@@ -89,7 +101,8 @@ def report(
         say(line)
     verdicts: tuple[Verdict, ...] = ()
     if plan.routes:
-        scopes = None if all_scopes else [plan.scope]
+        library = [preset for preset in scope_presets() if preset.name != plan.scope.name]
+        scopes = [plan.scope, *(library if all_scopes else ())]
         verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, spacing_mm=max(source.volume.spacing_mm))
     for verdict in verdicts:
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
