@@ -164,6 +164,14 @@ def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
     assert found.driven is not None and found.driven.arrived, "that nothing else hinders it is said of a drive"
 
 
+def test_what_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:
+    tree, field, points = tube(30.0, 80.0)
+    tight = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4, channel_mm=1.2)
+    found = judged(tree, plan_in(points), field, tight, spacing_mm=2.0)
+    assert found.outcome == "does not reach" and found.would == "might reach if a thinner tool were used"
+    assert all(one.words.startswith("if it fits: ") for one in found.checks[4:] if one.answer == "perhaps")
+
+
 def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
     tree, field, points = tube(60.0)
     told: list[Verdict] = []

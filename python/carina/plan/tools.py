@@ -47,13 +47,14 @@ class Tool:
     """What the scope's greatest flexion loses with it in the channel."""
 
     def __post_init__(self) -> None:
-        for what, needed in (("outer_mm", self.outer_mm), ("reach_mm", self.reach_mm)):
-            if not (math.isfinite(needed) and 0.0 < needed <= _MOST[what]):
-                raise UsageError(f"{what}: expected above 0 up to {_MOST[what]:g}; found {needed}", code="plan.tool")
         for what, most in _MOST.items():
             value = getattr(self, what)
-            if value is not None and not (math.isfinite(value) and 0.0 <= value <= most):
-                raise UsageError(f"{what}: expected 0 to {most:g}; found {value}", code="plan.tool")
+            needed = what in {"outer_mm", "reach_mm"}
+            if value is None and not needed:
+                continue
+            if not (math.isfinite(value) and 0.0 <= value <= most and (value > 0.0 or not needed)):
+                expected = f"above 0 up to {most:g}" if needed else f"0 to {most:g}"
+                raise UsageError(f"{what}: expected {expected}; found {value}", code="plan.tool")
 
     def passes(self, channel_mm: float) -> bool:
         """Whether it slides through a channel of this width."""

@@ -439,4 +439,6 @@ def _would(checks: tuple[Check, ...], *, driven: bool) -> str | None:
     }
     # What was not driven might fail there too.
     start = "would reach if " if driven else "could reach only if "
+    if driven and any(check.answer == "perhaps" for check in checks):
+        start = "might reach if "
     return start + ", and if ".join(ways[check.name, check.answer] for check in lacking)
