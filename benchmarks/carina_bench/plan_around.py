@@ -247,7 +247,7 @@ def _ijk(grid: Volume, points: Points) -> NDArray[np.intp]:
 
 def _holds(grid: Volume, points: Points) -> Mask:
     ijk = _ijk(grid, points)
-    found: Mask = ((ijk >= 0) & (ijk < np.array(grid.shape_zyx[::-1]))).all(axis=1)
+    found: Mask = np.asarray(((ijk >= 0) & (ijk < np.array(grid.shape_zyx[::-1]))).all(axis=1))
     return found
 
 
@@ -306,7 +306,7 @@ def _known_phantom(name: str, saved: Row, volume: Volume, tree: AirwayTree, wall
     thick = np.concatenate([np.full(len(b["points"]), b["wall_mm"]) for b in branches])
 
     def tissue(middle: Points, half: float) -> tuple[Volume, Mask, Mask]:
-        box = (middle - half - 2.0, middle + half + 2.0)
+        box = ((middle - half - 2.0).tolist(), (middle + half + 2.0).tolist())
         made = generate_phantom(
             seed=saved["seed"], spacing_mm=FINE_MM, generations=8, noise_hu=0.0, box_lps=box, with_distance=True
         )

@@ -133,7 +133,7 @@ def _of_leg(route: PlannedRoute) -> list[str]:
         f"Needle passes are calculated with errors of {errors.angle_deg:g}\u00b0 and {errors.tip_mm:g} mm unless the "
         "plan was made with others (assumed, not measured), and with a straight needle.",
         "Vessels narrower than about 1 mm are not visible on CT; arteries and veins are not distinguished, and vessels "
-        "in the mediastinum do not stand out without contrast. A fissure is told only where the CT shows one.",
+        "in the mediastinum do not stand out without contrast. Fissures are shown only where the CT shows one.",
     ]
     if any(one.tissue == "not examined" for one in leg.crossed):
         found.append("Part of the needle's way lies beyond the scan and was not examined.")
