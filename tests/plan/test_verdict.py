@@ -182,6 +182,10 @@ def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
     assert [one.scope.name for one in told] == ["wide", "fits"]
     assert told[0].driven is None and told[0].words.startswith("stops at ")
     assert told[0].would == "could reach only if the airway were wider or the scope thinner"
+    # Nothing is known of where an instrument stops whose bending section is unknown.
+    unknown = dataclasses.replace(presets[1], flexion_deg=None, bending_mm=None)
+    (told_of,) = judge_scopes(tree, plan_in(points), field, scopes=[unknown], spacing_mm=0.6)
+    assert told_of.outcome == "does not reach" and told_of.words.startswith("does not reach: needs ")
     assert told[1].outcome == "reaches"
 
 

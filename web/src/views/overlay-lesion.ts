@@ -13,6 +13,7 @@ const DASH: readonly number[] = [6, 3];
 /** A silhouette behind a wall is seen through it, so faint that the wall is what is looked at. */
 const BEHIND_ALPHA = 0.22;
 const PARTS = 24;
+const LABEL_PX = 24;
 /** So far before the parking position the needle's line begins to be shown in the airway view. */
 const NEEDLE_FROM_MM = 25;
 
@@ -50,7 +51,9 @@ export function paintLesionsSeen(ink: Ink, viewport: Viewport, geometry: Geometr
     if (awayMm > mostMm) continue;
     paintSilhouette(ink, viewport, geometry, lesion.surface, lesion.chosen ? BEHIND_ALPHA : BEHIND_ALPHA / 2);
     const at = viewport.screenAt(seen);
-    label(ink, `${lesion.name}, ${awayMm.toFixed(0)} mm`, at, { size: 11, colour: INK.lesion });
+    // Beside the needle, which ends in its middle.
+    const beside = { x: at.x, y: at.y - LABEL_PX };
+    label(ink, `${lesion.name}, ${awayMm.toFixed(0)} mm`, beside, { size: 11, colour: INK.lesion });
   }
   const toGoMm = scene.needle?.toGoMm ?? null;
   // Farther away a wall lies between.
