@@ -83,11 +83,8 @@ class Verdict:
         worst.sort(key=lambda check: order[check.answer])
         if not worst:
             return self.outcome
-        if (
-            self.outcome == "does not reach"
-            and self.reached_mm > 0.0
-            and worst[0].name in {"diameter", "bend", "drive"}
-        ):
+        is_laid = all(check.answer != "unknown" for check in self.checks if check.name == "bend")
+        if self.outcome == "does not reach" and is_laid and worst[0].name in {"diameter", "bend", "drive"}:
             return f"stops at {self.reached_mm:.0f} mm: {worst[0].words}"
         return f"{self.outcome}: {worst[0].words}"
 
