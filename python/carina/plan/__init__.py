@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from carina.plan.atlas import ReachAtlas, reach_atlas
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.drive_search import condense_drive, place_at_start, search_drive
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
@@ -62,6 +63,7 @@ __all__ = [
     "PlanSheet",
     "PlanTarget",
     "PlannedRoute",
+    "ReachAtlas",
     "ScoreWeights",
     "Surroundings",
     "TargetSource",
@@ -92,6 +94,7 @@ __all__ = [
     "place_at_start",
     "plan_route",
     "proposed_aims",
+    "reach_atlas",
     "replay_moves",
     "resized",
     "scope_from_file",

@@ -16,7 +16,7 @@ from carina.plan.tools import Tool
 from carina.scopes import WallField
 from carina.track import AirwayTree, Branch, branch_side_and_lobe
 
-__all__ = ["BronchusSign", "NearestPlace", "Places", "branch_doubts", "branch_title"]
+__all__ = ["BronchusSign", "NearestPlace", "Places", "Ways", "branch_doubts", "branch_title"]
 
 Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
@@ -62,11 +62,11 @@ class NearestPlace:
         }
 
 
-class Places:
-    """All points of a tree's branches, against one nodule."""
+class Ways:
+    """All points of a tree's branches, and what the way to each asks of a scope."""
 
-    def __init__(self, tree: AirwayTree, nodule: Nodule, wall: WallField | None = None) -> None:
-        self._tree, self.nodule = tree, nodule
+    def __init__(self, tree: AirwayTree, wall: WallField | None = None) -> None:
+        self._tree = tree
         branches = [branch for branch in tree.branches if len(branch.points) > 1]
         self._row = {branch.id: branch for branch in tree.branches}
         along, narrowest, narrowest_at = _on_the_way(tree, wall)
@@ -83,6 +83,42 @@ class Places:
         self.narrowest_mm: Points = joined([narrowest[b.id] for b in branches])
         self.narrowest_at_mm: Points = joined([narrowest_at[b.id] for b in branches])
         self.radius: Points = joined([b.wall_distance for b in branches])
+
+    def of_branch(self, n: int) -> Branch:
+        """The branch of a place."""
+        return self._row[int(self.branch[n])]
+
+    def asks(self, n: int, section_mm: float | None) -> Demands:
+        """What the way to a place asks of a scope whose tip and bending section are ``section_mm`` long."""
+        branch = self.of_branch(n)
+        if branch.id not in self._doubts:
+            self._doubts[branch.id] = self._doubts_of(branch)
+        bend = Worst(0.0, 0.0)
+        if section_mm is not None:
+            if branch.id not in self._bends:
+                self._bends[branch.id] = _bends(self._tree.lineage(branch.id), section_mm)
+            at, worst, where = self._bends[branch.id]
+            row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
+            if row >= 0:
+                bend = Worst(float(worst[row]), float(where[row]))
+        room = Worst(float(self.narrowest_mm[n]), float(self.narrowest_at_mm[n]))
+        return Demands(room, bend, self._doubts[branch.id], self._trust(branch))
+
+    def _trust(self, branch: Branch) -> float:
+        lineage = self._tree.lineage(branch.id)
+        found = [one.confidence for one in lineage if one.confidence is not None and one.confidence < DOUBTFUL]
+        return min([1.0, *found, *(DOUBTFUL for one in lineage if one.kind in {"bridge", "manual"})])
+
+    def _doubts_of(self, branch: Branch) -> tuple[str, ...]:
+        return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
+
+
+class Places(Ways):
+    """The same against one nodule."""
+
+    def __init__(self, tree: AirwayTree, nodule: Nodule, wall: WallField | None = None) -> None:
+        super().__init__(tree, wall)
+        self.nodule = nodule
         self.distance: Points = np.linalg.norm(self.points - np.array(nodule.centre_lps), axis=1)
 
     def angle_deg(self, aim_lps: Points) -> Points:
@@ -110,26 +146,6 @@ class Places:
             ):
                 kept.append(int(n))
         return np.array(kept, dtype=np.intp)
-
-    def of_branch(self, n: int) -> Branch:
-        """The branch of a place."""
-        return self._row[int(self.branch[n])]
-
-    def asks(self, n: int, section_mm: float | None) -> Demands:
-        """What the way to a place asks of a scope whose tip and bending section are ``section_mm`` long."""
-        branch = self.of_branch(n)
-        if branch.id not in self._doubts:
-            self._doubts[branch.id] = self._doubts_of(branch)
-        bend = Worst(0.0, 0.0)
-        if section_mm is not None:
-            if branch.id not in self._bends:
-                self._bends[branch.id] = _bends(self._tree.lineage(branch.id), section_mm)
-            at, worst, where = self._bends[branch.id]
-            row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
-            if row >= 0:
-                bend = Worst(float(worst[row]), float(where[row]))
-        room = Worst(float(self.narrowest_mm[n]), float(self.narrowest_at_mm[n]))
-        return Demands(room, bend, self._doubts[branch.id], self._trust(branch))
 
     def bronchus_sign(self) -> tuple[BronchusSign, str | None, tuple[float, float, float] | None]:
         """Whether an airway leads into the nodule or lies beside it, which one, and where."""
@@ -182,14 +198,6 @@ class Places:
         if branch.parent is None and {"RMB", "LMB"} & {self._row[child].name for child in branch.children}:
             return inside
         return None
-
-    def _trust(self, branch: Branch) -> float:
-        lineage = self._tree.lineage(branch.id)
-        found = [one.confidence for one in lineage if one.confidence is not None and one.confidence < DOUBTFUL]
-        return min([1.0, *found, *(DOUBTFUL for one in lineage if one.kind in {"bridge", "manual"})])
-
-    def _doubts_of(self, branch: Branch) -> tuple[str, ...]:
-        return tuple(words for one in self._tree.lineage(branch.id) for words in branch_doubts(one))
 
 
 def branch_doubts(branch: Branch) -> tuple[str, ...]:
