@@ -170,7 +170,7 @@ def reach_atlas(
             continue
         last = branch_id, along_mm
         value = REACHES if outlook == "reaches" else MAY
-        _reach_from(reach, lung, matrix, ways.points[n], ways.forward[n], used.reach_mm, value)
+        _reach_from(reach, lung, matrix, ways.points[n], ways.forward[n], reach_mm=used.reach_mm, value=value)
         if n % 64 == 0:
             say(0.4 + 0.6 * n / len(ways.points))
     say(1.0)
@@ -183,6 +183,7 @@ def _reach_from(
     matrix: Points,
     place: Points,
     forward: Points,
+    *,
     reach_mm: float,
     value: int,
 ) -> None:
