@@ -252,7 +252,7 @@ def test_masks_that_do_not_belong_are_refused(tmp_path):
     volume, _, inside = scene()
     with pytest.raises(UsageError, match="drawn on another grid"):
         target_from_mask(volume, inside[:-1])
-    with pytest.raises(UsageError, match="other values than 0 and 1"):
+    with pytest.raises(UsageError, match="values other than 0 and 1"):
         nodule_from_mask(volume, inside.astype(np.uint8) * 3)
     with pytest.raises(NoResultError, match="the segmentation is empty"):
         nodule_from_mask(volume, np.zeros_like(inside))

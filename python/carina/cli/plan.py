@@ -101,8 +101,11 @@ def report(
         say(line)
     verdicts: tuple[Verdict, ...] = ()
     if plan.routes:
-        library = [preset for preset in scope_presets() if preset.name != plan.scope.name]
-        scopes = [plan.scope, *(library if all_scopes else ())]
+        scopes = [plan.scope]
+        if all_scopes:
+            library = list(scope_presets())
+            # One's own, from a file, is not in the library.
+            scopes = library if plan.scope in library else [plan.scope, *library]
         verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, spacing_mm=max(source.volume.spacing_mm))
     for verdict in verdicts:
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
