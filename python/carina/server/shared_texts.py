@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from carina.commands import PlanningOf
+from carina.errors import UsageError
 from carina.server import messages as wire
 from carina.server.outbox import Outbox
 from carina.server.plan_words import plans_message
@@ -104,9 +105,11 @@ class SharedTexts:
 
     def plans(self) -> str | None:
         """The plans of the open case; None without one."""
-        if self._session.snapshot().case is None:
+        try:
+            info = self._session.ask(PlanningOf())
+        except UsageError:
+            # No case is open, or it has just been closed.
             return None
-        info = self._session.ask(PlanningOf())
         planned = (value for one in info.targets for value in (one.target, one.planned))
         state = (info.document.route, info.standing, info.verdicts_standing, info.verdicts)
         return self._cached("plan", lambda: plans_message(info), *state, *planned)

@@ -99,7 +99,7 @@ class Window:
         self._pointing = Pointing(host.session, self.pump.shown, self.tell)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._history_known: tuple[int, tuple[str, ...]] | None = None
-        self._plans_known: str | None = None
+        self._plans_known: tuple[int, str | None] | None = None
 
     # ------------------------------------------------------------ life
 
@@ -189,10 +189,12 @@ class Window:
 
     def _plans_text(self) -> str | None:
         """None where this window knows them already: boundaries are long, and every change of the document asks."""
+        case_number = self._session.snapshot().case_number
         text = self._host.texts.plans()
-        if text == self._plans_known:
+        # A window forgets what it knew with the case.
+        if (case_number, text) == self._plans_known:
             return None
-        self._plans_known = text
+        self._plans_known = case_number, text
         return text
 
     def _tell_from_pump(self, message: wire.Status | tuple[str, str]) -> None:
