@@ -53,8 +53,8 @@ MOST_ROUTES = 5
 MOST_AIMS = 3
 APART_MM = 4.0
 """Routes to one aim that stand nearer to one another are one."""
-BOX_MM = 14.0
-"""Room round target and tip that is looked at."""
+BEYOND_MM, LEAST_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
+"""Looked at beyond the target's far edge, beside the needle, and round both, since filters need room."""
 MOST_BOX_MM = 60.0
 
 
@@ -293,7 +293,9 @@ def plan_route(
     candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
     kept: tuple[PlannedRoute, ...] = ()
     if candidates:
-        half = max(float(places.distance[n]) for n, _ in candidates) + 0.5 * nodule.long_mm + BOX_MM
+        # From the farthest tip to beyond the target, with what lies beside the needle.
+        farthest = max(float(places.distance[n]) for n, _ in candidates)
+        half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, LEAST_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
         drafts: dict[tuple[int, int], list[PlannedRoute]] = {}

@@ -1,0 +1,23 @@
+"""What a window is told of plans: nothing without a case, and nothing twice."""
+
+from __future__ import annotations
+
+import json
+
+from carina.commands import CloseCase
+from carina.server.shared_texts import SharedTexts
+from small_case import small_bench
+
+
+def test_there_are_no_plans_without_a_case_and_empty_ones_before_a_target() -> None:
+    bench = small_bench()
+    texts = SharedTexts(bench.session, None, print)
+    assert texts.plans() is None
+    bench.open()
+    told = texts.plans()
+    assert told is not None and texts.plans() is told
+    message = json.loads(told)
+    assert (message["type"], message["targets"], message["standing"]) == ("plans", [], "unwanted")
+    bench.session.do(CloseCase())
+    # Whoever asks while the case is being closed is told nothing, and goes on.
+    assert texts.plans() is None
