@@ -103,13 +103,13 @@ class SharedTexts:
         """The key frames."""
         return wire.encode_message(key_frames_message(self._session.key_frames_info()))
 
-    def plans(self) -> str | None:
-        """The plans of the open case; None without one."""
+    def plans(self) -> str:
+        """The plans of the open case; none without one, so that those of the next are news."""
         try:
             info = self._session.ask(PlanningOf())
         except UsageError:
             # No case is open, or it has just been closed.
-            return None
+            return wire.encode_message(wire.Plans((), "unwanted", (), "unwanted", ()))
         planned = (value for one in info.targets for value in (one.target, one.planned))
         state = (info.document.route, info.standing, info.verdicts_standing, info.verdicts)
         return self._cached("plan", lambda: plans_message(info), *state, *planned)

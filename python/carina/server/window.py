@@ -99,7 +99,6 @@ class Window:
         self._pointing = Pointing(host.session, self.pump.shown, self.tell)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._history_known: tuple[int, tuple[str, ...]] | None = None
-        self._plans_known: tuple[int, str | None] | None = None
 
     # ------------------------------------------------------------ life
 
@@ -162,7 +161,7 @@ class Window:
             case "route":
                 return self._host.texts.route()
             case "plan":
-                return self._plans_text()
+                return self._host.texts.plans()
             case "key_frames":
                 return self._host.texts.key_frames()
             case "flights":
@@ -186,16 +185,6 @@ class Window:
             return None
         self._history_known = known
         return wire.encode_message(history_message(snapshot))
-
-    def _plans_text(self) -> str | None:
-        """None where this window knows them already: boundaries are long, and every change of the document asks."""
-        case_number = self._session.snapshot().case_number
-        text = self._host.texts.plans()
-        # A window forgets what it knew with the case.
-        if (case_number, text) == self._plans_known:
-            return None
-        self._plans_known = case_number, text
-        return text
 
     def _tell_from_pump(self, message: wire.Status | tuple[str, str]) -> None:
         self.tell(wire.Error(*message, action=None) if isinstance(message, tuple) else message)
