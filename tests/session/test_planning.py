@@ -35,7 +35,7 @@ from carina.commands import (
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
-from carina.session.plan_values import nodule_surface
+from carina.session.plan_values import shown_surface
 from carina.volume import write_grid
 
 
@@ -190,7 +190,7 @@ def test_a_damaged_boundary_is_refused(chest: Phantom) -> None:
 
 def test_the_surface_that_is_drawn_lies_on_the_nodule(chest: Phantom) -> None:
     nodule = carina.grow_nodule(chest.volume, centre_of(chest))
-    mesh = nodule_surface(nodule)
+    mesh = shown_surface(nodule)
     away = np.linalg.norm(mesh.vertices_lps - np.array(nodule.centre_lps), axis=1)
     assert abs(2.0 * away.mean() - nodule.equivalent_mm) < 0.6
     assert mesh.volume_mm3 == pytest.approx(nodule.volume_mm3, rel=0.15)

@@ -9,7 +9,7 @@ import numpy as np
 from carina.case.routes import NeedleLine
 from carina.plan import WHERE_WORDS, tools
 from carina.server import messages as wire
-from carina.session import PlannedTarget, PlanningInfo, chosen_number, nodule_surface
+from carina.session import PlannedTarget, PlanningInfo, chosen_number, shown_surface
 
 if TYPE_CHECKING:
     from carina.plan import Nodule, Plan, PlannedRoute, Verdict
@@ -61,7 +61,7 @@ def _size(nodule: Nodule) -> str:
 
 
 def _surface(nodule: Nodule) -> wire.TargetSurface:
-    mesh = nodule_surface(nodule)
+    mesh = shown_surface(nodule)
     vertices = tuple(_point(p) for p in np.round(mesh.vertices_lps, 2))
     return wire.TargetSurface(vertices, tuple(int(n) for n in mesh.triangles.ravel()))
 

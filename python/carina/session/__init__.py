@@ -11,7 +11,7 @@ from carina.session.flying import view_words
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.key_framing import key_file
 from carina.session.parts import Parts, RendererFactory, default_parts
-from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number, nodule_surface
+from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number, shown_surface
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.records import FORGOTTEN_FOR_S, CaseRecord, CaseRecords
@@ -75,6 +75,6 @@ __all__ = [
     "is_case_file",
     "key_file",
     "log_fault",
-    "nodule_surface",
+    "shown_surface",
     "view_words",
 ]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "nodule_surface"]
+__all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "shown_surface"]
 
 MOST_SHOWN = 36
 """Voxels along a nodule's box that are shown of it: finer is not seen."""
@@ -305,7 +305,7 @@ def chosen_number(document: Document, plan: Plan) -> int | None:
     return None
 
 
-def nodule_surface(nodule: Nodule) -> Mesh:
+def shown_surface(nodule: Nodule) -> Mesh:
     """Its boundary, no finer than is seen."""
     inside, lps_from_ijk = nodule.inside_zyx, np.array(nodule.lps_from_ijk, dtype=np.float64)
     step = -(-max(inside.shape) // MOST_SHOWN)
