@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import check_type
+from carina.plan.fork_view import hours_of, turned_hours
 from carina.scopes import upright
 from carina.track import AirwayTree, Branch, name_words
 
@@ -143,14 +144,8 @@ def clock_hours(forward_lps: Points, direction_lps: Points) -> tuple[float, floa
     """
     up = upright(forward_lps)
     right = np.cross(forward_lps, up)
-    hours = math.degrees(math.atan2(float(direction_lps @ right), float(direction_lps @ up))) / 30.0
-    return _hour(hours), _hour(hours + 6.0)
-
-
-def _hour(hours: float) -> float:
-    wrapped = hours % 12.0
-    # A hair below 0 wraps to 12 itself.
-    return 12.0 if wrapped in {0.0, 12.0} else wrapped
+    head = hours_of(float(direction_lps @ right), -float(direction_lps @ up))
+    return head, turned_hours(head)
 
 
 class _Finder:

@@ -18,7 +18,7 @@ from carina.display import one_line
 from carina.scopes import Pose
 from carina.track import Branch
 
-__all__ = ["Opening", "Operator", "levelled", "openings_seen", "stand_mm", "turned_hours", "whole_hour"]
+__all__ = ["Opening", "Operator", "hours_of", "levelled", "openings_seen", "stand_mm", "turned_hours", "whole_hour"]
 
 Points = NDArray[np.float64]
 Operator = Literal["head", "facing"]
@@ -110,7 +110,7 @@ def openings_seen(camera: Pose, branches: Sequence[Branch]) -> tuple[Opening, ..
         right, down, forward = (float(v) for v in camera.lps_from_camera[:3, :3].T @ (place - camera.position_lps))
         depth = max(forward, LEAST_DEPTH_MM)
         seen.append((right / depth, down / depth))
-    hours = [_hours(right, down) for right, down in seen]
+    hours = [hours_of(right, down) for right, down in seen]
     tangents = [math.hypot(right, down) for right, down in seen]
     middle = int(np.argmin(tangents)) if tangents else -1
     others = [n for n in range(len(seen)) if n != middle]
@@ -125,6 +125,7 @@ def openings_seen(camera: Pose, branches: Sequence[Branch]) -> tuple[Opening, ..
     )
 
 
-def _hours(right: float, down: float) -> float:
+def hours_of(right: float, down: float) -> float:
+    """Where a direction points in a picture, by its parts to the right and down; 0 < hours <= 12."""
     hours = (math.atan2(right, -down) / math.tau * 12.0) % 12.0
     return 12.0 if hours == 0.0 else hours
