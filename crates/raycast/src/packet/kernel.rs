@@ -51,6 +51,7 @@ impl Scene<'_> {
         const SHADED: bool,
         const NEAREST: bool,
         const LEAP: u8,
+        const STAGED: bool,
     >(
         &self,
         l: L,
@@ -68,11 +69,11 @@ impl Scene<'_> {
             out,
         };
         loop {
-            self.search::<L, O, SHADED, NEAREST, LEAP>(l, &mut band);
+            self.search::<L, O, NEAREST, LEAP, STAGED>(l, &mut band);
             if band.shading.is_empty() && band.shade.occupied == 0 {
                 break;
             }
-            self.shade(l, &mut band);
+            self.shade::<L, O, SHADED>(l, &mut band);
         }
         let walked = band.sum_of_end - band.source.sum_of_first();
         band.stats.num_skipped = walked - band.stats.num_samples;
@@ -83,7 +84,7 @@ impl Scene<'_> {
     /// Leaps and clear samples, until enough rays wait for shading or none is left to search. Without shading a visible
     /// sample costs no more than a clear one and is taken here.
     #[inline(always)]
-    fn search<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool, const LEAP: u8>(
+    fn search<L: Lanes, O: Out, const NEAREST: bool, const LEAP: u8, const STAGED: bool>(
         &self,
         l: L,
         band: &mut Band<L, O>,
@@ -97,7 +98,7 @@ impl Scene<'_> {
             // Rays come and go several at a time: a change costs about as much as a look-up.
             if L::N - active.count_ones() as usize >= L::N / 4 {
                 if visible != 0 {
-                    band.shading.take_from(l, &mut packet, visible);
+                    band.shading.take_from::<L, O>(l, &mut packet, visible);
                     visible = 0;
                 }
                 let ended = packet.occupied & !active;
@@ -112,7 +113,7 @@ impl Scene<'_> {
                         .set_up(self.frame, self.start, &mut band.searching);
                 }
                 if !band.searching.is_empty() {
-                    band.searching.give_to(l, &mut packet);
+                    band.searching.give_to::<L, O>(l, &mut packet);
                     if LEAP != BRUTE {
                         pace = Pace::of(l, &packet.delta);
                     }
@@ -145,7 +146,7 @@ impl Scene<'_> {
                 }
             }
             let walks = l.mask(walk);
-            if SHADED {
+            if STAGED {
                 let clear = l.and(walks, self.clear_samples(l, &packet));
                 let clear_bits = l.bits(clear);
                 band.stats.num_samples += u64::from(clear_bits.count_ones());
@@ -155,13 +156,8 @@ impl Scene<'_> {
             } else {
                 band.stats.num_samples += u64::from(walk.count_ones());
                 let at = packet.k;
-                let (lit, goes_on) = self.take_samples::<L, O, false, NEAREST>(
-                    l,
-                    &mut packet,
-                    at,
-                    walks,
-                    &mut band.out,
-                );
+                let (lit, goes_on) =
+                    self.take_samples::<L, O, false, NEAREST>(l, &mut packet, at, walks);
                 if LEAP == TRANSPARENT {
                     // Not directly after a sample that added something.
                     let next = l.add_i(packet.k, l.splat_i(1));
@@ -177,7 +173,7 @@ impl Scene<'_> {
     /// Visible samples, until no ray waits for shading and few are left in the lanes. No ray asks the map here: a sample
     /// follows one that added something, or the map has been asked.
     #[inline(always)]
-    fn shade<L: Lanes, O: Out>(&self, l: L, band: &mut Band<L, O>) {
+    fn shade<L: Lanes, O: Out, const SHADED: bool>(&self, l: L, band: &mut Band<L, O>) {
         let mut packet = band.shade;
         let mut active = packet.occupied;
         // The next sample of the lanes at work. It goes on in the others, too.
@@ -187,14 +183,14 @@ impl Scene<'_> {
         loop {
             if L::N - active.count_ones() as usize >= L::N / 8 {
                 if clear != 0 {
-                    band.searching.take_from(l, &mut packet, clear);
+                    band.searching.take_from::<L, O>(l, &mut packet, clear);
                     clear = 0;
                 }
                 let ended = packet.occupied & !active;
                 if ended != 0 {
                     band.finish(l, &mut packet, ended);
                 }
-                band.shading.give_to(l, &mut packet);
+                band.shading.give_to::<L, O>(l, &mut packet);
                 k = packet.k;
                 active = packet.occupied;
                 let least = if band.may_search() { L::N * 3 / 4 } else { 1 };
@@ -204,11 +200,12 @@ impl Scene<'_> {
             }
             band.stats.num_samples += u64::from(active.count_ones());
             let take = l.mask(active);
-            let (lit, goes_on) =
-                self.take_samples::<L, O, true, false>(l, &mut packet, k, take, &mut band.out);
+            let (lit, goes_on) = self.take_samples::<L, O, SHADED, false>(l, &mut packet, k, take);
             k = l.add_i(k, l.splat_i(1));
             let (lit, goes_on) = (l.bits(lit), l.bits(goes_on));
-            band.stats.num_shaded += u64::from(lit.count_ones());
+            if SHADED {
+                band.stats.num_shaded += u64::from(lit.count_ones());
+            }
             clear |= active & goes_on & !lit;
             active &= goes_on & lit;
         }

@@ -124,8 +124,7 @@ impl<'a> Packets<'a> {
         self.cast_to(first_row, num_pixels, out)
     }
 
-    /// The same with all that the rays gather, first walls included; `out` holds [`Gathered::NOTHING`]. The light at the
-    /// tip is left out.
+    /// The same with all that the rays gather, first walls included. The light at the tip is left out.
     pub(crate) fn cast_walls(&self, first_row: usize, out: &mut [Gathered]) -> CastStats {
         let num_pixels = out.len();
         self.cast_to(first_row, num_pixels, Walls(out))
@@ -175,23 +174,23 @@ impl<'a> Packets<'a> {
         let scene = &self.scene;
         if O::HITS {
             return match self.leap {
-                BRUTE => scene.cast::<L, O, false, false, BRUTE>(l, source, out),
-                _ => scene.cast::<L, O, false, false, TRANSPARENT>(l, source, out),
+                BRUTE => scene.cast::<L, O, false, false, BRUTE, true>(l, source, out),
+                _ => scene.cast::<L, O, false, false, TRANSPARENT, true>(l, source, out),
             };
         }
         match (self.shaded, self.nearest, self.leap) {
-            (true, _, BRUTE) => scene.cast::<L, O, true, false, BRUTE>(l, source, out),
-            (true, _, _) => scene.cast::<L, O, true, false, TRANSPARENT>(l, source, out),
-            (false, false, BRUTE) => scene.cast::<L, O, false, false, BRUTE>(l, source, out),
+            (true, _, BRUTE) => scene.cast::<L, O, true, false, BRUTE, true>(l, source, out),
+            (true, _, _) => scene.cast::<L, O, true, false, TRANSPARENT, true>(l, source, out),
+            (false, false, BRUTE) => scene.cast::<L, O, false, false, BRUTE, true>(l, source, out),
             (false, false, TRANSPARENT) => {
-                scene.cast::<L, O, false, false, TRANSPARENT>(l, source, out)
+                scene.cast::<L, O, false, false, TRANSPARENT, true>(l, source, out)
             }
-            (false, false, _) => scene.cast::<L, O, false, false, CLASSES>(l, source, out),
-            (false, true, BRUTE) => scene.cast::<L, O, false, true, BRUTE>(l, source, out),
+            (false, false, _) => scene.cast::<L, O, false, false, CLASSES, false>(l, source, out),
+            (false, true, BRUTE) => scene.cast::<L, O, false, true, BRUTE, false>(l, source, out),
             (false, true, TRANSPARENT) => {
-                scene.cast::<L, O, false, true, TRANSPARENT>(l, source, out)
+                scene.cast::<L, O, false, true, TRANSPARENT, false>(l, source, out)
             }
-            (false, true, _) => scene.cast::<L, O, false, true, CLASSES>(l, source, out),
+            (false, true, _) => scene.cast::<L, O, false, true, CLASSES, false>(l, source, out),
         }
     }
 }

@@ -13,9 +13,6 @@ pub(super) trait Out {
 
     /// Writes the pixels of some lanes.
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32);
-
-    /// Notes where the rays of some lanes meet the first wall; once in a ray's life.
-    fn note_hits<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32, hit: L::F);
 }
 
 /// 8-bit colours over a background.
@@ -50,12 +47,9 @@ impl Out for Rgb8<'_> {
             ]);
         });
     }
-
-    #[inline(always)]
-    fn note_hits<L: Lanes>(&mut self, _: L, _: &Packet<L>, _: u32, _: L::F) {}
 }
 
-/// All that is gathered, first walls included. The pixels start as [`Gathered::NOTHING`].
+/// All that is gathered, first walls included.
 pub(super) struct Walls<'a>(pub &'a mut [Gathered]);
 
 impl Out for Walls<'_> {
@@ -64,18 +58,18 @@ impl Out for Walls<'_> {
     #[inline(always)]
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32) {
         let pixel = l.store_i(packet.pixel);
-        let rgb = [0, 1, 2].map(|c| l.store(packet.rgb[c]));
-        let transparency = l.store(packet.transparency);
+        // No closure holds the stores: it would be compiled without the instruction set, one call for each.
+        let mut rgb = [[0.0; MAX_LANES]; 3];
+        for c in 0..3 {
+            rgb[c] = l.store(packet.rgb[c]);
+        }
+        let (transparency, hit) = (l.store(packet.transparency), l.store(packet.hit));
         each_lane(lanes, |n| {
-            let out = &mut self.0[pixel[n] as usize];
-            out.rgb = [rgb[0][n], rgb[1][n], rgb[2][n]];
-            out.transparency = transparency[n];
+            self.0[pixel[n] as usize] = Gathered {
+                rgb: [rgb[0][n], rgb[1][n], rgb[2][n]],
+                transparency: transparency[n],
+                hit: hit[n],
+            };
         });
-    }
-
-    #[inline(always)]
-    fn note_hits<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32, hit: L::F) {
-        let (pixel, hit) = (l.store_i(packet.pixel), l.store(hit));
-        each_lane(lanes, |n| self.0[pixel[n] as usize].hit = hit[n]);
     }
 }

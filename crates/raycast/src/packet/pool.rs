@@ -2,9 +2,10 @@
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES, each_lane},
+    out::Out,
     setup::rays_of,
 };
-use crate::{Frame, leap::Start};
+use crate::{Frame, composite::NO_HIT, leap::Start};
 
 /// Rays set up at a time.
 const BATCH: usize = 64;
@@ -18,6 +19,8 @@ pub(super) struct Packet<L: Lanes> {
     pub delta: [L::F; 3],
     pub rgb: [L::F; 3],
     pub transparency: L::F,
+    /// Where it has met its first wall, as in `Gathered`; kept only by those who ask for it.
+    pub hit: L::F,
     /// The next sample.
     pub k: L::I,
     pub end: L::I,
@@ -38,6 +41,7 @@ impl<L: Lanes> Packet<L> {
             delta: [zero; 3],
             rgb: [zero; 3],
             transparency: zero,
+            hit: zero,
             k: none,
             end: none,
             pixel: none,
@@ -80,6 +84,7 @@ pub(super) struct Pool {
     delta: [[f32; CAPACITY]; 3],
     rgb: [[f32; CAPACITY]; 3],
     transparency: [f32; CAPACITY],
+    hit: [f32; CAPACITY],
     k: [i32; CAPACITY],
     end: [i32; CAPACITY],
     pixel: [i32; CAPACITY],
@@ -99,6 +104,7 @@ impl Pool {
             delta: [[0.0; CAPACITY]; 3],
             rgb: [[0.0; CAPACITY]; 3],
             transparency: [0.0; CAPACITY],
+            hit: [0.0; CAPACITY],
             k: [0; CAPACITY],
             end: [0; CAPACITY],
             pixel: [0; CAPACITY],
@@ -119,13 +125,16 @@ impl Pool {
 
     /// Takes rays out of some lanes, which are free then.
     #[inline(always)]
-    pub(super) fn take_from<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>, lanes: u32) {
+    pub(super) fn take_from<L: Lanes, O: Out>(&mut self, l: L, packet: &mut Packet<L>, lanes: u32) {
         let at = self.len;
         for a in 0..3 {
             l.put(packet.delta[a], lanes, &mut self.delta[a][at..]);
             l.put(packet.rgb[a], lanes, &mut self.rgb[a][at..]);
         }
         l.put(packet.transparency, lanes, &mut self.transparency[at..]);
+        if O::HITS {
+            l.put(packet.hit, lanes, &mut self.hit[at..]);
+        }
         l.put_i(packet.k, lanes, &mut self.k[at..]);
         l.put_i(packet.end, lanes, &mut self.end[at..]);
         l.put_i(packet.pixel, lanes, &mut self.pixel[at..]);
@@ -137,7 +146,7 @@ impl Pool {
 
     /// Puts rays into free lanes, as many as there are.
     #[inline(always)]
-    pub(super) fn give_to<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>) {
+    pub(super) fn give_to<L: Lanes, O: Out>(&mut self, l: L, packet: &mut Packet<L>) {
         let mut lanes = packet.free();
         // The lowest lanes take the rays that are left.
         while lanes.count_ones() as usize > self.len {
@@ -150,6 +159,9 @@ impl Pool {
             packet.rgb[a] = l.fill(packet.rgb[a], lanes, &self.rgb[a][at..]);
         }
         packet.transparency = l.fill(packet.transparency, lanes, &self.transparency[at..]);
+        if O::HITS {
+            packet.hit = l.fill(packet.hit, lanes, &self.hit[at..]);
+        }
         packet.k = l.fill_i(packet.k, lanes, &self.k[at..]);
         packet.end = l.fill_i(packet.end, lanes, &self.end[at..]);
         packet.pixel = l.fill_i(packet.pixel, lanes, &self.pixel[at..]);
@@ -222,6 +234,7 @@ impl Source {
                 write(&mut pool.rgb[a], at, [0.0; MAX_LANES]);
             }
             write(&mut pool.transparency, at, [1.0; MAX_LANES]);
+            write(&mut pool.hit, at, [NO_HIT; MAX_LANES]);
             write(&mut pool.k, at, rays.first);
             write(&mut pool.end, at, rays.end);
             write(&mut pool.pixel, at, pixel);

@@ -15,9 +15,8 @@ impl Scene<'_> {
         packet: &mut Packet<L>,
         k: L::I,
         take: L::M,
-        out: &mut O,
     ) -> (L::M, L::M) {
-        let lit = self.add_samples::<L, O, SHADED, NEAREST>(l, packet, k, take, out);
+        let lit = self.add_samples::<L, O, SHADED, NEAREST>(l, packet, k, take);
         packet.k = l.select_i(take, l.add_i(k, l.splat_i(1)), packet.k);
         let faint = l.less(packet.transparency, l.splat(self.frame.stop));
         let opaque = l.and(lit, faint);
@@ -57,7 +56,6 @@ impl Scene<'_> {
         packet: &mut Packet<L>,
         k: L::I,
         take: L::M,
-        out: &mut O,
     ) -> L::M {
         let p = packet.at(l, k, self.frame.origin3());
         let mut gradient = packet.delta;
@@ -112,10 +110,10 @@ impl Scene<'_> {
             // As in `Gathered::cross`.
             let (half, before) = (l.splat(0.5), packet.transparency);
             let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
+            // Once in a ray's life.
             if l.bits(crossed) != 0 {
                 let part = l.div(l.sub(before, half), l.sub(before, through));
-                let hit = l.add(l.to_f(k), part);
-                out.note_hits(l, packet, l.bits(crossed), hit);
+                packet.hit = l.select(crossed, l.add(l.to_f(k), part), packet.hit);
             }
         }
         packet.transparency = l.select(lit, through, packet.transparency);
