@@ -289,6 +289,13 @@ class CancelToken:
     def cancelled(self) -> bool:
         """Whether it was cancelled."""
 
+class WallSlopes:
+    """Slopes of walls of one array of values, which must not change; kept from picture to picture."""
+
+    def __new__(cls) -> WallSlopes: ...
+    def __len__(self) -> int:
+        """Bricks kept."""
+
 def cast(
     hu_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],
@@ -311,6 +318,7 @@ def cast(
     stop_transparency: float | None = None,
     appearance: Appearance | None = None,
     always_leap: bool = False,
+    slopes: WallSlopes | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 

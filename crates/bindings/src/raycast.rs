@@ -13,8 +13,8 @@ use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
     Appearance, ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method,
-    RaycastError, Transfer, TriPlane, WallHeights, Window, cast_rows, cast_rows_until,
-    cast_tri_plane, maximum_projections_by, pick, sample_plane_by, smoothed_mask,
+    NormalBricks, RaycastError, Transfer, TriPlane, WallHeights, Window, cast_rows,
+    cast_rows_until, cast_tri_plane, maximum_projections_by, pick, sample_plane_by, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -150,6 +150,46 @@ impl CancelToken {
     }
 }
 
+/// Slopes of walls of one volume, kept from picture to picture.
+///
+/// For one array of values, which must not change: the owner takes another object for another array.
+#[pyclass(frozen, module = "carina._core")]
+#[derive(Default)]
+struct WallSlopes {
+    kept: Mutex<Option<Arc<NormalBricks>>>,
+}
+
+impl WallSlopes {
+    /// Those of a frame's transfer function; from the beginning where it has changed, or where no more can be kept.
+    fn of(&self, frame: &Frame<'_>) -> Arc<NormalBricks> {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(bricks) = kept.as_ref().filter(|b| b.fit(frame) && !b.is_full()) {
+            return Arc::clone(bricks);
+        }
+        let bricks = Arc::new(NormalBricks::of(frame));
+        *kept = Some(Arc::clone(&bricks));
+        bricks
+    }
+}
+
+#[pymethods]
+impl WallSlopes {
+    #[new]
+    fn new() -> Self {
+        Self::default()
+    }
+
+    /// Bricks kept.
+    fn __len__(&self) -> usize {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.as_ref().map_or(0, |bricks| bricks.len())
+    }
+
+    fn __repr__(&self) -> String {
+        format!("WallSlopes({} bricks)", self.__len__())
+    }
+}
+
 /// The instruction set of a name; without one, of `CARINA_SIMD`, which is for tests; else the fastest of this machine.
 pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
@@ -236,7 +276,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None, appearance=None, always_leap=false
+    stop_transparency=None, appearance=None, always_leap=false, slopes=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -260,6 +300,7 @@ fn cast<'py>(
     stop_transparency: Option<f32>,
     appearance: Option<PyAppearance>,
     always_leap: bool,
+    slopes: Option<Bound<'py, WallSlopes>>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -287,6 +328,10 @@ fn cast<'py>(
     }
     if always_leap {
         frame = frame.leaping_always();
+    }
+    if let Some(slopes) = slopes.filter(|_| frame.lights_walls()) {
+        let bricks = slopes.get().of(&frame);
+        frame = frame.with_normals(bricks).map_err(IntoPy::into_py)?;
     }
     let simd = instruction_set(simd)?;
     let (start, end) = rows.unwrap_or((0, height));
@@ -585,6 +630,7 @@ pub(crate) fn best_instruction_set() -> PyResult<&'static str> {
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<TransferTable>()?;
     module.add_class::<CancelToken>()?;
+    module.add_class::<WallSlopes>()?;
     module.add_function(wrap_pyfunction!(cast, module)?)?;
     module.add_function(wrap_pyfunction!(cast_surface, module)?)?;
     module.add_function(wrap_pyfunction!(cut_plane, module)?)?;

@@ -1,9 +1,12 @@
 //! What all rays of a picture share, set up once in f64.
 
+use std::sync::Arc;
+
 use carina_grid::{Affine, Camera, Grid, VolumeView, clip_line_to_box, dot, length};
 
 use crate::{
-    Appearance, Field, Light, RaycastError, TransferTable, composite::Gathered, sampling::Lanes,
+    Appearance, Field, Light, NormalBricks, RaycastError, TransferTable, composite::Gathered,
+    sampling::Lanes,
 };
 
 /// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
@@ -51,6 +54,8 @@ pub struct Frame<'a> {
     pub(crate) stop: f32,
     /// Leaps also where brute force is quicker.
     pub(crate) always_leap: bool,
+    /// Slopes of walls that earlier pictures have worked out.
+    pub(crate) bricks: Option<Arc<NormalBricks>>,
 }
 
 /// One ray: samples `first..end` at `origin + (k + 1/2) delta`.
@@ -133,6 +138,7 @@ impl<'a> Frame<'a> {
             guard_vox: (1e-3 * (longest / 4096.0).max(1.0)) as f32,
             stop: STOP_TRANSPARENCY,
             always_leap: false,
+            bricks: None,
         })
     }
 
@@ -155,6 +161,12 @@ impl<'a> Frame<'a> {
     pub const fn leaping_always(mut self) -> Self {
         self.always_leap = true;
         self
+    }
+
+    /// True if first walls are lit after casting.
+    #[must_use]
+    pub const fn lights_walls(&self) -> bool {
+        self.options.appearance.is_some()
     }
 
     /// The camera.

@@ -25,6 +25,7 @@
 )]
 
 mod appearance;
+mod bricks;
 mod brute;
 mod composite;
 mod defocus;
@@ -57,6 +58,7 @@ mod window;
 mod worth;
 
 pub use appearance::Appearance;
+pub use bricks::NormalBricks;
 pub use carina_grid::InstructionSet;
 pub use composite::Gathered;
 pub use defocus::{Focus, defocus};

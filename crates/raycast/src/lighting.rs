@@ -1,12 +1,15 @@
 //! What the lighting of first walls needs of a frame.
 
-use crate::{Appearance, Frame, normals::Normals};
+use std::sync::Arc;
+
+use crate::{Appearance, Frame, NormalBricks, normals::Normals};
 
 /// What the lighting of a frame needs, set up once in f64.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Lighting {
     pub look: Appearance,
     pub normals: Normals,
+    pub bricks: Arc<NormalBricks>,
     pub origin_ijk: [f32; 3],
     pub camera_lps: [f32; 3],
     pub step_mm: f32,
@@ -33,6 +36,10 @@ impl Lighting {
         Some(Self {
             look,
             normals: Normals::of(frame),
+            bricks: frame
+                .bricks
+                .clone()
+                .unwrap_or_else(|| Arc::new(NormalBricks::of(frame))),
             origin_ijk: frame.origin3(),
             camera_lps: camera.origin_lps().map(|v| v as f32),
             step_mm: frame.step_mm,

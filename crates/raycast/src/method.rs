@@ -55,8 +55,8 @@ impl CastStats {
     /// voxels longer.)
     const GRADIENT_LOADS: u64 = 8;
 
-    /// Reads of a lit first wall: fourteen samples for its normal and one beneath it.
-    const LIGHTING_LOADS: u64 = 15 * 4;
+    /// Reads of a lit first wall: slopes at the eight corners of its cell, and one sample beneath it.
+    const LIGHTING_LOADS: u64 = 8 + 4;
 
     /// Counts the reads, which follow from the other counts: of samples and their gradients, one radius for each look-up,
     /// and one label for each leap over a class. Reads of the transfer and step tables are left out: they are small and

@@ -4,13 +4,13 @@
 pub(super) const MAX_LANES: usize = 32;
 
 /// One value for each lane, in memory.
-pub(super) type Array<T> = [T; MAX_LANES];
+pub(crate) type Array<T> = [T; MAX_LANES];
 
 /// An instruction set. A value of the type is the proof that the machine has it.
 ///
 /// Every operation is the IEEE one, or the integer one, that the scalar kernel uses; there are no estimates.
 /// `min(a, b)` is `if a < b { a } else { b }`, `max(a, b)` is `if a > b { a } else { b }`.
-pub(super) trait Lanes: Copy {
+pub(crate) trait Lanes: Copy {
     /// Number of lanes.
     const N: usize;
     /// f32 for each lane.

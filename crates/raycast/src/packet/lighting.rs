@@ -9,16 +9,12 @@ use super::{
     pair::Pair,
     portable::Portable,
     setup::rays_of,
+    slopes::rise,
     texture::texture,
     vectors::{along, dot, scaled, smooth, splat, turn, unit},
     voxels::Voxels,
 };
-use crate::{
-    Field, Frame, InstructionSet,
-    composite::Gathered,
-    lighting::Lighting,
-    normals::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT},
-};
+use crate::{Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting};
 
 /// Squared radius of a light guide's end, mm2: the inverse square does not run away where a wall touches it.
 const GUIDE_MM2: f32 = 2.5;
@@ -58,61 +54,20 @@ fn load<L: Lanes>(l: L, values: &Array<f32>) -> L::F {
     l.fill(l.splat(0.0), ((1u64 << L::N) - 1) as u32, values)
 }
 
-/// The value on one side of `p` less that on the other, both held in a range.
-#[inline(always)]
-fn across<L: Lanes>(
-    l: L,
-    values: impl Values<L>,
-    (p, off, reach): ([L::F; 3], [f32; 3], [L::F; 3]),
-    (low, high): (L::F, L::F),
-) -> L::F {
-    let (mut before, mut after) = (p, p);
-    for a in 0..3 {
-        if off[a] != 0.0 {
-            before[a] = l.fma(l.splat(-off[a]), reach[a], p[a]);
-            after[a] = l.fma(l.splat(off[a]), reach[a], p[a]);
-        }
-    }
-    let before = l.min(l.max(values.at(l, before), low), high);
-    l.sub(l.min(l.max(values.at(l, after), low), high), before)
-}
-
 /// Gradient of the volume round `p` in LPS, as in `Normals::at`.
 #[inline(always)]
-fn inward<L: Lanes>(l: L, light: &Lighting, values: impl Values<L>, p: [L::F; 3]) -> [L::F; 3] {
-    let [low, high] = light.normals.held;
-    let (low, high) = (l.splat(low), l.splat(high));
-    let reach = splat(l, light.normals.reach);
-    let mut rise = p;
-    for a in 0..3 {
-        let mut off = [0.0; 3];
-        off[a] = AXIS_AT;
-        rise[a] = l.mul(
-            l.splat(AXIS_WEIGHT),
-            across(l, values, (p, off, reach), (low, high)),
-        );
-    }
-    for corner in 0..4 {
-        let side = [1.0, [1.0f32, -1.0][corner & 1], [1.0f32, -1.0][corner >> 1]];
-        let off = [
-            side[0] * CORNER_AT,
-            side[1] * CORNER_AT,
-            side[2] * CORNER_AT,
-        ];
-        let step = l.mul(
-            l.splat(CORNER_WEIGHT),
-            across(l, values, (p, off, reach), (low, high)),
-        );
-        for a in 0..3 {
-            rise[a] = l.fma(l.splat(side[a]), step, rise[a]);
-        }
-    }
-    turn(l, &light.normals.rows, rise)
+fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> [L::F; 3] {
+    turn(l, &light.normals.rows, rise(l, &light.bricks, field, p))
 }
 
 /// Linear colour of lit walls, before the tone curve. `hit` is 0 or more in all lanes.
 #[inline(always)]
-fn lit<L: Lanes>(l: L, light: &Lighting, values: impl Values<L>, walls: &Walls<L>) -> [L::F; 3] {
+fn lit<L: Lanes>(
+    l: L,
+    light: &Lighting,
+    (values, field): (impl Values<L>, &Field<'_>),
+    walls: &Walls<L>,
+) -> [L::F; 3] {
     let s = |v: f32| l.splat(v);
     let (delta, hit, albedo) = (walls.delta, walls.hit, walls.albedo);
     let look = &light.look;
@@ -124,7 +79,7 @@ fn lit<L: Lanes>(l: L, light: &Lighting, values: impl Values<L>, walls: &Walls<L
     let depth = l.mul(hit, s(light.step_mm));
 
     // The normal, on the camera's side; flat tissue faces the camera.
-    let gradient = inward(l, light, values, p);
+    let gradient = inward(l, light, field, p);
     let (n, steep) = unit(l, gradient);
     let away = l.less(s(0.0), dot(l, n, back));
     let side = l.select(away, s(1.0), s(-1.0));
@@ -279,7 +234,7 @@ fn light_row<L: Lanes>(
         let columns = from_fn(|n| (block * L::N + n).min(last) as i32);
         let rays = rays_of(frame, &columns, &[row as i32; MAX_LANES]);
         let walls = gather(l, &rays.delta, pixels);
-        let colour = lit(l, light, values, &walls);
+        let colour = lit(l, light, (values, &frame.field), &walls);
         let mut shown = [[0; MAX_LANES]; 3];
         for c in 0..3 {
             // Bright light is compressed as a camera does it: x (1 + x / white^2) / (1 + x).
@@ -359,7 +314,7 @@ pub(crate) fn brightness(
     pixels: &[(usize, usize, Gathered)],
 ) -> Vec<f32> {
     let l = Portable;
-    let mut plain = *light;
+    let mut plain = light.clone();
     (plain.look.texture, plain.look.vessels) = (0.0, 0.0);
     (plain.look.gloss, plain.exposure) = (0.0, 1.0);
     let mut out = Vec::with_capacity(pixels.len());
@@ -372,7 +327,7 @@ pub(crate) fn brightness(
         let rays = rays_of(frame, &column, &row);
         let gathered: Vec<Gathered> = pixels.iter().map(|pixel| pixel.2).collect();
         let walls = gather(l, &rays.delta, &gathered);
-        let [r, g, b] = lit(l, &plain, &frame.field, &walls);
+        let [r, g, b] = lit(l, &plain, (&frame.field, &frame.field), &walls);
         // About the eye's weights.
         let weights = [l.splat(0.3), l.splat(0.6), l.splat(0.1)];
         out.extend_from_slice(&l.store(dot(l, [r, g, b], weights))[..pixels.len()]);

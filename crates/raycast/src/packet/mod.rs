@@ -23,6 +23,7 @@ mod portable;
 mod sample;
 mod scene;
 mod setup;
+mod slopes;
 mod texture;
 mod vectors;
 mod voxels;
@@ -45,6 +46,10 @@ use scene::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use voxels::Voxels;
 
 pub(crate) use lighting::{brightness, light_rows};
+#[cfg(test)]
+pub(crate) use {
+    lanes::Lanes as TestLanes, portable::Portable as TestSet, slopes::rise as test_rise,
+};
 
 /// Rows of a picture that are cast together: packets cover squares of pixels.
 pub(crate) const BAND_ROWS: usize = 4;

@@ -9,7 +9,7 @@ const N: usize = 8;
 
 /// No instruction but those that the target has.
 #[derive(Clone, Copy)]
-pub(super) struct Portable;
+pub(crate) struct Portable;
 
 /// Each operation lane by lane.
 macro_rules! lane_by_lane {
