@@ -12,10 +12,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+import carina
 from carina.cli.console import progress_printer, say
 from carina.errors import RenderError
 from carina.render import AirwayView, Picture, Renderer, TransferFunction, build_info
-from carina.scopes import Pose
+from carina.scopes import DEFAULT_SCOPE, Pose, scope_preset
 from carina.volume import Volume
 from carina_bench.cases import Case, open_case
 from carina_bench.clock import Times, median_ratio, take_turns
@@ -46,6 +47,21 @@ def _view(pose: Pose, method: Literal["leap", "brute"], size: int, *, stop: floa
     )
 
 
+def _shown(pose: Pose, method: Literal["leap", "brute"]) -> AirwayView:
+    """The airway view as a window shows it: through the lens of the usual instrument, stopped at our own limit."""
+    scope = scope_preset(DEFAULT_SCOPE)
+    return AirwayView.of_scope(scope, pose, width=SIZE, height=SIZE, step_vox=STEP_VOX, method=method)
+
+
+def shipped(case: Case, simd: str | None = None) -> Renderer:
+    """What a person gets who opens the case: the volume's own look, with the wall of the airways that are found."""
+    renderer = Renderer(case.volume, simd=simd)
+    lumen = case.lumen_zyx
+    renderer.set_lumen(carina.find_airways(case.volume).lumen_zyx if lumen is None else lumen)
+    renderer.prepare()
+    return renderer
+
+
 def num_loads(picture: Picture) -> int:
     """Loads of volume and maps by the scalar algorithm (deterministic)."""
     stats = picture.stats
@@ -60,7 +76,10 @@ def prepared(volume: Volume, transfer: TransferFunction, simd: str | None = None
 
 
 def frames(request: Request) -> list[dict[str, Any]]:
-    """Whole frames of 512 x 512 beside VTK and the numba baseline: one thread, CPU time, in turn."""
+    """Whole frames of 512 x 512 beside VTK and the numba baseline: one thread, CPU time, in turn.
+
+    The benchmark's scene in both, and what a person gets. VTK has nothing like it: beside it VTK casts the scene too.
+    """
     from carina_bench.numba_peer import numba_caster
     from carina_bench.vtk_peer import VtkCaster
 
@@ -70,6 +89,10 @@ def frames(request: Request) -> list[dict[str, Any]]:
         say(f"{case.name}: {case.volume!r}")
         sets = instruction_sets()
         renderers = {simd: prepared(case.volume, TRANSFER, simd) for simd in sets}
+        looks = {sets[0]: shipped(case, sets[0])}
+        for simd in sets[1:]:
+            looks[simd] = Renderer(case.volume, simd=simd)
+            looks[simd].adopt_scene(looks[sets[0]].scene)
         vtk = VtkCaster(case.volume, TRANSFER, step_vox=STEP_VOX, size=SIZE)
         say(f"{case.name}: the first picture of VTK is made")
         baseline = numba_caster(case.volume, TRANSFER, step_vox=STEP_VOX, size=SIZE)
@@ -77,7 +100,7 @@ def frames(request: Request) -> list[dict[str, Any]]:
         measured = []
         for label, pose in poses:
             say(f"{case.name}: {label}")
-            measured.append(_frame_at(request, case, label, pose, renderers, vtk, baseline))
+            measured.append(_frame_at(request, case, label, pose, (renderers, looks), vtk, baseline))
         vtk.close()
         rows.append({"case": case.name, "view": "trachea", **measured[0]})
         rows.append({"case": case.name, "view": "flight", **_over_poses(measured[1:])})
@@ -89,11 +112,12 @@ def _frame_at(
     case: Case,
     label: str,
     pose: Pose,
-    renderers: dict[str, Renderer],
+    both: tuple[dict[str, Renderer], dict[str, Renderer]],
     vtk: Any,
     baseline: Callable[[Pose], NDArray[np.uint8]],
 ) -> dict[str, Any]:
     """One pose: times in turn, ratios within rounds, pictures saved and compared."""
+    renderers, looks = both
     vtk.look(pose)
     functions: dict[str, Callable[[], object]] = {"vtk": vtk.cast}
     for simd, renderer in renderers.items():
@@ -103,12 +127,17 @@ def _frame_at(
     best = next(reversed(renderers))
     # Beside VTK rays stop where VTK's do; this is the picture that a person gets.
     functions["leap-own-stop"] = partial(renderers[best].render, _view(pose, "leap", SIZE))
+    for simd, renderer in looks.items():
+        for method in METHODS:
+            functions[f"shipped-{method}-{simd}"] = partial(renderer.render, _shown(pose, method))
     times = take_turns(functions, request["repeats"])
+    shown = {simd: [looks[simd].render(_shown(pose, method)).rgb for method in METHODS] for simd in looks}
     brute, leap = (renderers[best].render(_view(pose, method, SIZE)) for method in METHODS)
     row: dict[str, Any] = {
         "cpu_ms": {key: value.to_json() for key, value in times.items()},
         "ratio": _ratios(times, best),
         "leap_minus_brute": difference(leap.rgb, brute.rgb),
+        "shipped_leap_minus_brute": difference(shown[best][1], shown[best][0]),
         "per_ray": {
             "samples_brute": round(brute.stats.num_samples / brute.stats.num_rays, 2),
             "samples_leap": round(leap.stats.num_samples / leap.stats.num_rays, 2),
@@ -118,23 +147,30 @@ def _frame_at(
         "loads_ratio": round(num_loads(leap) / max(num_loads(brute), 1), 4),
     }
     others = {simd: r.render(_view(pose, "leap", SIZE)).rgb for simd, r in renderers.items() if simd != best}
-    row["instruction_sets_agree"] = all(np.array_equal(rgb, leap.rgb) for rgb in others.values())
+    row["instruction_sets_agree"] = all(np.array_equal(rgb, leap.rgb) for rgb in others.values()) and all(
+        np.array_equal(leaped, shown[best][1]) for _, leaped in shown.values()
+    )
     # The baseline and the window are slow: one picture each, and the baseline's time in the trachea.
     expected = baseline(pose)
     row["brute_minus_baseline"] = difference(brute.rgb, expected)
-    shown = vtk.picture()
-    row["brute_minus_vtk"] = difference(brute.rgb, shown)
+    peer = vtk.picture()
+    row["brute_minus_vtk"] = difference(brute.rgb, peer)
     if label == "trachea":
         slow = take_turns({"numba": lambda: baseline(pose), "vtk-window": vtk.cast_and_show}, BASELINE_REPEATS)
         row["cpu_ms"] |= {key: value.to_json() for key, value in slow.items()}
         row["pictures"] = [
             save(request["folder"], f"{case.name}-{label}-{who}", rgb)
-            for who, rgb in (("carina", leap.rgb), ("vtk", shown), ("baseline", expected))
+            for who, rgb in (
+                ("carina", leap.rgb),
+                ("vtk", peer),
+                ("baseline", expected),
+                ("shipped", shown[best][1]),
+            )
         ]
     else:
         row["pictures"] = [
             save(request["folder"], f"{case.name}-{label}-{who}", rgb)
-            for who, rgb in (("carina", leap.rgb), ("vtk", shown))
+            for who, rgb in (("carina", leap.rgb), ("vtk", peer), ("shipped", shown[best][1]))
         ]
     return row
 
@@ -153,10 +189,14 @@ def _ratios(times: dict[str, Times], best: str) -> dict[str, Any]:
         "brute_over_vtk": both("vtk", f"brute-{best}"),
         "leap_over_brute": both(f"brute-{best}", f"leap-{best}"),
         "leap_with_own_stop_over_vtk": both("vtk", "leap-own-stop"),
+        "shipped_over_vtk": both("vtk", f"shipped-leap-{best}"),
+        "shipped_leap_over_brute": both(f"shipped-brute-{best}", f"shipped-leap-{best}"),
+        "shipped_over_leap": both(f"leap-{best}", f"shipped-leap-{best}"),
     }
     if "leap-avx2" in times:
         ratios["avx2_leap_over_vtk"] = both("vtk", "leap-avx2")
         ratios["avx2_leap_over_brute"] = both("brute-avx2", "leap-avx2")
+        ratios["avx2_shipped_over_vtk"] = both("vtk", "shipped-leap-avx2")
         ratios["avx2_share"] = both(f"leap-{best}", "leap-avx2")
     return ratios
 
@@ -181,7 +221,7 @@ def _over_poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
     worst = {
         key: {what: max(row[key][what] for row in rows) for what in rows[0][key]}
-        for key in ("leap_minus_brute", "brute_minus_baseline", "brute_minus_vtk")
+        for key in ("leap_minus_brute", "shipped_leap_minus_brute", "brute_minus_baseline", "brute_minus_vtk")
     }
     return {
         "poses": len(rows),
@@ -205,10 +245,7 @@ def small_frames(request: Request) -> list[dict[str, Any]]:
         case = open_case(name, poses=request["poses"], progress=progress_printer())
         looks = {"bench": prepared(case.volume, TRANSFER)}
         if case.lumen_zyx is not None:
-            shipped = Renderer(case.volume)
-            shipped.set_lumen(case.lumen_zyx)
-            shipped.prepare()
-            looks["as shipped"] = shipped
+            looks["as shipped"] = shipped(case)
         views = [_view(pose, "leap", 256) for pose in (case.trachea, *case.flight)]
         for look, renderer in looks.items():
             rows.append({"case": case.name, "look": look, **_pace(renderer, views, max(request["repeats"], 7))})
@@ -273,6 +310,7 @@ def first_frame(request: Request) -> list[dict[str, Any]]:
                     k: {"median": round(statistics.median(v), 2), "min": round(min(v), 2)} for k, v in parts.items()
                 },
                 "cpu_ms_over_threads": round(statistics.median(parts["cpu"]) / threads, 2),
+                "first_round_ms": round(parts["whole"][0], 2),
                 "threads": threads,
                 "repeats": len(parts["whole"]),
                 "load_average": load_average(),
