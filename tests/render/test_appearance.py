@@ -100,6 +100,81 @@ def test_gloss_makes_few_and_small_highlights_that_the_relief_breaks_up():
     assert edges((broken - matt).max(axis=2) > 0.1) > 1.5 * edges(highlight)
 
 
+@pytest.mark.parametrize("radius_mm", [1.6, 4.0, 9.0])
+def test_the_exposure_does_not_flatten_so_that_brightness_tells_depth(radius_mm):
+    picture = look(tube(radius_mm), specks=0.0, gloss=0.0, texture=0.0)
+    bright = picture.max(axis=2)
+    rows, columns = np.indices(bright.shape) - 44.5
+    off_px = np.hypot(rows, columns)
+
+    def ring(from_px, to_px):
+        return np.median(bright[(off_px >= from_px) & (off_px < to_px)])
+
+    near, half, far = ring(40, 45), ring(18, 22), ring(0, 4)
+    assert near > 0.75, "the near rim is bright"
+    assert half < 0.62 * near, "and at twice its depth the wall is much darker"
+    assert far < 0.12
+
+
+def test_droplets_glint_at_a_distance_where_a_smooth_film_does_not():
+    volume = tube(7.0)
+    appearance = {"texture": 1.0, "exposure": 90.0}
+    size = {"width": 240, "height": 240}
+
+    def render(z_mm, **changes):
+        transfer = dataclasses.replace(
+            ENDOSCOPIC, appearance=dataclasses.replace(Appearance(), **appearance, **changes)
+        )
+        view = AirwayView(Pose.looking((17.2, 17.2, z_mm), (0.0, 0.0, 1.0)), fov_deg=60.0, **size)
+        renderer = Renderer(volume, transfer=transfer)
+        return renderer.render(view).rgb / 255.0, renderer.surface(view).depth_mm
+
+    plain, depth = render(12.0, specks=0.0)
+    dull, _ = render(12.0, specks=0.0, gloss=0.0)
+    wet, _ = render(12.0)
+    far = (depth > 25.0) & (depth < 45.0)
+    glints = (wet - plain).max(axis=2) > 0.1
+    assert (wet >= plain - 1 / 255).all(), "a glint adds light and takes none"
+    assert ((plain - dull).max(axis=2)[far] > 0.1).mean() < 0.002, "the film alone is matt there"
+    assert 0.005 < glints[far].mean() < 0.2, "broken specks"
+
+
+def test_secretions_lie_on_the_posterior_wall_alone():
+    volume = tube(7.0)
+    picture = {amount: look(volume, specks=0.0, exposure=60.0, secretions=amount) for amount in (0.0, 0.5, 1.0)}
+    view = AirwayView(Pose.looking((17.2, 17.2, 12.0), (0.0, 0.0, 1.0)), fov_deg=100.0, **SIZE)
+    posterior = Renderer(volume, transfer=ENDOSCOPIC).surface(view).position_lps[..., 1] > 17.2
+    changed = {amount: (np.abs(picture[amount] - picture[0.0]).max(axis=2) > 0.02) for amount in (0.5, 1.0)}
+    assert not changed[1.0][~posterior].any()
+    assert 0.0 < changed[0.5][posterior].mean() < changed[1.0][posterior].mean()
+
+
+def test_fog_lies_on_the_lens_and_hides_the_lumen():
+    volume = tube(7.0)
+    clear, thin, thick = (look(volume, exposure=60.0, fog=fog, specks=0.0) for fog in (0.0, 0.4, 1.0))
+    assert thick.std() < thin.std() < clear.std()
+    assert clear[44:46, 44:46].max() < 0.2 < thick[44:46, 44:46].min()
+    # It is the lens's: where the scope is does not matter.
+    moved = [look(volume, exposure=60.0, fog=fog, specks=0.0, off_mm=2.0) for fog in (0.0, 1.0)]
+    share = [1.0 - (np.ptp(a) / np.ptp(b)) for a, b in ((thick, clear), (moved[1], moved[0]))]
+    assert abs(share[0] - share[1]) < 0.1
+
+
+def test_what_is_wet_and_shows_no_ct_is_named_and_off_where_texture_is_off(airway):
+    assert Appearance().wet_decoration == ("specks",)
+    every = Appearance(secretions=0.3, fog=0.2)
+    assert every.wet_decoration == ("specks", "secretions", "fog")
+    assert every.without_wet_decoration().wet_decoration == ()
+    view = AirwayView(airway.pose, texture=False, **SIZE)
+
+    def render(appearance):
+        transfer = dataclasses.replace(ENDOSCOPIC, appearance=appearance)
+        return Renderer(airway.volume, transfer=transfer).render(view).rgb
+
+    np.testing.assert_array_equal(render(every), render(Appearance().without_wet_decoration()))
+    assert transfer_preset("ct-grey").appearance is None
+
+
 def test_no_vessels_are_drawn_unless_asked_for_and_texture_off_leaves_them_out():
     assert ENDOSCOPIC.appearance.vessels == 0.0
     assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
@@ -162,6 +237,10 @@ def test_an_appearance_goes_through_a_file_and_a_file_without_one_has_none():
         {"pale_hu": [100, 100]},
         {"pale_hu": [1]},
         {"ambient": None},
+        {"silhouettes": 1},
+        {"specks": -0.5},
+        {"secretions": 1.5},
+        {"fog": float("nan")},
     ],
     ids=str,
 )

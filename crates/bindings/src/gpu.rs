@@ -181,7 +181,7 @@ impl GpuScene {
             }
             let (walls, stats) = self
                 .gpu
-                .cast_walls(frame, &self.volume, map, rows.clone())?;
+                .cast_walls_to_light(frame, &self.volume, map, &rows)?;
             Ok(light_gathered(frame, method, rows, simd, &walls, stats)?)
         };
         py.detach(|| guarded(cast)).map_err(IntoPy::into_py)

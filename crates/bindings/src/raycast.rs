@@ -243,6 +243,10 @@ struct PyAppearance {
     pale_hu: [f32; 2],
     texture: f32,
     vessels: f32,
+    silhouettes: bool,
+    specks: f32,
+    secretions: f32,
+    fog: f32,
 }
 
 impl PyAppearance {
@@ -259,6 +263,10 @@ impl PyAppearance {
             pale_hu: self.pale_hu,
             texture: self.texture,
             vessels: self.vessels,
+            silhouettes: self.silhouettes,
+            specks: self.specks,
+            secretions: self.secretions,
+            fog: self.fog,
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use carina_raycast::{
-    CastStats, Frame, FrameNumbers, Gathered, Interpolation, Method, RaycastError,
+    CastStats, Frame, FrameNumbers, Gathered, Interpolation, Method, RaycastError, rows_to_gather,
 };
 
 use crate::{
@@ -86,6 +86,28 @@ impl Gpu {
                 .count()
         })?;
         Ok((walls, stats))
+    }
+
+    /// The walls that [`carina_raycast::light_gathered`] needs for `rows`; the counts are of `rows` alone, so that those of
+    /// strips add up.
+    pub fn cast_walls_to_light(
+        &self,
+        frame: &Frame<'_>,
+        volume: &GpuVolume,
+        map: Option<&GpuMap>,
+        rows: &Range<usize>,
+    ) -> Result<(Vec<Gathered>, CastStats), GpuError> {
+        let all = rows_to_gather(frame, rows);
+        let (walls, stats) = self.cast_walls(frame, volume, map, rows.clone())?;
+        if all == *rows {
+            return Ok((walls, stats));
+        }
+        let beside = |rows: Range<usize>| match rows.is_empty() {
+            true => Ok(Vec::new()),
+            false => Ok::<_, GpuError>(self.cast_walls(frame, volume, map, rows)?.0),
+        };
+        let (before, after) = (beside(all.start..rows.start)?, beside(rows.end..all.end)?);
+        Ok(([before, walls, after].concat(), stats))
     }
 
     /// Casts the rows band by band. `take` is handed what the kernel wrote and says how many pixels it did not write.

@@ -34,6 +34,10 @@ const LOOK: Appearance = Appearance {
     pale_hu: [0.0, 300.0],
     texture: 1.0,
     vessels: 0.5,
+    silhouettes: true,
+    specks: 1.0,
+    secretions: 0.5,
+    fog: 0.0,
 };
 
 /// Every adapter of this machine. `make test-gpu` sets `CARINA_GPU_REQUIRED`, so that no adapter is a failure there.
@@ -296,7 +300,7 @@ fn walls_lit_after_casting_are_the_cpus() {
             let pair = lit_frame_of(&scene, |frame| {
                 let rows = 0..scene.camera.height();
                 let (walls, stats) = gpu
-                    .cast_walls(frame, &volume, map.as_ref(), rows.clone())
+                    .cast_walls_to_light(frame, &volume, map.as_ref(), &rows)
                     .unwrap();
                 Pair {
                     cpu: cast_rows(frame, method, rows.clone(), simd).unwrap(),
@@ -337,7 +341,9 @@ fn strips_of_lit_walls_have_one_exposure() {
             .unwrap();
         lit_frame_of(&scene, |frame| {
             let part = |rows: Range<usize>| {
-                let (walls, stats) = gpu.cast_walls(frame, &volume, None, rows.clone()).unwrap();
+                let (walls, stats) = gpu
+                    .cast_walls_to_light(frame, &volume, None, &rows)
+                    .unwrap();
                 let simd = InstructionSet::best();
                 light_gathered(frame, Method::Brute, rows, simd, &walls, stats).unwrap()
             };
@@ -363,7 +369,9 @@ fn a_picture_that_would_lack_its_light_is_refused() {
         let (walls, stats) = lit_frame_of(&scene, |frame| {
             let refused = gpu.cast(frame, &volume, None, 0..2).unwrap_err();
             assert!(matches!(refused, GpuError::Unsupported { .. }), "{refused}");
-            let (walls, stats) = gpu.cast_walls(frame, &volume, None, 0..2).unwrap();
+            let (walls, stats) = gpu
+                .cast_walls_to_light(frame, &volume, None, &(0..2))
+                .unwrap();
             for rows in [0..1, 0..3, 0..9999] {
                 assert!(light_gathered(frame, Method::Brute, rows, simd, &walls, stats).is_err());
             }

@@ -69,6 +69,64 @@ impl Camera {
         })
     }
 
+    /// The same camera with rays in these directions of camera space in place of those of its pixels: a picture of one
+    /// row. A direction of length 0 is no ray.
+    #[must_use]
+    pub fn listing(&self, directions: &[[f32; 3]]) -> Self {
+        Self {
+            width: directions.len(),
+            height: 1,
+            lens_rays: Some(Arc::new(LensRays::listed(directions))),
+            ..self.clone()
+        }
+    }
+
+    /// The direction of a pixel's ray in camera space, its centre moved by parts of a pixel; all 0 where a pixel has no
+    /// ray. Within a pixel, a lens is as straight as between the neighbours on either side.
+    #[must_use]
+    pub fn direction_beside(&self, column: usize, row: usize, [dx, dy]: [f64; 2]) -> [f64; 3] {
+        let Some(rays) = self.lens_rays() else {
+            let x = (column as f64 + 0.5) - self.width as f64 / 2.0 + dx;
+            let y = (row as f64 + 0.5) - self.height as f64 / 2.0 + dy;
+            let len = (x * x + y * y + self.focal_px * self.focal_px).sqrt();
+            return [x / len, y / len, self.focal_px / len];
+        };
+        let here = rays.direction(column, row);
+        if here == [0.0; 3] {
+            return [0.0; 3];
+        }
+        // A neighbour that the picture or the outline lacks is where it was on the other side, mirrored.
+        let at = |column: Option<usize>, row: Option<usize>| {
+            let (column, row) = (
+                column.filter(|&c| c < self.width)?,
+                row.filter(|&r| r < self.height)?,
+            );
+            Some(rays.direction(column, row)).filter(|d| *d != [0.0; 3])
+        };
+        let rise = |before: Option<[f32; 3]>, after: Option<[f32; 3]>, a: usize| {
+            let part = |to: [f32; 3], from: [f32; 3]| f64::from(to[a]) - f64::from(from[a]);
+            match (before, after) {
+                (Some(before), Some(after)) => part(after, before) / 2.0,
+                (Some(before), None) => part(here, before),
+                (None, Some(after)) => part(after, here),
+                (None, None) => 0.0,
+            }
+        };
+        let (left, right) = (
+            at(column.checked_sub(1), Some(row)),
+            at(Some(column + 1), Some(row)),
+        );
+        let (above, below) = (
+            at(Some(column), row.checked_sub(1)),
+            at(Some(column), Some(row + 1)),
+        );
+        let d: [f64; 3] = std::array::from_fn(|a| {
+            f64::from(here[a]) + dx * rise(left, right, a) + dy * rise(above, below, a)
+        });
+        let len = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+        d.map(|v| v / len)
+    }
+
     /// The rays of the pixels where there is a lens; none for the pinhole formula.
     #[must_use]
     pub fn lens_rays(&self) -> Option<&LensRays> {
@@ -167,7 +225,7 @@ fn check_pose(lps_from_camera: &Affine) -> Result<(), GridError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImageField, Lens, Optics};
+    use crate::{FieldShape, ImageField, Lens, Optics};
 
     #[test]
     fn a_pinhole_lens_has_the_rays_of_the_pinhole_formula() {
@@ -183,6 +241,46 @@ mod tests {
             // Directions are kept in f32.
             assert!((0..3).all(|n| (a[n] - b[n]).abs() < 6e-8));
         }
+    }
+
+    #[test]
+    fn a_ray_beside_a_pixels_middle_lies_where_the_lens_says() {
+        let plain = Camera::new(Affine::IDENTITY, 1.7, 60, 40).unwrap();
+        let optics = Optics::new(&Lens::Equidistant, Some(2.0), 60, 40).unwrap();
+        let round = ImageField {
+            shape: FieldShape::Round,
+            ..ImageField::FULL
+        };
+        let rays = LensRays::build(optics.clone(), &round).unwrap();
+        let lens = Camera::with_lens(Affine::IDENTITY, Arc::new(rays)).unwrap();
+        let off =
+            |a: [f64; 3], b: [f64; 3]| (0..3).map(|n| (a[n] - b[n]).abs()).fold(0.0, f64::max);
+        for (column, row) in [(30, 20), (12, 17), (44, 30), (30, 0)] {
+            let same = plain.direction_beside(column, row, [0.0; 2]);
+            assert!(off(same, plain.ray(column, row).dir_lps) < 1e-15);
+            // Half a pixel to the right is half a pixel to the left of the next one.
+            let (here, next) = (
+                plain.direction_beside(column, row, [0.5, 0.25]),
+                plain.direction_beside(column + 1, row, [-0.5, 0.25]),
+            );
+            assert!(off(here, next) < 1e-15);
+            let truth = optics
+                .direction([column as f64 + 0.75, row as f64 + 0.8])
+                .unwrap();
+            // A pixel is 0.05 rad wide here, and the rim has a neighbour on one side only.
+            assert!(off(lens.direction_beside(column, row, [0.25, 0.3]), truth) < 1e-3);
+        }
+        assert_eq!(lens.direction_beside(2, 2, [0.2, 0.2]), [0.0; 3]);
+    }
+
+    #[test]
+    fn listed_directions_are_the_rays_of_a_picture_of_one_row() {
+        let plain = Camera::new(Affine::IDENTITY, 1.7, 60, 40).unwrap();
+        let listed = plain.listing(&[[0.0, 0.6, 0.8], [0.0; 3], [0.0, 0.0, 1.0]]);
+        assert_eq!((listed.width(), listed.height()), (3, 1));
+        assert_eq!(listed.ray(2, 0).dir_lps, [0.0, 0.0, 1.0]);
+        assert_eq!(listed.ray(1, 0).dir_lps, [0.0; 3]);
+        assert!((listed.ray(0, 0).dir_lps[1] - 0.6).abs() < 1e-7);
     }
 
     #[test]

@@ -116,6 +116,19 @@ impl Optics {
         Ok(optics)
     }
 
+    /// In place of a lens where rays are listed one by one: it knows their number alone.
+    pub(crate) const fn of_list(num_rays: usize) -> Self {
+        Self {
+            distortion: Distortion::NONE,
+            focal_px: [1.0; 2],
+            centre_px: [0.0; 2],
+            size_px: [num_rays, 1],
+            limit: f64::INFINITY,
+            limit_rad: PI / 2.0,
+            fov_rad: PI / 2.0,
+        }
+    }
+
     /// Focal length so that the field of view spans the shorter side.
     fn fit_field(&mut self, fov_rad: f64) -> Result<(), GridError> {
         let found = format!("{:.2} degrees", fov_rad.to_degrees());

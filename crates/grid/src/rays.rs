@@ -196,6 +196,15 @@ impl LensRays {
         })
     }
 
+    /// Rays in directions of camera space as a picture of one row, so that what casts pictures casts these too.
+    pub(crate) fn listed(directions: &[[f32; 3]]) -> Self {
+        Self {
+            optics: Optics::of_list(directions.len()),
+            dirs: std::array::from_fn(|a| directions.iter().map(|d| d[a]).collect()),
+            gains: None,
+        }
+    }
+
     /// The lens in front of the picture.
     #[must_use]
     pub const fn optics(&self) -> &Optics {

@@ -29,6 +29,14 @@ pub struct Appearance {
     pub texture: f32,
     /// Vessels in the mucosa, 0 for none. No CT shows them, and many of them are a sign of disease.
     pub vessels: f32,
+    /// Pixels where a near wall ends before a far one take two rays. No decoration: both show the CT.
+    pub silhouettes: bool,
+    /// Highlights on droplets in the film of mucus, which a scope sees at a distance, too; 0 for none.
+    pub specks: f32,
+    /// Glossy pools and bubbles of secretions on the wall that lies lowest in a supine patient; 0 for none.
+    pub secretions: f32,
+    /// Mist on the lens, 0 for none, 1 for a picture that hardly shows the lumen.
+    pub fog: f32,
 }
 
 impl Appearance {
@@ -58,6 +66,9 @@ impl Appearance {
             ("paleness", self.paleness, 1.0),
             ("texture", self.texture, 4.0),
             ("vessels", self.vessels, 4.0),
+            ("specks", self.specks, 4.0),
+            ("secretions", self.secretions, 1.0),
+            ("fog", self.fog, 1.0),
         ] {
             if !(0.0..=most).contains(&v) {
                 return refuse(what, &format!("0 to {most}"), v);

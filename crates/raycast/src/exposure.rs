@@ -5,7 +5,7 @@ use crate::{Frame, Method, lighting::Lighting, packet::brightness, surface};
 /// Rays on each side of the picture that the exposure is found from.
 const METERED: usize = 12;
 /// Linear light that the bright parts of an exposed picture have on average, before the tone curve.
-const EXPOSED_TO: f64 = 0.7;
+const EXPOSED_TO: f64 = 1.1;
 
 impl Lighting {
     /// The lighting of a frame whose options have an appearance, exposed.
@@ -19,8 +19,9 @@ impl Lighting {
 
     /// Exposure from rays spread over the whole picture, so that every strip finds the same.
     ///
-    /// As the automatic exposure of a video bronchoscope weights bright parts, so that a near wall does not burn out, the
-    /// root of the mean square is brought to a fixed level; the lumen ahead goes dark.
+    /// As the automatic exposure of a video bronchoscope weights bright parts, so that a near wall hardly burns out, the
+    /// fourth root of the mean fourth power is brought to a fixed level: it is the near rim's brightness, however much of
+    /// the picture the lumen ahead takes up, and that goes dark.
     fn find_exposure(&self, frame: &Frame<'_>, method: Method<'_>) -> f32 {
         let (width, height) = (frame.camera().width(), frame.camera().height());
         let place = |n: usize, size: usize| (2 * n + 1) * size / (2 * METERED);
@@ -34,9 +35,9 @@ impl Lighting {
         // Where no wall is met, it is dark.
         let sum: f64 = brightness(frame, self, &walls)
             .into_iter()
-            .map(|v| f64::from(v) * f64::from(v))
+            .map(|v| f64::from(v).powi(4))
             .sum();
         let mean = sum / (METERED * METERED) as f64;
-        (EXPOSED_TO / mean.sqrt().max(1e-9)).min(1e6) as f32
+        (EXPOSED_TO / mean.sqrt().sqrt().max(1e-9)).min(1e6) as f32
     }
 }

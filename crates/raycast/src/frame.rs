@@ -175,6 +175,15 @@ impl<'a> Frame<'a> {
         &self.camera
     }
 
+    /// The same with rays in these directions of camera space, as a picture of one row: what casts and lights pictures does
+    /// so with single rays, by the same operations.
+    pub(crate) fn listing(&self, directions: &[[f32; 3]]) -> Self {
+        Self {
+            camera: self.camera.listing(directions),
+            ..self.clone()
+        }
+    }
+
     /// The camera's centre, voxels.
     #[inline(always)]
     pub(crate) fn origin3(&self) -> [f32; 3] {

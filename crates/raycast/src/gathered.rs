@@ -5,12 +5,14 @@ use std::ops::Range;
 use crate::{
     CastStats, Frame, Gathered, InstructionSet, Method, RaycastError,
     lighting::Lighting,
-    packet::{BAND_ROWS, light_rows},
-    rows::{check, share},
+    lit::{light_walls, rows_to_gather},
+    rows::check,
+    silhouette::WallRows,
 };
 
-/// Lights rows whose rays another caster has gathered, `[row, column]`, as [`cast_rows`] lights its own; `stats` are that
-/// caster's. `method` measures the exposure.
+/// Lights rows whose rays another caster has gathered, `[row, column]`, as [`cast_rows`] lights its own: `gathered` holds
+/// those of [`rows_to_gather`], and `stats` are that caster's. `method` measures the exposure and casts what is cast anew at
+/// silhouettes.
 pub fn light_gathered(
     frame: &Frame<'_>,
     method: Method<'_>,
@@ -35,20 +37,30 @@ pub fn light_gathered(
             "none".to_owned(),
         );
     };
-    if gathered.len() != rows.len() * width {
-        let expected = format!("{} pixels", rows.len() * width);
+    let all = rows_to_gather(frame, &rows);
+    if gathered.len() != all.len() * width {
+        let expected = format!(
+            "{} pixels, of rows {} to {}",
+            all.len() * width,
+            all.start,
+            all.end
+        );
         return refuse("gathered rays", expected, gathered.len().to_string());
     }
-    let (rgb, lit) = share(&rows, (0u8, 3 * width), BAND_ROWS, None, |first, out| {
-        let at = (first - rows.start) * width;
-        let walls = &gathered[at..at + out.len() / 3];
-        light_rows(frame, &light, simd, first, walls, out);
-        CastStats::default().lit(walls)
-    });
+    let (before, gathered) = gathered.split_at((rows.start - all.start) * width);
+    let (walls, after) = gathered.split_at(rows.len() * width);
+    let walls = WallRows {
+        width,
+        first_row: rows.start,
+        walls,
+        before,
+        after,
+    };
+    let (rgb, lit) = light_walls(frame, method, &light, (true, simd), &rows, &walls, None);
     let stats = CastStats {
+        num_rays: walls.walls.len() as u64,
         num_shaded: lit.num_shaded,
-        num_loads: stats.num_loads + lit.num_loads,
-        ..stats
+        ..stats.plus(lit)
     };
     Ok((rgb, stats))
 }

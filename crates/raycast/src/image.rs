@@ -11,9 +11,9 @@ use crate::{
     frame::Ray,
     leap::{self, Start},
     lighting::Lighting,
-    packet::{BAND_ROWS, Packets, light_rows},
+    lit::cast_lit,
+    packet::{BAND_ROWS, Packets},
     rows::{check, share},
-    surface::cast_walls_row,
     worth::if_it_pays,
 };
 
@@ -55,9 +55,8 @@ fn cast(
     let bytes = (0u8, 3 * frame.camera().width());
     if let Some(light) = Lighting::exposed(frame, method) {
         let packets = Packets::of(frame, method, simd);
-        return Ok(share(rows, bytes, BAND_ROWS, stop, |first, out| {
-            cast_lit(frame, method, &light, (packets.as_ref(), simd), first, out)
-        }));
+        let how = (packets.as_ref(), simd);
+        return Ok(cast_lit(frame, method, &light, how, rows, stop));
     }
     if let Some(packets) = Packets::of(frame, method, simd) {
         return Ok(share(rows, bytes, BAND_ROWS, stop, |first, out| {
@@ -81,38 +80,13 @@ pub fn cast_rows_scalar(
     let method = if_it_pays(frame, method, simd);
     let bytes = (0u8, 3 * frame.camera().width());
     if let Some(light) = Lighting::exposed(frame, method) {
-        return Ok(share(&rows, bytes, BAND_ROWS, None, |first, out| {
-            let scalar = (None, InstructionSet::Portable);
-            cast_lit(frame, method, &light, scalar, first, out)
-        }));
+        let scalar = (None, InstructionSet::Portable);
+        return Ok(cast_lit(frame, method, &light, scalar, &rows, None));
     }
     let start = Start::of(frame, method);
     Ok(share(&rows, bytes, 1, None, |row, out| {
         cast_row(frame, method, start, row, out, simd).with_loads(frame, method)
     }))
-}
-
-/// Casts a band of rows and then lights its first walls.
-fn cast_lit(
-    frame: &Frame<'_>,
-    method: Method<'_>,
-    light: &Lighting,
-    (packets, simd): (Option<&Packets<'_>>, InstructionSet),
-    first_row: usize,
-    out: &mut [u8],
-) -> CastStats {
-    let width = frame.camera().width();
-    let mut walls = vec![Gathered::NOTHING; out.len() / 3];
-    let stats = match packets {
-        Some(packets) => packets.cast_walls(first_row, &mut walls),
-        None => walls
-            .chunks_mut(width)
-            .enumerate()
-            .map(|(n, walls)| cast_walls_row(frame, method, first_row + n, walls))
-            .fold(CastStats::default(), CastStats::plus),
-    };
-    light_rows(frame, light, simd, first_row, &walls, out);
-    stats.with_loads(frame, method).lit(&walls)
 }
 
 fn cast_row(

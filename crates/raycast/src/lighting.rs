@@ -15,6 +15,7 @@ pub(crate) struct Lighting {
     pub step_mm: f32,
     pub lps_from_ijk: [[f32; 3]; 3],
     pub ijk_from_lps: [[f32; 3]; 3],
+    pub camera_from_lps: [[f32; 3]; 3],
     /// Light guides from the camera's centre, LPS mm.
     pub guides: [[f32; 3]; 2],
     /// Width of a pixel seen from 1 mm, in the middle of the picture.
@@ -45,6 +46,9 @@ impl Lighting {
             step_mm: frame.step_mm,
             lps_from_ijk: rows(frame.grid.lps_from_ijk()),
             ijk_from_lps: rows(frame.grid.ijk_from_lps()),
+            camera_from_lps: std::array::from_fn(|a| {
+                camera.lps_from_camera().column(a).map(|v| v as f32)
+            }),
             guides: look.guides_mm.map(|guide| {
                 let lps = camera.lps_from_camera().vector(guide.map(f64::from));
                 lps.map(|v| v as f32)

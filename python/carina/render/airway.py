@@ -208,7 +208,9 @@ def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
         return None
     guides = appearance.guides_mm if view.guides_mm is None else view.guides_mm
     appearance = dataclasses.replace(appearance, guides_mm=guides)
-    return appearance if view.texture else dataclasses.replace(appearance, texture=0.0, vessels=0.0)
+    if view.texture:
+        return appearance
+    return dataclasses.replace(appearance, texture=0.0, vessels=0.0).without_wet_decoration()
 
 
 def _choose_method(

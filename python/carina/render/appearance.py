@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -38,9 +38,9 @@ class Appearance:
     """Ends of the light guides in camera space, one or two; they share the light."""
     exposure: float | None = None
     """Light of the guides; None for automatic exposure."""
-    ambient: float = 0.22
+    ambient: float = 0.12
     """Light from the walls round about, as part of what the guides give head on."""
-    wrap: float = 0.25
+    wrap: float = 0.15
     """How far light creeps beneath the surface, 0..1."""
     gloss: float = 0.7
     """Highlights of the film of mucus."""
@@ -54,6 +54,24 @@ class Appearance:
     """Mottling and micro relief; 0 for none."""
     vessels: float = 0.0
     """Invented vessels in the mucosa; 0 for none. No CT shows them, and many of them would be a sign of disease."""
+    silhouettes: bool = True
+    """Two rays for a pixel where a near wall ends before a far one. No decoration: both rays show the CT."""
+    specks: float = 1.0
+    """Highlights on droplets of mucus, at a distance as well; 0 for none. Decoration."""
+    secretions: float = 0.0
+    """Glossy pools and bubbles of secretions on the posterior wall, the lowest one of a supine patient, 0..1. Decoration;
+    no CT shows them."""
+    fog: float = 0.0
+    """Mist on the lens, 0..1; decoration."""
+
+    @property
+    def wet_decoration(self) -> tuple[str, ...]:
+        """Those parts of the light that show nothing of the CT and are switched on, by the names of their fields."""
+        return tuple(name for name in ("specks", "secretions", "fog") if getattr(self, name) > 0)
+
+    def without_wet_decoration(self) -> Appearance:
+        """The same with those parts switched off."""
+        return replace(self, specks=0.0, secretions=0.0, fog=0.0)
 
     def __post_init__(self) -> None:
         check_guides(self.guides_mm)
@@ -66,11 +84,16 @@ class Appearance:
             ("paleness", 1),
             ("texture", 4),
             ("vessels", 4),
+            ("specks", 4),
+            ("secretions", 1),
+            ("fog", 1),
         ):
             if not 0 <= getattr(self, what) <= most:
                 raise RenderError(f"appearance: {what} must be between 0 and {most}; found {getattr(self, what)}")
         if not isinstance(self.shininess_log2, int) or not 0 <= self.shininess_log2 <= 10:
             raise RenderError(f"shininess (log2) must be a whole number from 0 to 10; found {self.shininess_log2}")
+        if not isinstance(self.silhouettes, bool):
+            raise RenderError(f"appearance: silhouettes must be true or false; found {self.silhouettes!r}")
         low, high = self.pale_hu
         if not (np.isfinite(self.pale_hu).all() and low < high):
             raise RenderError(f"pale tissue: expected two values, the lower first; found {self.pale_hu}")

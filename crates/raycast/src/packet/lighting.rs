@@ -5,7 +5,9 @@ use std::array::from_fn;
 #[cfg(target_arch = "x86_64")]
 use super::{avx2::Avx2, avx512::Avx512};
 use super::{
+    film::film,
     lanes::{Array, Lanes, MAX_LANES},
+    mist::{MIST_RGB, mist},
     pair::Pair,
     portable::Portable,
     setup::rays_of,
@@ -27,7 +29,7 @@ const TINT_RGB: [f32; 3] = [1.0, 0.42, 0.32];
 /// Linear light that is shown as white.
 const WHITE: f32 = 3.0;
 /// How far dark tones are pressed down, 0..1.
-const TOE: f32 = 0.4;
+const TOE: f32 = 0.8;
 
 /// Values of a volume at positions in voxels.
 pub(super) trait Values<L: Lanes>: Copy {
@@ -98,13 +100,13 @@ fn lit<L: Lanes>(
     let pale = l.mul(smooth(l, pale), s(look.paleness));
 
     let mut n_film = n;
-    let mut film = s(0.75);
+    let mut thick = s(0.75);
     let mut tint = [s(1.0); 3];
+    let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
+    let footprint = l.mul(depth, s(light.pixel_mm));
     if look.texture > 0.0 || look.vessels > 0.0 {
-        let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
-        let footprint = l.mul(depth, s(light.pixel_mm));
         let skin = texture(l, look, lps, footprint);
-        (film, tint) = (skin.film, skin.tint);
+        (thick, tint) = (skin.film, skin.tint);
         n_film = unit(l, along(l, n, s(-1.0), skin.relief)).0;
     }
     let mut colour = albedo;
@@ -112,10 +114,17 @@ fn lit<L: Lanes>(
         let shown = l.fma(pale, l.sub(s(PALE_RGB[c]), albedo[c]), albedo[c]);
         colour[c] = l.mul(l.mul(shown, shown), tint[c]);
     }
-
-    let (mut direct, mut round, mut gloss) = (s(0.0), s(0.0), s(0.0));
     // Half of the relief also shows in the matt part.
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
+    let wet =
+        (look.specks > 0.0 || look.secretions > 0.0).then(|| film(l, look, lps, n, footprint));
+    if let Some(wet) = wet
+        && look.secretions > 0.0
+    {
+        wet.fill(l, &mut colour, &mut n_film);
+    }
+
+    let (mut direct, mut round, mut gloss, mut glints) = (s(0.0), s(0.0), s(0.0), s(0.0));
     for guide in light.guides {
         let mut to_guide = offset;
         for a in 0..3 {
@@ -134,8 +143,11 @@ fn lit<L: Lanes>(
             highlight = l.mul(highlight, highlight);
         }
         gloss = l.fma(strength, highlight, gloss);
+        if let Some(wet) = wet {
+            glints = l.fma(strength, wet.towards(l, half), glints);
+        }
     }
-    let gloss = l.mul(l.mul(gloss, film), s(look.gloss));
+    let gloss = l.fma(l.mul(gloss, thick), s(look.gloss), glints);
     let round = l.mul(round, s(look.ambient));
     let mut out = colour;
     for c in 0..3 {
@@ -224,7 +236,8 @@ fn light_row<L: Lanes>(
         .zip(rgb.chunks_mut(3 * L::N))
         .enumerate()
     {
-        if pixels.iter().all(|pixel| pixel.hit < 0.0) {
+        let misty = light.look.fog > 0.0;
+        if !misty && pixels.iter().all(|pixel| pixel.hit < 0.0) {
             for (pixel, out) in pixels.iter().zip(out.chunks_mut(3)) {
                 out.copy_from_slice(&unlit(pixel).to_rgb8(light.background));
             }
@@ -235,6 +248,11 @@ fn light_row<L: Lanes>(
         let rays = rays_of(frame, &columns, &[row as i32; MAX_LANES]);
         let walls = gather(l, &rays.delta, pixels);
         let colour = lit(l, light, (values, &frame.field), &walls);
+        let veil = misty.then(|| mist(l, light, walls.delta));
+        let bits = pixels.iter().enumerate().fold(0u32, |bits, (n, pixel)| {
+            bits | u32::from(pixel.hit >= 0.0) << n
+        });
+        let met = l.mask(bits);
         let mut shown = [[0; MAX_LANES]; 3];
         for c in 0..3 {
             // Bright light is compressed as a camera does it: x (1 + x / white^2) / (1 + x).
@@ -247,12 +265,18 @@ fn light_row<L: Lanes>(
             // And its dark parts are pressed down.
             let v = l.mul(v, l.fma(v, s(TOE), s(1.0 - TOE)));
             let behind = s(light.background[c]);
-            let v = l.fma(walls.transparency, l.sub(behind, v), v);
+            let mut v = l.fma(walls.transparency, l.sub(behind, v), v);
+            if let Some(veil) = veil {
+                // A ray without a wall ends in the dark, before which there is mist, too.
+                let dark = l.mul(walls.transparency, behind);
+                v = l.select(met, v, dark);
+                v = l.fma(veil, l.sub(s(MIST_RGB[c]), v), v);
+            }
             let v = l.fma(v, s(255.0), s(0.5));
             shown[c] = l.store_i(l.whole(l.min(l.max(v, s(0.0)), s(255.0))));
         }
         for (n, (pixel, out)) in pixels.iter().zip(out.chunks_mut(3)).enumerate() {
-            if pixel.hit < 0.0 {
+            if pixel.hit < 0.0 && !misty {
                 out.copy_from_slice(&unlit(pixel).to_rgb8(light.background));
             } else {
                 out.copy_from_slice(&[shown[0][n] as u8, shown[1][n] as u8, shown[2][n] as u8]);
@@ -306,8 +330,7 @@ fn gather<L: Lanes>(l: L, delta: &[Array<f32>; 3], pixels: &[Gathered]) -> Walls
     }
 }
 
-/// Light that comes back from pixels (column, row, what was gathered) at an exposure of 1 and without texture and
-/// vessels, for the automatic exposure.
+/// Light that comes back from pixels (column, row, what was gathered) at an exposure of 1 and without decoration, for the automatic exposure.
 pub(crate) fn brightness(
     frame: &Frame<'_>,
     light: &Lighting,
@@ -317,6 +340,7 @@ pub(crate) fn brightness(
     let mut plain = light.clone();
     (plain.look.texture, plain.look.vessels) = (0.0, 0.0);
     (plain.look.gloss, plain.exposure) = (0.0, 1.0);
+    (plain.look.specks, plain.look.secretions) = (0.0, 0.0);
     let mut out = Vec::with_capacity(pixels.len());
     for pixels in pixels.chunks(Portable::N) {
         let place = |n: usize| pixels[n.min(pixels.len() - 1)];

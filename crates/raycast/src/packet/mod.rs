@@ -8,6 +8,7 @@ mod ask;
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod film;
 #[cfg(target_arch = "x86_64")]
 mod gathers;
 mod kernel;
@@ -15,6 +16,7 @@ mod lanes;
 mod lighting;
 #[cfg(target_arch = "x86_64")]
 mod loads;
+mod mist;
 mod out;
 mod pair;
 mod plane;

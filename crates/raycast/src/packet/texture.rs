@@ -38,7 +38,7 @@ fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
 
 /// Noise of the integer lattice, -1..1, and its slope; smooth to the second derivative.
 #[inline(always)]
-fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
+pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
     // Odd numbers without a pattern.
     const PRIMES: [i32; 3] = [
         0x0019_660d_u32 as i32,
@@ -109,7 +109,7 @@ pub(super) struct Texture<L: Lanes> {
 }
 
 /// The lattice lies askew in the patient, so that no row of it runs along an airway.
-const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
+pub(super) const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
 
 /// 1 while a cell of the lattice has 2 pixels or more, 0 when it has less than one.
 #[inline(always)]

@@ -21,6 +21,10 @@ const LOOK: Appearance = Appearance {
     pale_hu: [0.0, 300.0],
     texture: 1.0,
     vessels: 0.0,
+    silhouettes: true,
+    specks: 1.0,
+    secretions: 0.5,
+    fog: 0.0,
 };
 
 fn lit(look: Appearance) -> FrameOptions {
@@ -36,12 +40,15 @@ proptest! {
     #[test]
     fn lit_pictures_are_the_same_bits_from_every_caster_and_in_strips(
         mut scene in any_scene(), size in (1usize..36, 1usize..20), cut in 0.0f64..1.0,
-        texture in 0.0f32..2.0, vessels in prop_oneof![Just(0.0f32), 0.0f32..2.0],
+        texture in 0.0f32..2.0, vessels in prop_oneof![Just(0.0f32), 0.0f32..2.0], silhouettes: bool,
+        wet in prop_oneof![Just([0.0f32; 3]), prop::array::uniform3(0.0f32..1.0)],
     ) {
         scene.resize(size.0, size.1);
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
-        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(Appearance { texture, vessels, ..LOOK })).unwrap();
+        let [specks, secretions, fog] = wet;
+        let look = Appearance { texture, vessels, silhouettes, specks, secretions, fog, ..LOOK };
+        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(look)).unwrap();
         let entries = scene.transfer(false).range(-1100, 3100);
         let labels = class_labels(&scene.hu, -1100, &entries, true).unwrap().labels;
         let radius = radius_map(&labels, scene.grid.shape_zyx()).unwrap();
@@ -133,6 +140,9 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
     let look = Appearance {
         exposure: Some(12.0),
         gloss: 0.0,
+        specks: 0.0,
+        secretions: 0.0,
+        silhouettes: false,
         ambient: 4.0,
         guides_mm: [[0.0; 3]; 2],
         ..LOOK
@@ -249,6 +259,15 @@ fn values_out_of_range_are_refused() {
             vessels: -0.1,
             ..LOOK
         },
+        Appearance {
+            specks: f32::NAN,
+            ..LOOK
+        },
+        Appearance {
+            secretions: 1.1,
+            ..LOOK
+        },
+        Appearance { fog: -0.1, ..LOOK },
     ];
     let scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();

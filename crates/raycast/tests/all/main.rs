@@ -9,6 +9,7 @@ mod loads;
 mod packets;
 mod reference;
 mod scene;
+mod silhouettes;
 mod stop;
 mod surface;
 mod truth;

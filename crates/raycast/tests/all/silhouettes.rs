@@ -1,0 +1,213 @@
+//! Two rays at silhouettes: nearer to the picture of many rays, only where a wall ends before another, and the same in
+//! strips, by leaps and by every caster; depth stays that of the pixel's middle.
+
+use carina_grid::{
+    Affine, Camera, FieldShape, Grid, ImageField, Lens, LensRays, Optics, VolumeView,
+};
+use carina_isoregion::{class_labels, radius_map};
+use carina_raycast::{
+    Appearance, Frame, FrameOptions, InstructionSet, Method, Transfer, TransferTable, cast_rows,
+    cast_rows_scalar, cast_surface,
+};
+
+use crate::scene::options;
+
+const SPACING: [f64; 3] = [0.6, 0.7, 0.65];
+const SHAPE_ZYX: [usize; 3] = [70, 90, 100];
+const SIZE: usize = 72;
+
+/// Plain matt walls: what is compared is where they end.
+const MATT: Appearance = Appearance {
+    guides_mm: [[0.0; 3]; 2],
+    exposure: Some(120.0),
+    ambient: 0.3,
+    // As at silhouettes, so that brightness does not differ there.
+    wrap: 0.6,
+    gloss: 0.0,
+    shininess_log2: 6,
+    paleness: 0.0,
+    pale_hu: [0.0, 300.0],
+    texture: 0.0,
+    vessels: 0.0,
+    silhouettes: true,
+    specks: 0.0,
+    secretions: 0.0,
+    fog: 0.0,
+};
+
+struct Spur {
+    grid: Grid,
+    hu: Vec<i16>,
+    table: TransferTable,
+    radius: Vec<u8>,
+}
+
+/// A plate 9 mm before the camera that ends along a slanted line, and a wall 30 mm behind it.
+fn spur() -> Spur {
+    let axes = [0, 1, 2].map(|a| std::array::from_fn(|b| if a == b { SPACING[a] } else { 0.0 }));
+    let half = [0, 1].map(|a| -SPACING[a] * (SHAPE_ZYX[2 - a] as f64 - 1.0) / 2.0);
+    let origin = [half[0], half[1], 0.0];
+    let grid = Grid::new(
+        SHAPE_ZYX,
+        Affine::from_columns(axes[0], axes[1], axes[2], origin),
+    )
+    .unwrap();
+    let hu: Vec<i16> = (0..grid.num_voxels())
+        .map(|index| {
+            let voxel = grid.voxel(index).map(|v| v as f64);
+            let [x, y, z] = grid.lps_from_ijk().point(voxel);
+            // Depths into the plate and the wall, mm; edges are blurred as a scanner does.
+            let plate = (z - 9.0).min(12.0 - z).min(0.4 * y - 0.9 * x + 0.7);
+            let tissue = (plate.max(z - 39.0) / 0.9 + 0.5).clamp(0.0, 1.0);
+            (-1000.0 + 1040.0 * tissue) as i16
+        })
+        .collect();
+    let points = vec![[-700.0, 0.9, 0.6, 0.5, 0.0], [-300.0, 0.9, 0.6, 0.5, 0.97]];
+    let transfer = Transfer::new(points, 1.0, 1).unwrap();
+    let labels = class_labels(&hu, -1024, &transfer.range(-1024, 3071), true).unwrap();
+    let radius = radius_map(&labels.labels, grid.shape_zyx()).unwrap();
+    let table = TransferTable::new(&transfer, 0.3, -1024, 100).unwrap();
+    Spur {
+        grid,
+        hu,
+        table,
+        radius,
+    }
+}
+
+impl Spur {
+    fn frame(&self, camera: Camera, look: Appearance) -> Frame<'_> {
+        let volume = VolumeView::new(&self.hu, &self.grid).unwrap();
+        let options = FrameOptions {
+            appearance: Some(look),
+            ..options(false, false)
+        };
+        Frame::new(volume, &self.table, camera, options).unwrap()
+    }
+
+    fn picture(&self, camera: &Camera, look: Appearance) -> Vec<u8> {
+        let frame = self.frame(camera.clone(), look);
+        let rows = 0..camera.height();
+        let simd = InstructionSet::best();
+        cast_rows(&frame, Method::LeapTransparent(&self.radius), rows, simd)
+            .unwrap()
+            .0
+    }
+}
+
+fn pinhole(size: usize) -> Camera {
+    let pose = Affine::from_columns([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
+    Camera::new(pose, 1.2, size, size).unwrap()
+}
+
+/// Behind a round outline.
+fn scope(size: usize) -> Camera {
+    let field = ImageField {
+        shape: FieldShape::Round,
+        ..ImageField::FULL
+    };
+    let optics = Optics::new(&Lens::Equidistant, Some(1.6), size, size).unwrap();
+    let rays = LensRays::build(optics, &field).unwrap();
+    Camera::with_lens(*pinhole(size).lps_from_camera(), rays.into()).unwrap()
+}
+
+const ONE_RAY: Appearance = Appearance {
+    silhouettes: false,
+    ..MATT
+};
+
+#[test]
+fn two_rays_bring_an_edge_nearer_to_the_picture_of_many_and_touch_nothing_else() {
+    let spur = spur();
+    for (name, camera, fine) in [
+        ("pinhole", pinhole(SIZE), pinhole(8 * SIZE)),
+        ("scope", scope(SIZE), scope(8 * SIZE)),
+    ] {
+        let fine = spur.picture(&fine, ONE_RAY);
+        let (one, two) = (spur.picture(&camera, ONE_RAY), spur.picture(&camera, MATT));
+        let (mut num_changed, mut off) = (0usize, [0.0f64; 2]);
+        for n in 0..SIZE * SIZE {
+            if one[3 * n..3 * n + 3] == two[3 * n..3 * n + 3] {
+                continue;
+            }
+            num_changed += 1;
+            let (column, row) = (n % SIZE, n / SIZE);
+            let many: usize = (0..64)
+                .map(|m| (8 * row + m / 8) * 8 * SIZE + 8 * column + m % 8)
+                .map(|m| usize::from(fine[3 * m + 1]))
+                .sum();
+            for (off, found) in off.iter_mut().zip([&one, &two]) {
+                *off += (f64::from(found[3 * n + 1]) - many as f64 / 64.0).abs();
+            }
+        }
+        // The line crosses the picture once: one or two pixels of each row and column that it meets.
+        assert!(
+            (40..4 * SIZE).contains(&num_changed),
+            "{name}: {num_changed}"
+        );
+        assert!(off[1] < 0.6 * off[0], "{name}: {off:?}");
+    }
+}
+
+#[test]
+fn silhouettes_are_the_same_in_strips_by_leaps_and_by_every_caster() {
+    let spur = spur();
+    for camera in [pinhole(SIZE), scope(SIZE)] {
+        let look = Appearance {
+            exposure: None,
+            gloss: 0.5,
+            texture: 1.0,
+            specks: 1.0,
+            secretions: 0.7,
+            fog: 0.3,
+            ..MATT
+        };
+        let frame = spur.frame(camera, look);
+        let scalar = InstructionSet::Portable;
+        let truth = cast_rows_scalar(&frame, Method::Brute, 0..SIZE, scalar).unwrap();
+        for simd in InstructionSet::available() {
+            for method in [Method::Brute, Method::LeapTransparent(&spur.radius)] {
+                for cut in [1, 2, 3, 4, 5, 17, 36, SIZE - 1] {
+                    let parts = [0..cut, cut..cut + 1, cut + 1..SIZE]
+                        .map(|rows| cast_rows(&frame, method, rows, simd).unwrap());
+                    let found = parts.each_ref().map(|(rgb, _)| rgb.clone()).concat();
+                    assert!(found == truth.0, "{} {method:?} {cut}", simd.name());
+                    let num: u64 = parts.iter().map(|(_, stats)| stats.num_rays).sum();
+                    assert_eq!(num, (SIZE * SIZE) as u64, "each pixel is counted once");
+                    if matches!(method, Method::Brute) {
+                        let num: u64 = parts.iter().map(|(_, stats)| stats.num_samples).sum();
+                        assert_eq!(num, truth.1.num_samples);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn depth_is_that_of_the_middle_and_a_smooth_wall_has_no_silhouette() {
+    let spur = spur();
+    let depths = |look| {
+        let frame = spur.frame(pinhole(SIZE), look);
+        cast_surface(&frame, Method::Brute, 0..SIZE, InstructionSet::best())
+            .unwrap()
+            .0
+    };
+    assert!(depths(MATT) == depths(ONE_RAY));
+    // Head on, and so slanted that depth doubles from one end of the picture to the other.
+    for (at, forward, down, fov_rad) in [
+        ([-12.0, 0.0, 20.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], 1.2),
+        ([-12.0, -15.0, 34.0], [0.0, 0.8, 0.6], [0.0, 0.6, -0.8], 0.5),
+    ] {
+        let pose = Affine::from_columns([1.0, 0.0, 0.0], down, forward, at);
+        let camera = Camera::new(pose, fov_rad, SIZE, SIZE).unwrap();
+        let (one, two) = (spur.picture(&camera, ONE_RAY), spur.picture(&camera, MATT));
+        let num_changed = one
+            .chunks(3)
+            .zip(two.chunks(3))
+            .filter(|(a, b)| a != b)
+            .count();
+        assert!(one.iter().any(|&v| v > 60));
+        assert_eq!(num_changed, 0, "{at:?}");
+    }
+}
