@@ -34,6 +34,10 @@ const LOOK: Appearance = Appearance {
     pale_hu: [0.0, 300.0],
     texture: 1.0,
     vessels: 0.5,
+    rings: 0.0,
+    membrane: 0.0,
+    hue: 0.0,
+    spurs: 0.0,
 };
 
 /// Every adapter of this machine. `make test-gpu` sets `CARINA_GPU_REQUIRED`, so that no adapter is a failure there.

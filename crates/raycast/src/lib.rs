@@ -27,6 +27,7 @@
 mod appearance;
 mod brute;
 mod composite;
+mod decoration;
 mod defocus;
 mod drr;
 #[cfg(test)]
@@ -59,6 +60,7 @@ mod worth;
 pub use appearance::Appearance;
 pub use carina_grid::InstructionSet;
 pub use composite::Gathered;
+pub use decoration::{CHANNELS as DECORATION_CHANNELS, Decoration};
 pub use defocus::{Focus, defocus};
 pub use drr::{Attenuation, Projector, cast_radiograph};
 pub use error::RaycastError;

@@ -8,13 +8,14 @@ use super::{
     lanes::{Array, Lanes, MAX_LANES},
     pair::Pair,
     portable::Portable,
+    rings::{Wall, decorate},
     setup::rays_of,
     texture::texture,
     vectors::{along, dot, scaled, smooth, splat, turn, unit},
     voxels::Voxels,
 };
 use crate::{
-    Field, Frame, InstructionSet,
+    Decoration, Field, Frame, InstructionSet,
     composite::Gathered,
     lighting::Lighting,
     normals::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT},
@@ -112,7 +113,13 @@ fn inward<L: Lanes>(l: L, light: &Lighting, values: impl Values<L>, p: [L::F; 3]
 
 /// Linear colour of lit walls, before the tone curve. `hit` is 0 or more in all lanes.
 #[inline(always)]
-fn lit<L: Lanes>(l: L, light: &Lighting, values: impl Values<L>, walls: &Walls<L>) -> [L::F; 3] {
+fn lit<L: Lanes>(
+    l: L,
+    light: &Lighting,
+    decoration: Option<&Decoration<'_>>,
+    values: impl Values<L>,
+    walls: &Walls<L>,
+) -> [L::F; 3] {
     let s = |v: f32| l.splat(v);
     let (delta, hit, albedo) = (walls.delta, walls.hit, walls.albedo);
     let look = &light.look;
@@ -140,16 +147,32 @@ fn lit<L: Lanes>(l: L, light: &Lighting, values: impl Values<L>, walls: &Walls<L
     let dense = values.at(l, along(l, p, s(-BENEATH_MM), into));
     let [from, to] = look.pale_hu;
     let pale = l.mul(l.sub(dense, s(from)), s(1.0 / (to - from)));
-    let pale = l.mul(smooth(l, pale), s(look.paleness));
+    let mut pale = l.mul(smooth(l, pale), s(look.paleness));
 
+    let mut n = n;
     let mut n_film = n;
     let mut film = s(0.75);
     let mut tint = [s(1.0); 3];
-    if look.texture > 0.0 || look.vessels > 0.0 {
+    let decoration = decoration.filter(|_| look.knows_anatomy());
+    if look.texture > 0.0 || look.vessels > 0.0 || decoration.is_some() {
         let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
         let footprint = l.mul(depth, s(light.pixel_mm));
         let skin = texture(l, look, lps, footprint);
         (film, tint) = (skin.film, skin.tint);
+        if let Some(field) = decoration {
+            let wall = Wall {
+                lps,
+                normal: n,
+                facing: l.abs(dot(l, n, back)),
+                footprint_mm: footprint,
+            };
+            let laid = decorate(l, look, field, &wall, &skin);
+            n = unit(l, along(l, n, s(-1.0), laid.form)).0;
+            pale = l.fma(l.sub(s(1.0), pale), laid.pale, pale);
+            for c in 0..3 {
+                tint[c] = l.mul(tint[c], laid.tint[c]);
+            }
+        }
         n_film = unit(l, along(l, n, s(-1.0), skin.relief)).0;
     }
     let mut colour = albedo;
@@ -279,7 +302,7 @@ fn light_row<L: Lanes>(
         let columns = from_fn(|n| (block * L::N + n).min(last) as i32);
         let rays = rays_of(frame, &columns, &[row as i32; MAX_LANES]);
         let walls = gather(l, &rays.delta, pixels);
-        let colour = lit(l, light, values, &walls);
+        let colour = lit(l, light, frame.decoration.as_ref(), values, &walls);
         let mut shown = [[0; MAX_LANES]; 3];
         for c in 0..3 {
             // Bright light is compressed as a camera does it: x (1 + x / white^2) / (1 + x).
@@ -351,8 +374,7 @@ fn gather<L: Lanes>(l: L, delta: &[Array<f32>; 3], pixels: &[Gathered]) -> Walls
     }
 }
 
-/// Light that comes back from pixels (column, row, what was gathered) at an exposure of 1 and without texture and
-/// vessels, for the automatic exposure.
+/// Light that comes back from pixels (column, row, what was gathered) at an exposure of 1 and without decoration, for the automatic exposure.
 pub(crate) fn brightness(
     frame: &Frame<'_>,
     light: &Lighting,
@@ -360,7 +382,7 @@ pub(crate) fn brightness(
 ) -> Vec<f32> {
     let l = Portable;
     let mut plain = *light;
-    (plain.look.texture, plain.look.vessels) = (0.0, 0.0);
+    plain.look = plain.look.undecorated();
     (plain.look.gloss, plain.exposure) = (0.0, 1.0);
     let mut out = Vec::with_capacity(pixels.len());
     for pixels in pixels.chunks(Portable::N) {
@@ -372,7 +394,7 @@ pub(crate) fn brightness(
         let rays = rays_of(frame, &column, &row);
         let gathered: Vec<Gathered> = pixels.iter().map(|pixel| pixel.2).collect();
         let walls = gather(l, &rays.delta, &gathered);
-        let [r, g, b] = lit(l, &plain, &frame.field, &walls);
+        let [r, g, b] = lit(l, &plain, None, &frame.field, &walls);
         // About the eye's weights.
         let weights = [l.splat(0.3), l.splat(0.6), l.splat(0.1)];
         out.extend_from_slice(&l.store(dot(l, [r, g, b], weights))[..pixels.len()]);

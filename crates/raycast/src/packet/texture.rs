@@ -13,7 +13,7 @@ const MOTTLE_PER_MM: f32 = 0.23;
 const VESSELS_PER_MM: f32 = 0.42;
 const RELIEF_PER_MM: f32 = 1.9;
 /// Half the width of a vessel, mm.
-const VESSEL_MM: f32 = 0.13;
+const VESSEL_MM: f32 = 0.17;
 /// Slope of the micro relief.
 const RELIEF: f32 = 0.11;
 
@@ -38,7 +38,7 @@ fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
 
 /// Noise of the integer lattice, -1..1, and its slope; smooth to the second derivative.
 #[inline(always)]
-fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
+pub(super) fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
     // Odd numbers without a pattern.
     const PRIMES: [i32; 3] = [
         0x0019_660d_u32 as i32,
@@ -106,6 +106,8 @@ pub(super) struct Texture<L: Lanes> {
     pub relief: [L::F; 3],
     /// How thick the film of mucus is, 0..1.
     pub film: L::F,
+    /// The mottling's noise, -1..1, whatever its strength.
+    pub mottle: L::F,
 }
 
 /// The lattice lies askew in the patient, so that no row of it runs along an airway.
@@ -113,30 +115,81 @@ const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64
 
 /// 1 while a cell of the lattice has 2 pixels or more, 0 when it has less than one.
 #[inline(always)]
-fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
+pub(super) fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
     smooth(l, l.fma(cells, l.splat(-2.0), l.splat(2.0)))
 }
 
-/// How much of a vessel, 0..1, is at points `q` of the lattice (mm), whose mottling there has the slope `bend`.
+/// How much of a line of half a width `half_mm`, 0..1, is where noise of the slope `steep_per_mm` has the value `web`.
 #[inline(always)]
-fn vessel<L: Lanes>(l: L, q: [L::F; 3], bend: [L::F; 3], footprint_mm: L::F) -> L::F {
+fn line<L: Lanes>(
+    l: L,
+    (web, steep_per_mm): (L::F, L::F),
+    half_mm: L::F,
+    footprint_mm: L::F,
+) -> L::F {
     let s = |v: f32| l.splat(v);
-    // Vessels follow the zero lines of noise whose lattice the mottling bends.
+    let off_mm = l.div(l.abs(web), l.max(steep_per_mm, s(1e-3)));
+    let width = l.max(half_mm, l.mul(footprint_mm, s(0.7)));
+    let near = smooth(l, l.sub(s(1.0), l.div(off_mm, width)));
+    // Thin vessels seen from afar are paler, not wider.
+    l.mul(near, l.div(half_mm, width))
+}
+
+/// How much of a vessel, 0..1, is at points `q` of the lattice (mm): stems on zero lines of the mottling's noise,
+/// branches that leave them to one side, twigs to one side of the branches. Each is given as its value and slope.
+#[inline(always)]
+fn vessel<L: Lanes>(
+    l: L,
+    q: [L::F; 3],
+    (mottle, bend): (L::F, [L::F; 3]),
+    (wrinkle, coarse): (L::F, [L::F; 3]),
+    footprint_mm: L::F,
+) -> L::F {
+    let s = |v: f32| l.splat(v);
+    let length = |v: [L::F; 3]| l.sqrt(dot(l, v, v));
+    // Branches bend with what they leave.
     let mut bent = scaled(l, s(VESSELS_PER_MM), q);
     for a in 0..3 {
         bent[a] = l.fma(bend[a], s(0.35), bent[a]);
     }
     let (web, across) = noise(l, bent, 23);
-    // Distance to the line, mm; where the noise is flat there is a patch in place of a line, which is left out.
-    let steep = l.sqrt(dot(l, across, across));
-    let off_mm = l.div(l.abs(web), l.mul(l.max(steep, s(0.2)), s(VESSELS_PER_MM)));
-    let width = l.max(s(VESSEL_MM), l.mul(footprint_mm, s(0.7)));
-    let vessel = smooth(l, l.sub(s(1.0), l.div(off_mm, width)));
-    let vessel = l.mul(vessel, smooth(l, l.fma(steep, s(1.5), s(-0.6))));
-    // Thin vessels seen from afar are paler, not wider; and they come and go.
-    let vessel = l.mul(vessel, l.div(s(VESSEL_MM), width));
-    l.mul(vessel, smooth(l, l.fma(bend[0], s(0.7), s(0.35))))
+    let steep = length(across);
+    let bend_steep = length(bend);
+    // Where noise is flat there is a patch in place of a line, which is left out.
+    let stem = line(
+        l,
+        (mottle, l.mul(bend_steep, s(MOTTLE_PER_MM))),
+        s(VESSEL_MM),
+        footprint_mm,
+    );
+    let stem = l.mul(stem, smooth(l, l.fma(bend_steep, s(1.5), s(-0.5))));
+    // They leave a stem on one side and taper away from it.
+    let taper = l.fma(mottle, s(-1.5), s(1.0));
+    let half = l.mul(l.max(taper, s(0.15)), s(0.75 * VESSEL_MM));
+    let branch = line(
+        l,
+        (web, l.mul(steep, s(VESSELS_PER_MM))),
+        half,
+        footprint_mm,
+    );
+    let branch = l.mul(branch, smooth(l, l.fma(steep, s(1.5), s(-0.6))));
+    let branch = l.mul(branch, smooth(l, l.mul(mottle, s(12.0))));
+    let twig_per_mm = s(0.45 * RELIEF_PER_MM);
+    let twig = line(
+        l,
+        (wrinkle, l.mul(length(coarse), twig_per_mm)),
+        s(0.35 * VESSEL_MM),
+        footprint_mm,
+    );
+    let beside = l.mul(
+        smooth(l, l.mul(web, s(12.0))),
+        smooth(l, l.fma(web, s(-3.0), s(1.4))),
+    );
+    let twig = l.mul(l.mul(twig, beside), smooth(l, l.mul(mottle, s(12.0))));
+    let all = l.max(stem, l.max(branch, l.mul(twig, s(0.8))));
+    // They come and go along a line, so that none is closed.
+    l.mul(all, smooth(l, l.fma(bend[0], s(1.4), s(0.4))))
 }
 
 /// Reads the texture at patient points `lps` (mm). It depends on the point alone, so it stays on the tissue when the scope
@@ -150,19 +203,20 @@ pub(super) fn texture<L: Lanes>(
 ) -> Texture<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);
-    let (mottle, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
-    let mottle = l.mul(mottle, s(look.texture));
+    let (mottled, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
+    let mottle = l.mul(mottled, s(look.texture));
+    let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
+    let (wrinkle, coarse) = noise(l, scaled(l, s(0.45 * RELIEF_PER_MM), q), 41);
     let mut vessels = s(0.0);
     if look.vessels > 0.0 {
-        vessels = l.mul(vessel(l, q, bend, footprint_mm), s(look.vessels));
+        vessels = vessel(l, q, (mottled, bend), (wrinkle, coarse), footprint_mm);
+        vessels = l.mul(vessels, s(look.vessels));
     }
     let tint = [
         l.fma(mottle, s(0.03), l.fma(vessels, s(-0.08), s(1.0))),
         l.fma(mottle, s(-0.11), l.fma(vessels, s(-0.40), s(1.0))),
         l.fma(mottle, s(-0.09), l.fma(vessels, s(-0.30), s(1.0))),
     ];
-    let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
-    let (_, coarse) = noise(l, scaled(l, s(0.45 * RELIEF_PER_MM), q), 41);
     let slope_of = s(RELIEF * look.texture);
     let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), slope_of);
     let wide = l.mul(sharp(l, footprint_mm, 0.45 * RELIEF_PER_MM), slope_of);
@@ -177,5 +231,6 @@ pub(super) fn texture<L: Lanes>(
         tint,
         relief: turn(l, &back, relief),
         film: l.min(l.max(film, s(0.0)), s(1.0)),
+        mottle: mottled,
     }
 }

@@ -21,6 +21,10 @@ const LOOK: Appearance = Appearance {
     pale_hu: [0.0, 300.0],
     texture: 1.0,
     vessels: 0.0,
+    rings: 0.0,
+    membrane: 0.0,
+    hue: 0.0,
+    spurs: 0.0,
 };
 
 fn lit(look: Appearance) -> FrameOptions {
