@@ -100,8 +100,9 @@ def test_gloss_makes_few_and_small_highlights_that_the_relief_breaks_up():
     assert edges((broken - matt).max(axis=2) > 0.1) > 1.5 * edges(highlight)
 
 
-def test_no_vessels_are_drawn_unless_asked_for_and_texture_off_leaves_them_out():
-    assert ENDOSCOPIC.appearance.vessels == 0.0
+def test_vessels_are_few_and_faint_and_texture_off_leaves_them_out():
+    assert ENDOSCOPIC.appearance.vessels == 0.5
+    assert Appearance().vessels == 0.0
     assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
     volume = tube(6.0)
     # Green without highlights: blood takes it away.

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from carina.display import one_line
 from carina.errors import RenderError
 
-__all__ = ["Appearance", "check_guides"]
+__all__ = ["DECORATIONS", "FROM_TREE", "Appearance", "DecorationName", "check_guides"]
+
+DecorationName = Literal["texture", "vessels", "rings", "membrane", "hue", "spurs"]
+DECORATIONS: tuple[DecorationName, ...] = get_args(DecorationName)
+FROM_TREE: frozenset[DecorationName] = frozenset(("rings", "membrane", "hue", "spurs"))
+"""Parts that need to know where on the airway a wall is."""
 
 # Beside the lens of a common video bronchoscope, a little above its middle.
 TWO_GUIDES_MM = ((-1.9, -0.5, 0.0), (1.9, -0.5, 0.0))
@@ -54,6 +59,14 @@ class Appearance:
     """Mottling and micro relief; 0 for none."""
     vessels: float = 0.0
     """Invented vessels in the mucosa; 0 for none. No CT shows them, and many of them would be a sign of disease."""
+    rings: float = 0.0
+    """Cartilage rings of trachea and main bronchi, plates of lobar bronchi, from the airway tree; 0 for none."""
+    membrane: float = 0.0
+    """The flat, folded membranous wall at the back of trachea and main bronchi, drawn from the tree; 0 for none."""
+    hue: float = 0.0
+    """Colour by region, from the tree: a pale trachea, redder bronchi; 0 for one colour."""
+    spurs: float = 0.0
+    """Pale ridges of forks, from the tree, 0..1."""
 
     def __post_init__(self) -> None:
         check_guides(self.guides_mm)
@@ -66,6 +79,10 @@ class Appearance:
             ("paleness", 1),
             ("texture", 4),
             ("vessels", 4),
+            ("rings", 2),
+            ("membrane", 2),
+            ("hue", 2),
+            ("spurs", 1),
         ):
             if not 0 <= getattr(self, what) <= most:
                 raise RenderError(f"appearance: {what} must be between 0 and {most}; found {getattr(self, what)}")
@@ -74,6 +91,15 @@ class Appearance:
         low, high = self.pale_hu
         if not (np.isfinite(self.pale_hu).all() and low < high):
             raise RenderError(f"pale tissue: expected two values, the lower first; found {self.pale_hu}")
+
+    @property
+    def decorations(self) -> tuple[DecorationName, ...]:
+        """The parts that are on and not the patient's, by the names of their fields."""
+        return tuple(name for name in DECORATIONS if getattr(self, name) > 0)
+
+    def undecorated(self) -> Appearance:
+        """The same without them."""
+        return replace(self, texture=0.0, vessels=0.0, rings=0.0, membrane=0.0, hue=0.0, spurs=0.0)
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON object."""
