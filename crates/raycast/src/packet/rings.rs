@@ -216,10 +216,11 @@ pub(super) fn decorate<L: Lanes>(
     let phase = l.fma(skin.mottle, stray, place.phase);
     let t = l.sub(l.sub(phase, l.floor(phase)), s(0.5));
     let edge = l.max(s(EDGE), width);
-    let inwards = l.div(l.sub(l.fma(edge, s(0.5), s(HALF_WIDTH)), l.abs(t)), edge);
-    let inwards = l.min(l.max(inwards, s(0.0)), one);
+    let per_edge = l.div(one, edge);
+    let inwards = l.sub(l.fma(edge, s(0.5), s(HALF_WIDTH)), l.abs(t));
+    let inwards = l.min(l.max(l.mul(inwards, per_edge), s(0.0)), one);
     let ring = smooth(l, inwards);
-    let steep = l.div(l.mul(l.mul(inwards, l.sub(one, inwards)), s(6.0)), edge);
+    let steep = l.mul(l.mul(inwards, l.sub(one, inwards)), l.mul(s(6.0), per_edge));
     let steep = l.select(l.less(t, s(0.0)), steep, l.sub(s(0.0), steep));
     // Plates in place of rings: some of the round is left out.
     let plates = lerp(

@@ -8,12 +8,13 @@ use super::{
 };
 use crate::appearance::Appearance;
 
-/// Cells of the texture's noise per mm: mottling, vessels, micro relief.
+/// Cells of the texture's noise per mm: mottling, coarse and fine micro relief.
 const MOTTLE_PER_MM: f32 = 0.23;
-const VESSELS_PER_MM: f32 = 0.42;
+const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
 const RELIEF_PER_MM: f32 = 1.9;
-/// Half the width of a vessel, mm.
+/// Half the width of a vessel's stem and of a branch where it leaves, mm.
 const VESSEL_MM: f32 = 0.17;
+const BRANCH_MM: f32 = 0.12;
 /// Slope of the micro relief.
 const RELIEF: f32 = 0.11;
 
@@ -131,31 +132,24 @@ fn line<L: Lanes>(
     let s = |v: f32| l.splat(v);
     let off_mm = l.div(l.abs(web), l.max(steep_per_mm, s(1e-3)));
     let width = l.max(half_mm, l.mul(footprint_mm, s(0.7)));
-    let near = smooth(l, l.sub(s(1.0), l.div(off_mm, width)));
+    let per_width = l.div(s(1.0), width);
+    let near = smooth(l, l.sub(s(1.0), l.mul(off_mm, per_width)));
     // Thin vessels seen from afar are paler, not wider.
-    l.mul(near, l.div(half_mm, width))
+    l.mul(near, l.mul(half_mm, per_width))
 }
 
-/// How much of a vessel, 0..1, is at points `q` of the lattice (mm): stems on zero lines of the mottling's noise,
-/// branches that leave them to one side, twigs to one side of the branches. Each is given as its value and slope.
+/// How much of a vessel, 0..1, is where the noise of mottling and wrinkles has these values and slopes: stems on zero
+/// lines of the one, branches on those of the other, which leave a stem to one side and taper. No noise of their own:
+/// it would cost more than all else of them.
 #[inline(always)]
 fn vessel<L: Lanes>(
     l: L,
-    q: [L::F; 3],
     (mottle, bend): (L::F, [L::F; 3]),
-    (wrinkle, coarse): (L::F, [L::F; 3]),
+    (wrinkle, fold): (L::F, [L::F; 3]),
     footprint_mm: L::F,
 ) -> L::F {
     let s = |v: f32| l.splat(v);
-    let length = |v: [L::F; 3]| l.sqrt(dot(l, v, v));
-    // Branches bend with what they leave.
-    let mut bent = scaled(l, s(VESSELS_PER_MM), q);
-    for a in 0..3 {
-        bent[a] = l.fma(bend[a], s(0.35), bent[a]);
-    }
-    let (web, across) = noise(l, bent, 23);
-    let steep = length(across);
-    let bend_steep = length(bend);
+    let (bend_steep, fold_steep) = (l.sqrt(dot(l, bend, bend)), l.sqrt(dot(l, fold, fold)));
     // Where noise is flat there is a patch in place of a line, which is left out.
     let stem = line(
         l,
@@ -164,32 +158,22 @@ fn vessel<L: Lanes>(
         footprint_mm,
     );
     let stem = l.mul(stem, smooth(l, l.fma(bend_steep, s(1.5), s(-0.5))));
-    // They leave a stem on one side and taper away from it.
-    let taper = l.fma(mottle, s(-1.5), s(1.0));
-    let half = l.mul(l.max(taper, s(0.15)), s(0.75 * VESSEL_MM));
+    let taper = l.fma(mottle, s(-1.8), s(1.0));
+    let half = l.mul(l.max(taper, s(0.1)), s(BRANCH_MM));
     let branch = line(
         l,
-        (web, l.mul(steep, s(VESSELS_PER_MM))),
+        (wrinkle, l.mul(fold_steep, s(WRINKLES_PER_MM))),
         half,
         footprint_mm,
     );
-    let branch = l.mul(branch, smooth(l, l.fma(steep, s(1.5), s(-0.6))));
-    let branch = l.mul(branch, smooth(l, l.mul(mottle, s(12.0))));
-    let twig_per_mm = s(0.45 * RELIEF_PER_MM);
-    let twig = line(
-        l,
-        (wrinkle, l.mul(length(coarse), twig_per_mm)),
-        s(0.35 * VESSEL_MM),
-        footprint_mm,
-    );
+    let branch = l.mul(branch, smooth(l, l.fma(fold_steep, s(1.5), s(-0.6))));
     let beside = l.mul(
-        smooth(l, l.mul(web, s(12.0))),
-        smooth(l, l.fma(web, s(-3.0), s(1.4))),
+        smooth(l, l.mul(mottle, s(12.0))),
+        smooth(l, l.add(taper, taper)),
     );
-    let twig = l.mul(l.mul(twig, beside), smooth(l, l.mul(mottle, s(12.0))));
-    let all = l.max(stem, l.max(branch, l.mul(twig, s(0.8))));
     // They come and go along a line, so that none is closed.
-    l.mul(all, smooth(l, l.fma(bend[0], s(1.4), s(0.4))))
+    let shown = smooth(l, l.fma(bend[0], s(1.4), s(0.4)));
+    l.mul(l.max(stem, l.mul(branch, beside)), shown)
 }
 
 /// Reads the texture at patient points `lps` (mm). It depends on the point alone, so it stays on the tissue when the scope
@@ -206,10 +190,10 @@ pub(super) fn texture<L: Lanes>(
     let (mottled, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
     let mottle = l.mul(mottled, s(look.texture));
     let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
-    let (wrinkle, coarse) = noise(l, scaled(l, s(0.45 * RELIEF_PER_MM), q), 41);
+    let (wrinkle, coarse) = noise(l, scaled(l, s(WRINKLES_PER_MM), q), 41);
     let mut vessels = s(0.0);
     if look.vessels > 0.0 {
-        vessels = vessel(l, q, (mottled, bend), (wrinkle, coarse), footprint_mm);
+        vessels = vessel(l, (mottled, bend), (wrinkle, coarse), footprint_mm);
         vessels = l.mul(vessels, s(look.vessels));
     }
     let tint = [
@@ -219,7 +203,7 @@ pub(super) fn texture<L: Lanes>(
     ];
     let slope_of = s(RELIEF * look.texture);
     let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), slope_of);
-    let wide = l.mul(sharp(l, footprint_mm, 0.45 * RELIEF_PER_MM), slope_of);
+    let wide = l.mul(sharp(l, footprint_mm, WRINKLES_PER_MM), slope_of);
     let mut relief = slope;
     for a in 0..3 {
         relief[a] = l.fma(slope[a], fine, l.mul(coarse[a], wide));
