@@ -224,8 +224,8 @@ class SmallRenderer:
     def set_transfer(self, transfer: Any) -> None:
         self.transfer = transfer
 
-    def set_lumen(self, lumen_zyx: Any) -> None:
-        self.lumen = lumen_zyx
+    def set_lumen(self, lumen_zyx: Any, tree: Any = None) -> None:
+        self.lumen, self.tree = lumen_zyx, tree
 
     def prepare(self, progress: Any = None, cancel: Any = None) -> None:
         self.on_prepare()

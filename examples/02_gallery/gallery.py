@@ -58,6 +58,41 @@ def places(path: carina.FlightPath, spans: list[PathSpan]) -> dict[str, carina.P
     }
 
 
+def phantom_with_tree() -> tuple[Renderer, carina.AirwayTree]:
+    """A made chest (no patient) whose left main or intermediate bronchus is narrowed, with its true airways."""
+    box = ((-95.0, -60.0, -110.0), (95.0, 70.0, 115.0))
+    phantom = carina.generate_phantom(spacing_mm=0.9, generations=4, stenosis=True, box_lps=box)
+    tree = carina.AirwayTree.from_json(phantom.truth)
+    renderer = Renderer(phantom.volume)
+    renderer.set_lumen(phantom.lumen_zyx, tree)
+    return renderer, tree
+
+
+def decorated_places(tree: carina.AirwayTree) -> dict[str, carina.Pose]:
+    """Camera poses in the phantom: trachea, carina, main bronchus, lobar fork, before the narrow place."""
+    found = {}
+    for name, branch, from_mm, of in (
+        ("decorated-trachea", "RMB", -72.0, 0),
+        ("decorated-carina", "RMB", -11.0, 0),
+        ("decorated-main-bronchus", "RMB", 8.0, 0),
+        ("decorated-lobar", "RUL", -9.0, -1),
+    ):
+        lineage = tree.lineage(next(b.id for b in tree.branches if b.name == branch))
+        ends = np.cumsum([b.length_mm for b in lineage])
+        found[name] = carina.FlightPath(tree.route_to(lineage[-1].id).points_lps).pose_at(float(ends[of]) + from_mm)
+    return found
+
+
+def before_the_narrow_place(tree: carina.AirwayTree) -> carina.Pose:
+    """A pose 14 mm before the narrowest point of the narrowed bronchus."""
+    branch = next(b for b in tree.branches if b.name in {"LMB", "BI"} and b.radius.min() < 0.6 * np.median(b.radius))
+    lineage = tree.lineage(branch.id)
+    begins = sum(b.length_mm for b in lineage[:-1])
+    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
+    at = begins + float(steps[: int(np.argmin(branch.radius))].sum())
+    return carina.FlightPath(tree.route_to(branch.id).points_lps).pose_at(at - 14.0)
+
+
 def bent_vessel() -> tuple[carina.Volume, list[NDArray[np.float64]]]:
     """A bright vessel with a bend in dull, noisy tissue, as in MR: no airway. Its two ends, LPS mm."""
     k, j, i = np.indices((16, 96, 96))
@@ -88,7 +123,7 @@ def main(case: str | None, out: Path) -> list[Path]:
     path, spans = way(airways.tree)
     poses = places(path, spans)
     renderer = Renderer(volume)
-    renderer.set_lumen(airways.lumen_zyx)
+    renderer.set_lumen(airways.lumen_zyx, airways.tree)
     saved = []
 
     def save(name: str, picture: Picture) -> None:
@@ -102,6 +137,12 @@ def main(case: str | None, out: Path) -> list[Path]:
     for preset in ("ct-grey", "see-through", "paper"):
         renderer.set_transfer(carina.transfer_preset(preset))
         save(f"carina-{preset}", renderer.render(AirwayView(fork, fov_deg=100.0, **SIZE)))
+    made, tree = phantom_with_tree()
+    scope = scope_preset("generic")
+    for name, pose in {**decorated_places(tree), "decorated-narrow": before_the_narrow_place(tree)}.items():
+        save(name, made.render(AirwayView.of_scope(scope, pose, **SIZE)))
+    carina_pose = decorated_places(tree)["decorated-carina"]
+    save("decorated-off", made.render(AirwayView.of_scope(scope, carina_pose, texture=False, **SIZE)))
     save("radiograph", letter_edges(renderer.render(DrrView(**SIZE))))
     straight = renderer.render(PathView("straightened", path.frames(), width=320, height=480))
     save("straightened", letter_edges(mark_path(straight, spans=spans)))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.render.appearance import Appearance
+from carina.render.decoration import Decoration
 
 def build_info() -> dict[str, Any]:
     """version, profile, simd, threads, target, gpu."""
@@ -317,6 +318,7 @@ def cast(
     gpu: GpuScene | None = None,
     stop_transparency: float | None = None,
     appearance: Appearance | None = None,
+    decoration: Decoration | None = None,
     always_leap: bool = False,
     slopes: WallSlopes | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:

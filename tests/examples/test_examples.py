@@ -136,7 +136,7 @@ def test_a_gallery_picture_with_a_changed_look_is_not_taken_for_the_one_of_the_d
     def seen(**changes: float) -> np.ndarray:
         look = dataclasses.replace(endoscopic.appearance, **changes)
         renderer = Renderer(volume, transfer=dataclasses.replace(endoscopic, appearance=look))
-        renderer.set_lumen(airways.lumen_zyx)
+        renderer.set_lumen(airways.lumen_zyx, airways.tree)
         picture = renderer.render(AirwayView(pose, fov_deg=100.0, **gallery.SIZE))
         write_jpeg(picture.rgb, tmp_path / "seen.jpg")
         return sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "seen.jpg")))

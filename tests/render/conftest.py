@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from render_grids import place, rotation
+from render_trees import LEFT, RIGHT, TRACHEA
 
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -20,11 +21,6 @@ class Airway:
     volume: Volume
     lumen_zyx: NDArray[np.uint8]
     pose: Pose
-
-
-TRACHEA = ((0.0, 0.0, 60.0), (0.0, 0.0, 0.0), 7.0)
-RIGHT = ((0.0, 0.0, 0.0), (-22.0, 4.0, -34.0), 5.5)
-LEFT = ((0.0, 0.0, 0.0), (30.0, 6.0, -26.0), 4.0)
 
 
 def _distance_mm(points: NDArray[np.float64], a: tuple[float, ...], b: tuple[float, ...]) -> NDArray[np.float64]:

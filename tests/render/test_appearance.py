@@ -161,22 +161,23 @@ def test_fog_lies_on_the_lens_and_hides_the_lumen():
 
 
 def test_what_is_wet_and_shows_no_ct_is_named_and_off_where_texture_is_off(airway):
-    assert Appearance().wet_decoration == ("specks",)
-    every = Appearance(secretions=0.3, fog=0.2)
-    assert every.wet_decoration == ("specks", "secretions", "fog")
-    assert every.without_wet_decoration().wet_decoration == ()
+    assert Appearance(texture=0.0).decorations == ("specks",)
+    every = Appearance(texture=0.0, secretions=0.3, fog=0.2)
+    assert every.decorations == ("specks", "secretions", "fog")
+    assert every.undecorated().decorations == ()
     view = AirwayView(airway.pose, texture=False, **SIZE)
 
     def render(appearance):
         transfer = dataclasses.replace(ENDOSCOPIC, appearance=appearance)
         return Renderer(airway.volume, transfer=transfer).render(view).rgb
 
-    np.testing.assert_array_equal(render(every), render(Appearance().without_wet_decoration()))
+    np.testing.assert_array_equal(render(every), render(Appearance().undecorated()))
     assert transfer_preset("ct-grey").appearance is None
 
 
-def test_no_vessels_are_drawn_unless_asked_for_and_texture_off_leaves_them_out():
-    assert ENDOSCOPIC.appearance.vessels == 0.0
+def test_vessels_are_few_and_faint_and_texture_off_leaves_them_out():
+    assert ENDOSCOPIC.appearance.vessels == 0.5
+    assert Appearance().vessels == 0.0
     assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
     volume = tube(6.0)
     # Green without highlights: blood takes it away.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import SimpleITK as sitk
+from render_trees import forked
 
 from carina.navigate import FlightPath
 from carina.render import (
@@ -22,6 +24,8 @@ from carina.render import (
     XrayView,
     transfer_preset,
 )
+from carina.render.appearance import DECORATIONS
+from carina.scopes import Pose
 
 TESTS = Path(__file__).resolve().parents[1]
 GOLDEN = TESTS / "golden" / "render"
@@ -94,6 +98,27 @@ CASES = {
     ),
 }
 
+# Parts of the look that are drawn from the airway tree: where from, what of it, what a person must see.
+DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 52.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
+AT_THE_CARINA = Pose.looking((0.0, 0.0, 12.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
+DECORATED = {
+    "decorated-trachea": (
+        DOWN_THE_TRACHEA,
+        DECORATIONS,
+        "rings over front (above) and sides, pale between redder grooves; below a flat back wall with folds along it",
+    ),
+    "decorated-carina": (
+        AT_THE_CARINA,
+        DECORATIONS,
+        "a pale ridge between two bronchi, from front to back; rings go on into both of them",
+    ),
+    "decorated-rings": (DOWN_THE_TRACHEA, ("rings",), "rings alone, none on the back wall below, which is smooth"),
+    "decorated-membrane": (DOWN_THE_TRACHEA, ("membrane",), "folds along a redder back wall below, no rings"),
+    "decorated-hue": (AT_THE_CARINA, ("hue",), "a paler trachea, bronchi that get redder; no ring, no line"),
+    "decorated-spurs": (AT_THE_CARINA, ("spurs",), "a pale ridge between the two bronchi, and nothing else"),
+    "decorated-vessels": (DOWN_THE_TRACHEA, ("vessels",), "a few thin red lines that branch"),
+}
+
 
 def compare(name: str, found: np.ndarray, seen: str) -> None:
     """Fail unless the picture equals the golden one; leave expected, found and difference side by side."""
@@ -127,5 +152,16 @@ def test_golden_pictures_are_unchanged(name, airway):
     compare(name, renderer.render(view(airway.pose)).rgb, seen)
 
 
+@pytest.mark.parametrize("name", sorted(DECORATED))
+def test_golden_pictures_of_what_is_fixed_to_anatomy_are_unchanged(name, airway):
+    pose, parts, seen = DECORATED[name]
+    preset = transfer_preset("endoscopic")
+    on = {part: getattr(preset.appearance, part) for part in parts}
+    look = dataclasses.replace(preset.appearance.undecorated(), **on)
+    renderer = Renderer(airway.volume, transfer=dataclasses.replace(preset, appearance=look))
+    renderer.set_lumen(airway.lumen_zyx, forked())
+    compare(name, renderer.render(AirwayView(pose, fov_deg=110.0, width=128, height=128)).rgb, seen)
+
+
 def test_golden_images_are_all_of_a_case():
-    assert {path.stem for path in GOLDEN.glob("*.png")} == set(CASES)
+    assert {path.stem for path in GOLDEN.glob("*.png")} == {*CASES, *DECORATED}

@@ -12,13 +12,14 @@ use std::sync::{
 use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
-    Appearance, ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method,
-    NormalBricks, RaycastError, Transfer, TriPlane, WallHeights, Window, cast_rows,
+    Appearance, ClassMap, DECORATION_CHANNELS, Decoration, Frame, FrameOptions, InstructionSet,
+    Interpolation, Light, Method, NormalBricks, RaycastError, Transfer, TriPlane, WallHeights,
+    Window, cast_rows,
     cast_rows_until, cast_tri_plane, maximum_projections_by, pick, sample_plane_by, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
-    PyUntypedArrayMethods,
+    PyReadonlyArray4, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 
@@ -247,6 +248,10 @@ struct PyAppearance {
     specks: f32,
     secretions: f32,
     fog: f32,
+    rings: f32,
+    membrane: f32,
+    hue: f32,
+    spurs: f32,
 }
 
 impl PyAppearance {
@@ -267,7 +272,39 @@ impl PyAppearance {
             specks: self.specks,
             secretions: self.secretions,
             fog: self.fog,
+            rings: self.rings,
+            membrane: self.membrane,
+            hue: self.hue,
+            spurs: self.spurs,
         }
+    }
+}
+
+/// Places of walls on their airways as Python holds them: an object with these attributes.
+#[derive(FromPyObject)]
+struct PyDecoration<'py> {
+    cells: PyReadonlyArray4<'py, f32>,
+    origin_lps: [f32; 3],
+    cell_mm: f32,
+}
+
+impl PyDecoration<'_> {
+    fn as_core(&self) -> PyResult<Decoration<'_>> {
+        let &[nz, ny, nx, num_channels] = self.cells.shape() else {
+            unreachable!("an array of four axes");
+        };
+        let numbers = self.cells.as_slice().map_err(|e| {
+            pyo3::exceptions::PyValueError::new_err(format!(
+                "decoration: {e}; expected C-contiguous cells"
+            ))
+        })?;
+        // Refused by the length of the numbers where a cell has not as many as it should.
+        let shape = if num_channels == DECORATION_CHANNELS {
+            [nz, ny, nx]
+        } else {
+            [0; 3]
+        };
+        Decoration::new(numbers, shape, self.origin_lps, self.cell_mm).map_err(IntoPy::into_py)
     }
 }
 
@@ -284,7 +321,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None, appearance=None, always_leap=false, slopes=None
+    stop_transparency=None, appearance=None, always_leap=false, slopes=None, decoration=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -309,6 +346,7 @@ fn cast<'py>(
     appearance: Option<PyAppearance>,
     always_leap: bool,
     slopes: Option<Bound<'py, WallSlopes>>,
+    decoration: Option<PyDecoration<'py>>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -333,6 +371,9 @@ fn cast<'py>(
     let mut frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
     if let Some(transparency) = stop_transparency {
         frame = frame.stopping_at(transparency).map_err(IntoPy::into_py)?;
+    }
+    if let Some(decoration) = &decoration {
+        frame = frame.decorated_by(decoration.as_core()?);
     }
     if always_leap {
         frame = frame.leaping_always();

@@ -38,6 +38,10 @@ const LOOK: Appearance = Appearance {
     specks: 1.0,
     secretions: 0.5,
     fog: 0.0,
+    rings: 0.0,
+    membrane: 0.0,
+    hue: 0.0,
+    spurs: 0.0,
 };
 
 /// Every adapter of this machine. `make test-gpu` sets `CARINA_GPU_REQUIRED`, so that no adapter is a failure there.

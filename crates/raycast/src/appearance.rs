@@ -37,9 +37,38 @@ pub struct Appearance {
     pub secretions: f32,
     /// Mist on the lens, 0 for none, 1 for a picture that hardly shows the lumen.
     pub fog: f32,
+    /// Cartilage rings and plates, 0 for none; drawn where a frame has a [`crate::Decoration`], as are the next three.
+    pub rings: f32,
+    /// The flat, folded membranous wall at the back of trachea and main bronchi, 0 for none.
+    pub membrane: f32,
+    /// Colour by region: a paler trachea, redder bronchi; 0 for one colour.
+    pub hue: f32,
+    /// Pale ridges of forks, 0 for none.
+    pub spurs: f32,
 }
 
 impl Appearance {
+    /// True if a part is on that is fixed to anatomy.
+    pub(crate) fn knows_anatomy(&self) -> bool {
+        self.rings > 0.0 || self.membrane > 0.0 || self.hue > 0.0 || self.spurs > 0.0
+    }
+
+    /// The same with nothing on it that is not the patient's.
+    pub(crate) const fn undecorated(self) -> Self {
+        Self {
+            texture: 0.0,
+            vessels: 0.0,
+            rings: 0.0,
+            membrane: 0.0,
+            hue: 0.0,
+            spurs: 0.0,
+            specks: 0.0,
+            secretions: 0.0,
+            fog: 0.0,
+            ..self
+        }
+    }
+
     /// Refuses values that are not finite or would overflow.
     pub fn check(&self) -> Result<(), RaycastError> {
         let refuse = |what: &'static str, expected: &str, found: f32| {
@@ -69,6 +98,10 @@ impl Appearance {
             ("specks", self.specks, 4.0),
             ("secretions", self.secretions, 1.0),
             ("fog", self.fog, 1.0),
+            ("rings", self.rings, 2.0),
+            ("membranous wall", self.membrane, 2.0),
+            ("colour by region", self.hue, 2.0),
+            ("ridges of forks", self.spurs, 1.0),
         ] {
             if !(0.0..=most).contains(&v) {
                 return refuse(what, &format!("0 to {most}"), v);

@@ -401,6 +401,14 @@ mod tests {
         pale_hu: [0.0, 300.0],
         texture: 1.0,
         vessels: 0.0,
+        silhouettes: true,
+        specks: 1.0,
+        secretions: 0.5,
+        fog: 0.0,
+        rings: 0.0,
+        membrane: 0.0,
+        hue: 0.0,
+        spurs: 0.0,
     };
 
     struct Case {

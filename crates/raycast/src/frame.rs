@@ -5,7 +5,8 @@ use std::sync::Arc;
 use carina_grid::{Affine, Camera, Grid, VolumeView, clip_line_to_box, dot, length};
 
 use crate::{
-    Appearance, Field, Light, NormalBricks, RaycastError, TransferTable, composite::Gathered,
+    Appearance, Decoration, Field, Light, NormalBricks, RaycastError, TransferTable,
+    composite::Gathered,
     sampling::Lanes,
 };
 
@@ -40,6 +41,8 @@ pub struct Frame<'a> {
     pub(crate) field: Field<'a>,
     pub(crate) table: &'a TransferTable,
     pub(crate) options: FrameOptions,
+    /// What the lighting knows of the walls' places on their airways.
+    pub(crate) decoration: Option<Decoration<'a>>,
     pub(crate) grid: &'a Grid,
     camera: Camera,
     pub(crate) ijk_from_camera: Affine,
@@ -119,6 +122,7 @@ impl<'a> Frame<'a> {
             field: Field::new(volume),
             table,
             options,
+            decoration: None,
             grid,
             ijk_from_camera: ijk_from_lps.after(camera.lps_from_camera()),
             camera,
@@ -154,6 +158,13 @@ impl<'a> Frame<'a> {
         }
         self.stop = transparency;
         Ok(self)
+    }
+
+    /// The same with walls whose place on their airway is known, for the parts of an appearance that are fixed to anatomy.
+    #[must_use]
+    pub const fn decorated_by(mut self, decoration: Decoration<'a>) -> Self {
+        self.decoration = Some(decoration);
+        self
     }
 
     /// The same with leaps also where a trial says that brute force is quicker: to measure what they do there.

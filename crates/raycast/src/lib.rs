@@ -28,6 +28,7 @@ mod appearance;
 mod bricks;
 mod brute;
 mod composite;
+mod decoration;
 mod defocus;
 mod drr;
 #[cfg(test)]
@@ -63,6 +64,7 @@ pub use appearance::Appearance;
 pub use bricks::NormalBricks;
 pub use carina_grid::InstructionSet;
 pub use composite::Gathered;
+pub use decoration::{CHANNELS as DECORATION_CHANNELS, Decoration};
 pub use defocus::{Focus, defocus};
 pub use drr::{Attenuation, Projector, cast_radiograph};
 pub use error::RaycastError;

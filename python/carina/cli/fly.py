@@ -260,7 +260,7 @@ def _renderer(source: Opened, progress: Any, make: RendererFactory | None) -> Re
         try:
             airways = source.airways(progress)
             source.badges.add(getattr(airways, "badges", ()))
-            renderer.set_lumen(airways.lumen_zyx)
+            renderer.set_lumen(airways.lumen_zyx, airways.tree)
         except NoResultError as trouble:
             say(f"note: {trouble}; thin walls are shown as they appear in the CT")
     return renderer

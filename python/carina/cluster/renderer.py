@@ -26,6 +26,7 @@ from carina.render import (
     View,
     can_cut,
 )
+from carina.render.decoration import DecorationTree
 from carina.render.scene import Cancel, Progress, Scene
 from carina.volume import Volume
 
@@ -87,9 +88,9 @@ class ClusterRenderer:
         """See :meth:`carina.render.Renderer.set_transfer`."""
         self._renderer.set_transfer(transfer)
 
-    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None) -> None:
+    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
         """See :meth:`carina.render.Renderer.set_lumen`."""
-        self._renderer.set_lumen(lumen_zyx)
+        self._renderer.set_lumen(lumen_zyx, tree)
 
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None

@@ -124,7 +124,7 @@ class SetShading(Command, frozen=True):
 
 
 class SetTexture(Command, frozen=True):
-    """Fine texture of the mucosa, which is decoration and not the patient's, on or off."""
+    """Decoration of the wall, which is not the patient's: texture, vessels, rings and the like, on or off."""
 
     sets = "texture"
     on: bool

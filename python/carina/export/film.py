@@ -20,6 +20,7 @@ from carina.export.video import VideoWriter
 from carina.navigate import AutoFlight, FlightPath, KeyFrameFlight
 from carina.navigate.auto_flight import frame_times_s
 from carina.render import AirwayView, Renderer
+from carina.track import AirwayTree
 from carina.volume import Volume
 
 __all__ = ["Film", "write_film"]
@@ -71,6 +72,7 @@ def write_film(
     *,
     view: AirwayView | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
+    tree: AirwayTree | None = None,
     rate_hz: float = 25.0,
     speed_mm_s: float = 20.0,
     progress: ProgressChoice = None,
@@ -90,6 +92,8 @@ def write_film(
         How frames are rendered: everything but the pose is taken from it; 640 x 480, 100 degrees unless told.
     lumen_zyx
         The airway lumen, for the closed wall.
+    tree
+        Its airway tree, by which the endoscopic look draws what is fixed to anatomy.
     rate_hz
         Frames per second, 1 to 240.
     speed_mm_s
@@ -131,7 +135,7 @@ def write_film(
     times = frame_times_s(flown.duration_s, rate_hz)
     with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
         renderer = Renderer(volume)
-        renderer.set_lumen(lumen_zyx)
+        renderer.set_lumen(lumen_zyx, tree)
         renderer.prepare(told, cancel)
         for number, time_s in enumerate(times):
             if cancel is not None and cancel():

@@ -4,7 +4,7 @@ from typing import Any
 
 from carina import _core
 from carina._core import CancelToken
-from carina.render.appearance import Appearance
+from carina.render.appearance import Appearance, DecorationName
 from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
@@ -62,6 +62,7 @@ __all__ = [
     "ClusterState",
     "ClusterStatus",
     "CutPlaneView",
+    "DecorationName",
     "DrrView",
     "FlatPlace",
     "FlatViewName",

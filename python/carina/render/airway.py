@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import RenderError
-from carina.render.appearance import Appearance
+from carina.render.appearance import FROM_TREE, Appearance, DecorationName
 from carina.render.backend import Backend
 from carina.render.device import DeviceCaster
 from carina.render.scene import Scene
@@ -93,6 +93,7 @@ class AirwayCaster:
             rows=rows,
             light=scene.transfer.light.as_core() if shading and appearance is None else None,
             appearance=appearance,
+            decoration=None if appearance is None else scene.decoration,
             nearest=nearest,
             leap=leap,
             simd=self._simd,
@@ -116,6 +117,7 @@ class AirwayCaster:
             lps_from_camera=view.pose.lps_from_camera,
             fov_deg=view.optics.fov_deg,
             optics=None if view.lens == PINHOLE else view.optics,
+            decorated=_decorated(scene, appearance),
         )
 
     def surface(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
@@ -208,9 +210,13 @@ def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
         return None
     guides = appearance.guides_mm if view.guides_mm is None else view.guides_mm
     appearance = dataclasses.replace(appearance, guides_mm=guides)
-    if view.texture:
-        return appearance
-    return dataclasses.replace(appearance, texture=0.0, vessels=0.0).without_wet_decoration()
+    return appearance if view.texture else appearance.undecorated()
+
+
+def _decorated(scene: Scene, appearance: Appearance | None) -> tuple[DecorationName, ...]:
+    """What of a picture is decoration."""
+    parts = () if appearance is None else appearance.decorations
+    return parts if scene.decoration is not None else tuple(part for part in parts if part not in FROM_TREE)
 
 
 def _choose_method(

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from carina.display import one_line
 from carina.errors import RenderError
 
-__all__ = ["Appearance", "check_guides"]
+__all__ = ["DECORATIONS", "FROM_TREE", "Appearance", "DecorationName", "check_guides"]
+
+DecorationName = Literal[
+    "texture", "vessels", "rings", "membrane", "hue", "spurs", "specks", "secretions", "fog"
+]
+DECORATIONS: tuple[DecorationName, ...] = get_args(DecorationName)
+FROM_TREE: frozenset[DecorationName] = frozenset(("rings", "membrane", "hue", "spurs"))
+"""Parts that need to know where on the airway a wall is."""
 
 # Beside the lens of a common video bronchoscope, a little above its middle.
 TWO_GUIDES_MM = ((-1.9, -0.5, 0.0), (1.9, -0.5, 0.0))
@@ -63,15 +70,14 @@ class Appearance:
     no CT shows them."""
     fog: float = 0.0
     """Mist on the lens, 0..1; decoration."""
-
-    @property
-    def wet_decoration(self) -> tuple[str, ...]:
-        """Those parts of the light that show nothing of the CT and are switched on, by the names of their fields."""
-        return tuple(name for name in ("specks", "secretions", "fog") if getattr(self, name) > 0)
-
-    def without_wet_decoration(self) -> Appearance:
-        """The same with those parts switched off."""
-        return replace(self, specks=0.0, secretions=0.0, fog=0.0)
+    rings: float = 0.0
+    """Cartilage rings of trachea and main bronchi, plates of lobar bronchi, from the airway tree; 0 for none."""
+    membrane: float = 0.0
+    """The flat, folded membranous wall at the back of trachea and main bronchi, drawn from the tree; 0 for none."""
+    hue: float = 0.0
+    """Colour by region, from the tree: a pale trachea, redder bronchi; 0 for one colour."""
+    spurs: float = 0.0
+    """Pale ridges of forks, from the tree, 0..1."""
 
     def __post_init__(self) -> None:
         check_guides(self.guides_mm)
@@ -87,6 +93,10 @@ class Appearance:
             ("specks", 4),
             ("secretions", 1),
             ("fog", 1),
+            ("rings", 2),
+            ("membrane", 2),
+            ("hue", 2),
+            ("spurs", 1),
         ):
             if not 0 <= getattr(self, what) <= most:
                 raise RenderError(f"appearance: {what} must be between 0 and {most}; found {getattr(self, what)}")
@@ -97,6 +107,16 @@ class Appearance:
         low, high = self.pale_hu
         if not (np.isfinite(self.pale_hu).all() and low < high):
             raise RenderError(f"pale tissue: expected two values, the lower first; found {self.pale_hu}")
+
+    @property
+    def decorations(self) -> tuple[DecorationName, ...]:
+        """The parts that are on and not the patient's, by the names of their fields."""
+        return tuple(name for name in DECORATIONS if getattr(self, name) > 0)
+
+    def undecorated(self) -> Appearance:
+        """The same without them."""
+        dry = replace(self, specks=0.0, secretions=0.0, fog=0.0)
+        return replace(dry, texture=0.0, vessels=0.0, rings=0.0, membrane=0.0, hue=0.0, spurs=0.0)
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON object."""

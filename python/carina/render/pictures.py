@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from carina.errors import UsageError, check_type
 from carina.render.backend import Backend
+from carina.render.decoration import DecorationTree
 from carina.render.renderer import Renderer
 from carina.render.sight import THIN, Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
 from carina.render.surface import Surface
@@ -64,6 +65,7 @@ def render_view(
     vignette: float | None = None,
     depth_of_field: DepthOfField | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
+    tree: DecorationTree | None = None,
     backend: Backend | None = None,
 ) -> Picture:
     """Render one picture of a volume.
@@ -84,7 +86,8 @@ def render_view(
         Look through this instrument (see :func:`carina.scopes.scope_presets`): its lens, field of view, outline and
         direction of view; ``pose`` is then the end of its shaft.
     shading, texture
-        Of the airway view: light and gloss; mottling and micro relief, which are decoration and not the patient's.
+        Of the airway view: light and gloss; decoration, which is not the patient's (mottling, micro relief, vessels,
+        and with ``tree`` what is fixed to anatomy).
     lens, outline, vignette, depth_of_field
         Of the airway view, in place of the scope's; a pinhole over the full frame without any, and never blurred unless
         told.
@@ -101,6 +104,9 @@ def render_view(
         Shows planes and paths as a thick slice.
     lumen_zyx
         The airway lumen, needed for ``tree``, and for the closed wall of the endoscopic airway view.
+    tree
+        The airway tree of that lumen (:class:`carina.track.AirwayTree`): by it the endoscopic look draws rings,
+        membranous wall, colour by region and ridges of forks.
     backend
         Whether an airway view may come from a graphics device; from the CPU unless told.
 
@@ -166,7 +172,7 @@ def render_view(
         spec = view
     renderer = Renderer(volume, transfer=transfer, backend=backend)
     if lumen_zyx is not None and isinstance(spec, AirwayView | TreeView):
-        renderer.set_lumen(lumen_zyx)
+        renderer.set_lumen(lumen_zyx, tree)
     if isinstance(spec, AirwayView) and spec.method == "leap":
         renderer.prepare()
     return renderer.render(spec)

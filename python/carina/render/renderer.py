@@ -13,6 +13,7 @@ from carina._core import CancelToken
 from carina.errors import RenderError
 from carina.render.airway import AirwayCaster
 from carina.render.backend import Backend
+from carina.render.decoration import DecorationTree
 from carina.render.planes import PlaneCaster
 from carina.render.radiograph import cast_drr
 from carina.render.reformation import cast_path_view
@@ -116,15 +117,18 @@ class Renderer:
         """Show the volume with another transfer function; call ``prepare`` again, unless its map is still in memory."""
         self._scenes.set_transfer(transfer)
 
-    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None) -> None:
+    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
         """The airway lumen ``(nz, ny, nx)`` on the volume's grid, for the wall and the tree view; None for none known.
+
+        With the lumen's ``tree`` (:class:`carina.track.AirwayTree`) the *endoscopic* look draws what is fixed to
+        anatomy: rings, the membranous wall, colour by region, ridges of forks.
 
         Raises
         ------
         GeometryError
             If the mask has another shape than the volume.
         """
-        self._scenes.set_lumen(lumen_zyx)
+        self._scenes.set_lumen(lumen_zyx, tree)
 
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None

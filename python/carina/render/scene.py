@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import CancelledError, GeometryError
+from carina.render.decoration import Decoration, DecorationTree, decoration_of
 from carina.render.mapcache import CachedMap, MapCache, MapName
 from carina.render.transfer import TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.tree import LeapedValues, TreeField, build_tree_field
@@ -53,6 +54,7 @@ class Scene:
     tree: TreeField | None
     maps: Maps | None
     class_maps: ClassMaps | None
+    decoration: Decoration | None = None
 
 
 class SceneKeeper:
@@ -87,20 +89,33 @@ class SceneKeeper:
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Take another transfer function, with its map where that is still in memory."""
         with self._change:
-            self._replace(transfer, self._scene.lumen, self._scene.tree)
+            self._replace(transfer, self._scene.lumen, self._scene.tree, self._scene.decoration)
 
-    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None) -> None:
-        """Take another lumen, (nz, ny, nx), or none; makes the wall and the field of the tree view."""
+    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
+        """Take another lumen, (nz, ny, nx), or none, and its tree; makes the wall and the field of the tree view."""
         if lumen_zyx is not None:
             lumen_zyx = np.ascontiguousarray(lumen_zyx, dtype=np.uint8)
             if lumen_zyx.shape != self._volume.shape_zyx:
                 msg = f"the lumen has shape {lumen_zyx.shape}; expected that of the volume, {self._volume.shape_zyx}"
                 raise GeometryError(msg, code="geometry.shape")
-        tree = None if lumen_zyx is None else build_tree_field(lumen_zyx, self._volume.lps_from_ijk)
+        decoration = None if lumen_zyx is None else decoration_of(tree)
+        present = self._scene
+        if lumen_zyx is None:
+            outside = None
+        elif lumen_zyx is present.lumen:
+            outside = present.tree
+        else:
+            outside = build_tree_field(lumen_zyx, self._volume.lps_from_ijk)
         with self._change:
-            self._replace(self._scene.transfer, lumen_zyx, tree)
+            self._replace(self._scene.transfer, lumen_zyx, outside, decoration)
 
-    def _replace(self, transfer: TransferFunction, lumen: NDArray[np.uint8] | None, tree: TreeField | None) -> None:
+    def _replace(
+        self,
+        transfer: TransferFunction,
+        lumen: NDArray[np.uint8] | None,
+        tree: TreeField | None,
+        decoration: Decoration | None,
+    ) -> None:
         old = self._scene
         walled = transfer.wall and lumen is not None
         levels = wall_levels(transfer)
@@ -116,7 +131,8 @@ class SceneKeeper:
         # Another map is not kept: it is built in less time than it takes to miss it, and is half a volume.
         kept = old.maps is not None and old.maps.values is values and old.maps.runs == _runs(transfer)
         with self._swap:
-            self._scene = Scene(transfer, lumen, values, value_range, tree, old.maps if kept else None, None)
+            maps = old.maps if kept else None
+            self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None, decoration)
 
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None

@@ -16,7 +16,7 @@ from carina.disk import write_whole
 from carina.display import one_line
 from carina.display.png import png_bytes
 from carina.errors import RenderError
-from carina.render.appearance import check_guides
+from carina.render.appearance import DecorationName, check_guides
 from carina.render.png_text import BADGES_KEYWORD, KEYWORD
 from carina.render.sight import Slab
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
@@ -83,10 +83,11 @@ class AirwayView:
     blurred; that needs the whole picture and about twice the time. ``step_vox`` is the ray step in units of the
     smallest spacing. ``leap`` and ``brute`` give the same picture; ``leap`` leaps where a few rays show that it pays,
     ``leap-always`` also elsewhere, for measurements. ``guides_mm`` are the ends of the scope's light
-    guides in place of those of the transfer function's appearance; ``texture`` off leaves out its mottling, micro
-    relief and vessels, which are not the patient's. With a transfer function of sampling ``nearest`` (paper) shading
-    is off and the step is one voxel. Rays stop when less than ``stop_transparency`` shines through; another than the
-    usual one serves comparisons with renderers that stop elsewhere.
+    guides in place of those of the transfer function's appearance; ``texture`` off leaves out all decoration, which is
+    not the patient's: mottling, micro relief and vessels, rings, membranous wall, colour by region, pale ridges. With a
+    transfer function of sampling ``nearest`` (paper) shading is off and the step is one voxel. Rays stop when less than
+    ``stop_transparency`` shines through; another than the usual one serves comparisons with renderers that stop
+    elsewhere.
     """
 
     pose: Pose
@@ -444,7 +445,8 @@ class Picture:
     1) to LPS, pixel (0, 0) being the top-left *corner* of the top-left pixel; its third column is the direction of
     projection or the plane's normal. Perspective views have ``lps_from_camera`` (4x4) and ``fov_deg``; that of a
     radiograph is the X-ray source, with +x mirrored, since the picture is seen from the other side. Views along a path
-    have ``lines``; an airway view through another lens than a pinhole has ``optics``.
+    have ``lines``; an airway view through another lens than a pinhole has ``optics``. ``decorated`` names what in it is
+    decoration and not the patient's, as fields of :class:`carina.render.Appearance`.
     """
 
     rgb: NDArray[np.uint8]
@@ -455,6 +457,7 @@ class Picture:
     fov_deg: float | None = None
     lines: PictureLines | None = None
     optics: Optics | None = None
+    decorated: tuple[DecorationName, ...] = ()
 
     def __repr__(self) -> str:
         height, width = self.rgb.shape[:2]
@@ -503,6 +506,7 @@ class Picture:
             "lps_from_camera": rows(self.lps_from_camera),
             "lps_from_pixel": rows(self.lps_from_pixel),
             "fov_deg": None if self.fov_deg is None else float(self.fov_deg),
+            "decorated": list(self.decorated),
         }
 
     def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:

@@ -25,7 +25,7 @@ from carina.commands.fields import (
 from carina.commands.look import Look
 from carina.commands.plan import TargetNote, TargetRank
 from carina.commands.tree import AskedPath
-from carina.render import ClusterState, Processor, Sight
+from carina.render import ClusterState, DecorationName, Processor, Sight
 from carina.scopes import ScopeHold
 from carina.server.messages_of_devices import NetworkPage
 from carina.server.wire_codec import ServerMessage
@@ -522,5 +522,7 @@ class PictureHeader(FrozenValue, frozen=True):
     """Final quality for this state; false while moving, and while another lumen or transfer function is on its way."""
     empty: bool
     """An airway view without anything in it: the tip looks out of the CT."""
+    decorated: tuple[DecorationName, ...]
+    """What of an airway view is decoration and not the patient's; empty where nothing is."""
     render_ms: float
     method: Words

@@ -246,6 +246,7 @@ class FramePump:
                 quality=quality,
                 full=order.full and scene.can_be_final(shows),
                 empty=shows == LEAD_VIEW and _is_empty(picture.rgb),
+                decorated=picture.decorated,
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),
             )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carina.render import TransferFunction
+    from carina.track import AirwayTree
 
 __all__ = ["ShownContent"]
 
@@ -28,6 +29,8 @@ class Decided:
     number: int
     transfer: TransferFunction
     lumen_zyx: NDArray[np.uint8] | None
+    tree: AirwayTree | None
+    """Of that lumen: what is fixed to anatomy is drawn by it."""
 
 
 class ShownContent:
@@ -55,7 +58,7 @@ class ShownContent:
         """Grows with each change of what the renderer shows."""
         self._lock = lock
         self._changed = changed
-        self._decided = self._given = Decided(0, transfer, None)
+        self._decided = self._given = Decided(0, transfer, None, None)
         self._come_to = 0
         """The number of the decision that the renderer shows, or will not come closer to."""
         self._ready: Derived[Decided, bool] = Derived(
@@ -78,13 +81,14 @@ class ShownContent:
             self._ready.want(self._decided)
 
     def follow(self, document: Document) -> None:
-        """Have the renderer show a document's transfer function and lumen, with the session locked."""
+        """Have the renderer show a document's transfer function and airways, with the session locked."""
         transfer = document.transfer
-        lumen_zyx = None if document.airways is None else document.airways.lumen_zyx
+        airways = document.airways
+        lumen_zyx, tree = (None, None) if airways is None else (airways.lumen_zyx, airways.tree)
         # Also once more where a job was stopped or failed before the renderer was given them.
         newest = self._decided if self._ready.standing(self._decided) == "making" else self._given
-        if newest.transfer is not transfer or newest.lumen_zyx is not lumen_zyx:
-            self._decided = Decided(self._decided.number + 1, transfer, lumen_zyx)
+        if newest.transfer is not transfer or newest.lumen_zyx is not lumen_zyx or newest.tree is not tree:
+            self._decided = Decided(self._decided.number + 1, transfer, lumen_zyx, tree)
             self._ready.want(self._decided)
 
     def discard(self) -> None:
@@ -95,8 +99,8 @@ class ShownContent:
         given = self._given
         if decided.transfer is not given.transfer:
             self.renderer.set_transfer(decided.transfer)
-        if decided.lumen_zyx is not given.lumen_zyx:
-            self.renderer.set_lumen(decided.lumen_zyx)
+        if decided.lumen_zyx is not given.lumen_zyx or decided.tree is not given.tree:
+            self.renderer.set_lumen(decided.lumen_zyx, decided.tree)
         with self._lock:
             self._given = decided
             self._comes_to(decided)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carina.render import CancelToken, Hit, Picture, TransferFunction
-    from carina.track import LumenOutline
+    from carina.track import AirwayTree, LumenOutline
 
 __all__ = ["Renderer", "ShownCase"]
 
@@ -38,8 +38,8 @@ class Renderer(Protocol):
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Show the volume with another transfer function."""
 
-    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None) -> None:
-        """The airway lumen, for the wall and the outside view."""
+    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: AirwayTree | None = None) -> None:
+        """The airway lumen, for the wall and the outside view, and its tree, for what is fixed to anatomy."""
 
     def prepare(
         self,

@@ -234,8 +234,8 @@ function AirwayTools() {
           icon="texture"
           words={
             texture
-              ? "Fine texture: on. The mottling and relief are decoration, not from the CT."
-              : "Fine texture: off. The wall shows only what is in the CT."
+              ? "Decoration: on. Rings, vessels and the fine texture of the wall are drawn, not from the CT."
+              : "Decoration: off. The wall shows only what is in the CT."
           }
           on={texture}
           testId="texture"

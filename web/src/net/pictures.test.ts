@@ -37,6 +37,7 @@ function picture(
       quality: 85,
       full: false,
       empty: false,
+      decorated: [],
       render_ms: 1,
       method: "leap",
     },

@@ -534,7 +534,7 @@ export interface SetShadingMessage {
   readonly on: boolean;
 }
 
-/** Fine texture of the mucosa, which is decoration and not the patient's, on or off. */
+/** Decoration of the wall, which is not the patient's: texture, vessels, rings and the like, on or off. */
 export interface SetTextureMessage {
   readonly type: "set_texture";
   readonly on: boolean;
@@ -1697,6 +1697,7 @@ export interface PictureHeader {
   readonly quality: number;
   readonly full: boolean;
   readonly empty: boolean;
+  readonly decorated: readonly ("hue" | "membrane" | "rings" | "spurs" | "texture" | "vessels")[];
   readonly render_ms: number;
   readonly method: string;
 }

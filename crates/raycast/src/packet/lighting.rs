@@ -10,13 +10,16 @@ use super::{
     mist::{MIST_RGB, mist},
     pair::Pair,
     portable::Portable,
+    rings::{Wall, decorate},
     setup::rays_of,
     slopes::rise,
     texture::texture,
     vectors::{along, dot, scaled, smooth, splat, turn, unit},
     voxels::Voxels,
 };
-use crate::{Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting};
+use crate::{
+    Decoration, Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting,
+};
 
 /// Squared radius of a light guide's end, mm2: the inverse square does not run away where a wall touches it.
 const GUIDE_MM2: f32 = 2.5;
@@ -67,6 +70,7 @@ fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> 
 fn lit<L: Lanes>(
     l: L,
     light: &Lighting,
+    decoration: Option<&Decoration<'_>>,
     (values, field): (impl Values<L>, &Field<'_>),
     walls: &Walls<L>,
 ) -> [L::F; 3] {
@@ -97,16 +101,32 @@ fn lit<L: Lanes>(
     let dense = values.at(l, along(l, p, s(-BENEATH_MM), into));
     let [from, to] = look.pale_hu;
     let pale = l.mul(l.sub(dense, s(from)), s(1.0 / (to - from)));
-    let pale = l.mul(smooth(l, pale), s(look.paleness));
+    let mut pale = l.mul(smooth(l, pale), s(look.paleness));
 
+    let mut n = n;
     let mut n_film = n;
     let mut thick = s(0.75);
     let mut tint = [s(1.0); 3];
     let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
     let footprint = l.mul(depth, s(light.pixel_mm));
-    if look.texture > 0.0 || look.vessels > 0.0 {
+    let decoration = decoration.filter(|_| look.knows_anatomy());
+    if look.texture > 0.0 || look.vessels > 0.0 || decoration.is_some() {
         let skin = texture(l, look, lps, footprint);
         (thick, tint) = (skin.film, skin.tint);
+        if let Some(field) = decoration {
+            let wall = Wall {
+                lps,
+                normal: n,
+                facing: l.abs(dot(l, n, back)),
+                footprint_mm: footprint,
+            };
+            let laid = decorate(l, look, field, &wall, &skin);
+            n = unit(l, along(l, n, s(-1.0), laid.form)).0;
+            pale = l.fma(l.sub(s(1.0), pale), laid.pale, pale);
+            for c in 0..3 {
+                tint[c] = l.mul(tint[c], laid.tint[c]);
+            }
+        }
         n_film = unit(l, along(l, n, s(-1.0), skin.relief)).0;
     }
     let mut colour = albedo;
@@ -247,7 +267,8 @@ fn light_row<L: Lanes>(
         let columns = from_fn(|n| (block * L::N + n).min(last) as i32);
         let rays = rays_of(frame, &columns, &[row as i32; MAX_LANES]);
         let walls = gather(l, &rays.delta, pixels);
-        let colour = lit(l, light, (values, &frame.field), &walls);
+        let decoration = frame.decoration.as_ref();
+        let colour = lit(l, light, decoration, (values, &frame.field), &walls);
         let veil = misty.then(|| mist(l, light, walls.delta));
         let bits = pixels.iter().enumerate().fold(0u32, |bits, (n, pixel)| {
             bits | u32::from(pixel.hit >= 0.0) << n
@@ -338,9 +359,8 @@ pub(crate) fn brightness(
 ) -> Vec<f32> {
     let l = Portable;
     let mut plain = light.clone();
-    (plain.look.texture, plain.look.vessels) = (0.0, 0.0);
+    plain.look = plain.look.undecorated();
     (plain.look.gloss, plain.exposure) = (0.0, 1.0);
-    (plain.look.specks, plain.look.secretions) = (0.0, 0.0);
     let mut out = Vec::with_capacity(pixels.len());
     for pixels in pixels.chunks(Portable::N) {
         let place = |n: usize| pixels[n.min(pixels.len() - 1)];
@@ -351,7 +371,7 @@ pub(crate) fn brightness(
         let rays = rays_of(frame, &column, &row);
         let gathered: Vec<Gathered> = pixels.iter().map(|pixel| pixel.2).collect();
         let walls = gather(l, &rays.delta, &gathered);
-        let [r, g, b] = lit(l, &plain, (&frame.field, &frame.field), &walls);
+        let [r, g, b] = lit(l, &plain, None, (&frame.field, &frame.field), &walls);
         // About the eye's weights.
         let weights = [l.splat(0.3), l.splat(0.6), l.splat(0.1)];
         out.extend_from_slice(&l.store(dot(l, [r, g, b], weights))[..pixels.len()]);

@@ -22,6 +22,7 @@ mod pair;
 mod plane;
 mod pool;
 mod portable;
+mod rings;
 mod sample;
 mod scene;
 mod setup;

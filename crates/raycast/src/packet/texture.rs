@@ -8,12 +8,13 @@ use super::{
 };
 use crate::appearance::Appearance;
 
-/// Cells of the texture's noise per mm: mottling, vessels, micro relief.
+/// Cells of the texture's noise per mm: mottling, coarse and fine micro relief.
 const MOTTLE_PER_MM: f32 = 0.23;
-const VESSELS_PER_MM: f32 = 0.42;
+const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
 const RELIEF_PER_MM: f32 = 1.9;
-/// Half the width of a vessel, mm.
-const VESSEL_MM: f32 = 0.13;
+/// Half the width of a vessel's stem and of a branch where it leaves, mm.
+const VESSEL_MM: f32 = 0.17;
+const BRANCH_MM: f32 = 0.12;
 /// Slope of the micro relief.
 const RELIEF: f32 = 0.11;
 
@@ -106,6 +107,8 @@ pub(super) struct Texture<L: Lanes> {
     pub relief: [L::F; 3],
     /// How thick the film of mucus is, 0..1.
     pub film: L::F,
+    /// The mottling's noise, -1..1, whatever its strength.
+    pub mottle: L::F,
 }
 
 /// The lattice lies askew in the patient, so that no row of it runs along an airway.
@@ -113,30 +116,64 @@ pub(super) const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], 
 
 /// 1 while a cell of the lattice has 2 pixels or more, 0 when it has less than one.
 #[inline(always)]
-fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
+pub(super) fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
     smooth(l, l.fma(cells, l.splat(-2.0), l.splat(2.0)))
 }
 
-/// How much of a vessel, 0..1, is at points `q` of the lattice (mm), whose mottling there has the slope `bend`.
+/// How much of a line of half a width `half_mm`, 0..1, is where noise of the slope `steep_per_mm` has the value `web`.
 #[inline(always)]
-fn vessel<L: Lanes>(l: L, q: [L::F; 3], bend: [L::F; 3], footprint_mm: L::F) -> L::F {
+fn line<L: Lanes>(
+    l: L,
+    (web, steep_per_mm): (L::F, L::F),
+    half_mm: L::F,
+    footprint_mm: L::F,
+) -> L::F {
     let s = |v: f32| l.splat(v);
-    // Vessels follow the zero lines of noise whose lattice the mottling bends.
-    let mut bent = scaled(l, s(VESSELS_PER_MM), q);
-    for a in 0..3 {
-        bent[a] = l.fma(bend[a], s(0.35), bent[a]);
-    }
-    let (web, across) = noise(l, bent, 23);
-    // Distance to the line, mm; where the noise is flat there is a patch in place of a line, which is left out.
-    let steep = l.sqrt(dot(l, across, across));
-    let off_mm = l.div(l.abs(web), l.mul(l.max(steep, s(0.2)), s(VESSELS_PER_MM)));
-    let width = l.max(s(VESSEL_MM), l.mul(footprint_mm, s(0.7)));
-    let vessel = smooth(l, l.sub(s(1.0), l.div(off_mm, width)));
-    let vessel = l.mul(vessel, smooth(l, l.fma(steep, s(1.5), s(-0.6))));
-    // Thin vessels seen from afar are paler, not wider; and they come and go.
-    let vessel = l.mul(vessel, l.div(s(VESSEL_MM), width));
-    l.mul(vessel, smooth(l, l.fma(bend[0], s(0.7), s(0.35))))
+    let off_mm = l.div(l.abs(web), l.max(steep_per_mm, s(1e-3)));
+    let width = l.max(half_mm, l.mul(footprint_mm, s(0.7)));
+    let per_width = l.div(s(1.0), width);
+    let near = smooth(l, l.sub(s(1.0), l.mul(off_mm, per_width)));
+    // Thin vessels seen from afar are paler, not wider.
+    l.mul(near, l.mul(half_mm, per_width))
+}
+
+/// How much of a vessel, 0..1, is where the noise of mottling and wrinkles has these values and slopes: stems on zero
+/// lines of the one, branches on those of the other, which leave a stem to one side and taper. No noise of their own:
+/// it would cost more than all else of them.
+#[inline(always)]
+fn vessel<L: Lanes>(
+    l: L,
+    (mottle, bend): (L::F, [L::F; 3]),
+    (wrinkle, fold): (L::F, [L::F; 3]),
+    footprint_mm: L::F,
+) -> L::F {
+    let s = |v: f32| l.splat(v);
+    let (bend_steep, fold_steep) = (l.sqrt(dot(l, bend, bend)), l.sqrt(dot(l, fold, fold)));
+    // Where noise is flat there is a patch in place of a line, which is left out.
+    let stem = line(
+        l,
+        (mottle, l.mul(bend_steep, s(MOTTLE_PER_MM))),
+        s(VESSEL_MM),
+        footprint_mm,
+    );
+    let stem = l.mul(stem, smooth(l, l.fma(bend_steep, s(1.5), s(-0.5))));
+    let taper = l.fma(mottle, s(-1.8), s(1.0));
+    let half = l.mul(l.max(taper, s(0.1)), s(BRANCH_MM));
+    let branch = line(
+        l,
+        (wrinkle, l.mul(fold_steep, s(WRINKLES_PER_MM))),
+        half,
+        footprint_mm,
+    );
+    let branch = l.mul(branch, smooth(l, l.fma(fold_steep, s(1.5), s(-0.6))));
+    let beside = l.mul(
+        smooth(l, l.mul(mottle, s(12.0))),
+        smooth(l, l.add(taper, taper)),
+    );
+    // They come and go along a line, so that none is closed.
+    let shown = smooth(l, l.fma(bend[0], s(1.4), s(0.4)));
+    l.mul(l.max(stem, l.mul(branch, beside)), shown)
 }
 
 /// Reads the texture at patient points `lps` (mm). It depends on the point alone, so it stays on the tissue when the scope
@@ -150,22 +187,23 @@ pub(super) fn texture<L: Lanes>(
 ) -> Texture<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);
-    let (mottle, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
-    let mottle = l.mul(mottle, s(look.texture));
+    let (mottled, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
+    let mottle = l.mul(mottled, s(look.texture));
+    let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
+    let (wrinkle, coarse) = noise(l, scaled(l, s(WRINKLES_PER_MM), q), 41);
     let mut vessels = s(0.0);
     if look.vessels > 0.0 {
-        vessels = l.mul(vessel(l, q, bend, footprint_mm), s(look.vessels));
+        vessels = vessel(l, (mottled, bend), (wrinkle, coarse), footprint_mm);
+        vessels = l.mul(vessels, s(look.vessels));
     }
     let tint = [
         l.fma(mottle, s(0.03), l.fma(vessels, s(-0.08), s(1.0))),
         l.fma(mottle, s(-0.11), l.fma(vessels, s(-0.40), s(1.0))),
         l.fma(mottle, s(-0.09), l.fma(vessels, s(-0.30), s(1.0))),
     ];
-    let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
-    let (_, coarse) = noise(l, scaled(l, s(0.45 * RELIEF_PER_MM), q), 41);
     let slope_of = s(RELIEF * look.texture);
     let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), slope_of);
-    let wide = l.mul(sharp(l, footprint_mm, 0.45 * RELIEF_PER_MM), slope_of);
+    let wide = l.mul(sharp(l, footprint_mm, WRINKLES_PER_MM), slope_of);
     let mut relief = slope;
     for a in 0..3 {
         relief[a] = l.fma(slope[a], fine, l.mul(coarse[a], wide));
@@ -177,5 +215,6 @@ pub(super) fn texture<L: Lanes>(
         tint,
         relief: turn(l, &back, relief),
         film: l.min(l.max(film, s(0.0)), s(1.0)),
+        mottle: mottled,
     }
 }

@@ -4,6 +4,7 @@ mod anatomy;
 mod appearance;
 mod bad_input;
 mod casters;
+mod decoration;
 mod lenses;
 mod loads;
 mod packets;

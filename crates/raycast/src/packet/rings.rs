@@ -1,0 +1,284 @@
+//! What is fixed to anatomy on a wall: cartilage rings, the membranous wall, colour by region, ridges of forks.
+//!
+//! It changes the normal that light meets and the colour, and nothing else. Every part is a strength times a change, so
+//! that where a strength is 0 the pixel keeps its bits, whichever pixels share its register.
+
+use super::{
+    lanes::Lanes,
+    texture::{Texture, noise, sharp},
+    vectors::{along, dot, scaled, smooth, unit},
+};
+use crate::{appearance::Appearance, decoration::Decoration};
+
+/// Height of a ring above the intervals, as part of the rings' distance: some 0.3 mm of 5.6.
+const HEIGHT: f32 = 0.050;
+/// Half the width of a ring, as part of the rings' distance: 4 mm of 5.6.
+const HALF_WIDTH: f32 = 0.34;
+/// How soft a ring's edge is, as part of the rings' distance.
+const EDGE: f32 = 0.24;
+/// How far even and irregular rings stray from their places, as part of their distance.
+const STRAY: [f32; 2] = [0.09, 0.30];
+/// Cosines of the angle from the middle of the back at which the membranous wall begins and is all there: about a third of
+/// the circumference.
+const BACK: [f32; 2] = [0.28, 0.70];
+/// Folds of the membranous wall across one radius, and along one ring's distance.
+const FOLDS: [f32; 2] = [9.0, 0.16];
+/// Slope of the folds.
+const FOLD: f32 = 0.28;
+/// How far the membranous wall's normal is laid flat.
+const FLAT: f32 = 0.60;
+
+/// Change of red, green and blue in the trachea and far from it: yellowish and pale, then redder.
+const HUE: [(f32, f32); 3] = [(0.02, 0.0), (0.13, -0.06), (0.02, -0.05)];
+/// The same between rings, on the membranous wall, on its folds.
+const BLOOD: [(f32, f32, f32); 3] = [
+    (-0.02, 0.01, 0.04),
+    (-0.15, -0.09, 0.17),
+    (-0.11, -0.06, 0.13),
+];
+
+/// The place of walls on their airway.
+struct Place<L: Lanes> {
+    phase: L::F,
+    /// How the phase grows, per mm, LPS.
+    growth: [L::F; 3],
+    across: [L::F; 2],
+    rings: L::F,
+    proximal: L::F,
+    spur: L::F,
+    membrane: L::F,
+    regular: L::F,
+}
+
+#[inline(always)]
+fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
+    l.fma(t, l.sub(b, a), a)
+}
+
+/// Between the eight cells round patient points `lps`; strengths are 0 outside the grid. `None` where all are.
+#[inline(always)]
+fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place<L>> {
+    let s = |v: f32| l.splat(v);
+    let [nx, ny, _] = field.shape_ijk;
+    let (mut t, mut cell) = (lps, [l.splat_i(0); 3]);
+    let mut inside = l.less(s(0.0), s(1.0));
+    for a in 0..3 {
+        let last = field.shape_ijk[a] - 1;
+        let q = l.mul(l.sub(lps[a], s(field.origin_lps[a])), s(field.cells_per_mm));
+        inside = l.and(inside, l.and(l.less(s(0.0), q), l.less(q, s(last as f32))));
+        let q = l.min(l.max(q, s(0.0)), s(last as f32));
+        cell[a] = l.min_i(l.whole(l.floor(q)), l.splat_i(last - 1));
+        t[a] = l.sub(q, l.to_f(cell[a]));
+    }
+    if l.bits(inside) == 0 {
+        return None;
+    }
+    let row = l.add_i(l.mul_i(cell[2], l.splat_i(ny)), cell[1]);
+    let base = l.add_i(l.mul_i(row, l.splat_i(nx)), cell[0]);
+    let base = l.add_i(base, base);
+    let step = [2, 2 * nx as usize, 2 * (nx * ny) as usize];
+    // Rows along x, then y, then z; of the phase also the slopes.
+    let mut read = [[s(0.0); 4]; 2];
+    let mut rise = [[s(0.0); 2]; 2];
+    let mut phase = rise;
+    for half in 0..2 {
+        let mut planes = [[s(0.0); 4]; 2];
+        for k in 0..2 {
+            let mut rows = [[s(0.0); 4]; 2];
+            for j in 0..2 {
+                let offset = j * step[1] + k * step[2] + half;
+                // SAFETY: a cell's index is at most two below the shape along each axis, and so the next one lies in the
+                // grid; `Decoration::new` has compared shape and length. Benchmark:
+                // docs/decisions/0077-decoration-fixed-to-anatomy.md.
+                let (low, high) = unsafe {
+                    let table = field.cells.as_ptr().add(offset);
+                    (l.entries(table, base), l.entries(table.add(step[0]), base))
+                };
+                for c in 0..4 {
+                    rows[j][c] = lerp(l, t[0], low[c], high[c]);
+                }
+                if half == 0 {
+                    rise[k][j] = l.sub(high[0], low[0]);
+                    phase[k][j] = rows[j][0];
+                }
+            }
+            for c in 0..4 {
+                planes[k][c] = lerp(l, t[1], rows[0][c], rows[1][c]);
+            }
+        }
+        for c in 0..4 {
+            read[half][c] = lerp(l, t[2], planes[0][c], planes[1][c]);
+        }
+    }
+    let dx = lerp(
+        l,
+        t[2],
+        lerp(l, t[1], rise[0][0], rise[0][1]),
+        lerp(l, t[1], rise[1][0], rise[1][1]),
+    );
+    let dy = lerp(
+        l,
+        t[2],
+        l.sub(phase[0][1], phase[0][0]),
+        l.sub(phase[1][1], phase[1][0]),
+    );
+    let dz = l.sub(
+        lerp(l, t[1], phase[1][0], phase[1][1]),
+        lerp(l, t[1], phase[0][0], phase[0][1]),
+    );
+    let [
+        [phase, left, back, rings],
+        [proximal, spur, membrane, regular],
+    ] = read;
+    let none = s(0.0);
+    Some(Place {
+        phase,
+        growth: scaled(l, s(field.cells_per_mm), [dx, dy, dz]),
+        across: [left, back],
+        rings: l.select(inside, rings, none),
+        proximal: l.select(inside, proximal, none),
+        spur: l.select(inside, spur, none),
+        membrane: l.select(inside, membrane, none),
+        regular: l.select(inside, regular, none),
+    })
+}
+
+/// What is laid on walls.
+#[derive(Clone, Copy)]
+pub(super) struct Decorated<L: Lanes> {
+    /// Slope of rings and folds, LPS; matt and glossy light both see it.
+    pub form: [L::F; 3],
+    /// How far the mucosa is paler, 0..1.
+    pub pale: L::F,
+    /// Factors of the colour's channels, linear.
+    pub tint: [L::F; 3],
+}
+
+/// A wall's point of the patient, the normal towards the camera, how far it faces the camera (0..1), and the width of a
+/// pixel there.
+pub(super) struct Wall<L: Lanes> {
+    pub lps: [L::F; 3],
+    pub normal: [L::F; 3],
+    pub facing: L::F,
+    pub footprint_mm: L::F,
+}
+
+/// Factors of the colour by region. Away from the trachea the mucosa is redder, and wherever no other region is known.
+#[inline(always)]
+fn hue<L: Lanes>(l: L, look: &Appearance, proximal: L::F) -> [L::F; 3] {
+    let mut factors = [proximal; 3];
+    for c in 0..3 {
+        let (trachea, beyond) = HUE[c];
+        let region = l.fma(proximal, l.splat(trachea - beyond), l.splat(beyond));
+        factors[c] = l.fma(l.splat(look.hue), region, l.splat(1.0));
+    }
+    factors
+}
+
+/// Rings, membranous wall, region and ridge of walls. All is decided by the wall's own point.
+#[inline(always)]
+pub(super) fn decorate<L: Lanes>(
+    l: L,
+    look: &Appearance,
+    field: &Decoration<'_>,
+    wall: &Wall<L>,
+    skin: &Texture<L>,
+) -> Decorated<L> {
+    let s = |v: f32| l.splat(v);
+    let one = s(1.0);
+    let (mut pale, mut form) = (s(0.0), [s(0.0); 3]);
+    let Some(place) = place(l, field, wall.lps) else {
+        let tint = hue(l, look, s(0.0));
+        return Decorated { form, pale, tint };
+    };
+    let [left, back] = place.across;
+    let off = l.sqrt(l.fma(left, left, l.mul(back, back)));
+    // Rings lie on a wall that keeps to the smooth tube; a flat back wall lies nearer to the middle.
+    let beyond = smooth(l, l.fma(off, s(-4.0), s(6.2)));
+    let on_tube = l.mul(smooth(l, l.fma(off, s(6.0), s(-3.9))), beyond);
+    let on_back = l.mul(smooth(l, l.fma(off, s(6.0), s(-2.4))), beyond);
+    let between = l.sub(one, smooth(l, l.mul(place.spur, s(1.3))));
+    let cos_back = l.div(back, l.max(off, s(0.05)));
+    let cos_back = l.fma(skin.mottle, s(0.06), cos_back);
+    let at_back = smooth(
+        l,
+        l.mul(l.sub(cos_back, s(BACK[0])), s(1.0 / (BACK[1] - BACK[0]))),
+    );
+
+    // The airway's direction, and a pixel's width along it.
+    let (axis, per_mm) = unit(l, place.growth);
+    let width = l.div(
+        l.mul(wall.footprint_mm, per_mm),
+        l.max(wall.facing, s(0.08)),
+    );
+    let seen = smooth(l, l.fma(width, s(-3.5), s(2.0)));
+    let stray = lerp(l, place.regular, s(STRAY[1]), s(STRAY[0]));
+    let phase = l.fma(skin.mottle, stray, place.phase);
+    let t = l.sub(l.sub(phase, l.floor(phase)), s(0.5));
+    let edge = l.max(s(EDGE), width);
+    let per_edge = l.div(one, edge);
+    let inwards = l.sub(l.fma(edge, s(0.5), s(HALF_WIDTH)), l.abs(t));
+    let inwards = l.min(l.max(l.mul(inwards, per_edge), s(0.0)), one);
+    let ring = smooth(l, inwards);
+    let steep = l.mul(l.mul(inwards, l.sub(one, inwards)), l.mul(s(6.0), per_edge));
+    let steep = l.select(l.less(t, s(0.0)), steep, l.sub(s(0.0), steep));
+    // Plates in place of rings: some of the round is left out.
+    let plates = lerp(
+        l,
+        place.regular,
+        smooth(l, l.fma(skin.mottle, s(1.6), s(0.55))),
+        one,
+    );
+    let no_back = l.fma(l.mul(at_back, place.membrane), s(-1.0), one);
+    let strength = l.mul(l.mul(place.rings, s(look.rings)), l.mul(plates, no_back));
+    let strength = l.mul(strength, l.mul(on_tube, between));
+    let rise = l.mul(l.mul(strength, seen), l.mul(steep, s(HEIGHT)));
+    form = along(l, form, rise, axis);
+    // Too far away to be told apart, rings and intervals have one colour.
+    let ring = lerp(l, seen, s(2.0 * HALF_WIDTH), ring);
+    pale = l.fma(l.mul(strength, ring), s(0.34), pale);
+    let interval = l.mul(strength, l.sub(one, ring));
+
+    // Folds along the membranous wall, which is flat: across it the normal turns less than on a round tube.
+    let membrane = l.mul(
+        l.mul(place.membrane, s(look.membrane)),
+        l.mul(at_back, l.mul(on_back, between)),
+    );
+    let mut fold = s(0.0);
+    if l.bits(l.less(s(0.0), membrane)) != 0 {
+        let (side, _) = unit(l, [l.sub(s(0.0), axis[2]), s(0.0), axis[0]]);
+        let q = [
+            l.mul(left, s(FOLDS[0])),
+            l.mul(place.phase, s(FOLDS[1])),
+            l.mul(back, s(0.8)),
+        ];
+        let (value, slope) = noise(l, q, 53);
+        let near = sharp(l, wall.footprint_mm, 0.7);
+        fold = l.mul(l.mul(value, near), membrane);
+        let turned = l.mul(l.mul(dot(l, wall.normal, side), s(FLAT)), membrane);
+        let lean = l.fma(l.mul(l.mul(slope[0], near), membrane), s(FOLD), turned);
+        form = along(l, form, lean, side);
+    }
+
+    // The ridge between two daughters is cartilage under thin mucosa.
+    let ridge = l.mul(l.mul(place.spur, s(look.spurs)), beyond);
+    pale = l.fma(l.mul(ridge, l.sub(one, pale)), s(0.65), pale);
+
+    let proximal = l.mul(place.proximal, beyond);
+    let mut tint = hue(l, look, proximal);
+    // Between rings and on the membranous wall more blood shows.
+    for c in 0..3 {
+        let (of_interval, of_membrane, of_fold) = BLOOD[c];
+        let blood = l.fma(
+            interval,
+            s(of_interval),
+            l.fma(membrane, s(of_membrane), l.mul(fold, s(of_fold))),
+        );
+        tint[c] = l.fma(tint[c], blood, tint[c]);
+    }
+    Decorated {
+        form,
+        pale: l.min(pale, one),
+        tint,
+    }
+}

@@ -1,0 +1,50 @@
+"""The phantom of these tests as lines, and as a tree that a decoration is made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Start, end (LPS mm) and radius.
+TRACHEA = ((0.0, 0.0, 60.0), (0.0, 0.0, 0.0), 7.0)
+RIGHT = ((0.0, 0.0, 0.0), (-22.0, 4.0, -34.0), 5.5)
+LEFT = ((0.0, 0.0, 0.0), (30.0, 6.0, -26.0), 4.0)
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A branch as a decoration asks for it."""
+
+    id: int
+    parent: int | None
+    children: tuple[int, ...]
+    name: str | None
+    points: np.ndarray
+    radius: np.ndarray
+    kind: str = "tracked"
+    confidence: float | None = None
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A tree as a decoration asks for it."""
+
+    branches: tuple[Branch, ...]
+
+
+def straight(number, parent, children, name, line, **more) -> Branch:
+    """A branch from one point to another, of one radius, a point each mm."""
+    start, end, radius = line
+    steps = int(np.linalg.norm(np.subtract(end, start))) + 1
+    points = np.linspace(start, end, steps)
+    return Branch(number, parent, children, name, points, np.full(steps, radius), **more)
+
+
+def forked(**trachea) -> Tree:
+    """The tree of the phantom `airway`."""
+    return Tree((
+        straight(0, None, (1, 2), "Trachea", TRACHEA, **trachea),
+        straight(1, 0, (), "RMB", RIGHT),
+        straight(2, 0, (), "LMB", LEFT),
+    ))  # fmt: skip
