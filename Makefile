@@ -38,11 +38,15 @@ run: $(STAMP) ## build what is missing and open the demo (CASE=patient for the r
 
 test: test-rust test-web test-python ## every test that needs no special hardware
 
+# The bindings have no tests of their own, and nothing of them is built. But with them, as they are in the module, the crates
+# below have the dependencies that the module's have: without, each was optimised twice, once for the module and once here.
+ALL_CRATES := --profile checked --workspace --features carina-bindings/extension-module
+
 # The same random cases every time, as in Python (tests/conftest.py): a test that turns red tells of the change at hand.
 # `make soak` draws new ones.
 test-rust: export PROPTEST_RNG_SEED ?= 1
 test-rust:
-	cargo test --profile checked --workspace --exclude carina-bindings
+	cargo test $(ALL_CRATES)
 
 web/node_modules/.package-lock.json: web/package-lock.json
 	cd web && npm ci --no-audit --no-fund
@@ -81,7 +85,7 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 
 soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, 2,000 drives of the scope, a cluster that loses members
 	PROPTEST_CASES=2000 cargo test --profile checked -p carina-airpath --lib section
-	cargo test --profile checked --workspace --exclude carina-bindings -- --include-ignored
+	cargo test $(ALL_CRATES) -- --include-ignored
 	$(PY) -m pytest -m soak -ra
 
 check: check-rust check-python check-web ## formatting, lints, types, layers, lock file, spelling, licences, advisories
