@@ -14,7 +14,7 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
+.PHONY: help run setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -65,6 +65,8 @@ $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
 # Beyond four they wait for memory.
 WORKERS ?= $(shell $(PY) -c 'import os; print(min((os.cpu_count() or 1) + 1, 4))' 2>/dev/null || echo 3)
 
+setup-tests: $(STAMP) $(CLUSTER_STAMP)
+
 test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
 	$(PY) -m pytest -m "not soak" -n $(WORKERS) --dist loadscope --no-loadscope-reorder -ra --durations=25
@@ -92,10 +94,12 @@ check: check-rust check-python check-web ## formatting, lints, types, layers, lo
 
 # One profile for all crates: a second one would compile every dependency again, and find nothing else. GPU support is
 # in the wheel alone: linted here, since no other build would notice that it is broken.
-check-rust:
+check-rust: check-crates
+	cargo clippy --profile checked -p carina-bindings -p carina-gpu --features carina-bindings/gpu,carina-gpu/wgpu -- -D warnings
+
+check-crates:
 	cargo fmt --all --check
 	cargo clippy --profile checked --workspace --all-targets -- -D warnings
-	cargo clippy --profile checked -p carina-bindings -p carina-gpu --features carina-bindings/gpu,carina-gpu/wgpu -- -D warnings
 
 check-web: web/node_modules/.package-lock.json
 	cd web && npm run check
