@@ -1,4 +1,4 @@
-"""One phantom's plan, and the sheet that its report is made from."""
+"""One phantom's plan, and the sheet that its report is made from. One worker runs all files that read them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ import numpy as np
 
 import carina
 from carina.plan import Plan, Verdict, judge_scopes, plan_route, turn_list
+from carina.plan.fork_view import Operator
 from carina.plan.moves import Move
 from carina.plan.report import PlanSheet, make_sheet
-from carina.plan.turns import TurnList
-from carina.scopes import WallField, scope_preset
+from carina.plan.turn_clips import TurnClip
+from carina.plan.turn_pictures import TurnPicture
+from carina.plan.turns import Turn, TurnList
+from carina.render import Picture, RenderStats
+from carina.scopes import Pose, WallField, scope_preset
 from carina.track import Airways
 from carina.volume import Volume
 from made import made_airways, made_phantom
@@ -69,6 +73,19 @@ def _usual() -> PlanSheet:
     return make_sheet(
         volume(), airways(), plan(), verdicts=verdicts(), turns=turns(airways(), plan()), made_on=DAY, wall=wall()
     )
+
+
+def still(turn: Turn, *, operator: Operator = "head", in_view: bool = True, shade: int = 0) -> TurnPicture:
+    """A picture without a renderer."""
+    rgb = np.full((8, 12, 3), shade, np.uint8)
+    picture = Picture(rgb, "airway", RenderStats("leap", 12, 8, 96, 96, 0, 0, 0, 0, 0, 0.0), lps_from_camera=np.eye(4))
+    return TurnPicture(turn, operator, picture, in_view, np.zeros((8, 12), bool))
+
+
+def clip(turn: Turn, *, operator: Operator = "head") -> TurnClip:
+    """Three frames without a renderer."""
+    frames = tuple(np.full((16, 16, 3), shade, np.uint8) for shade in (0, 100, 200))
+    return TurnClip(turn, operator, frames, (Pose(np.eye(4)),) * 3, 1.5)
 
 
 def with_drawn_branch() -> tuple[Airways, Plan]:
