@@ -28,7 +28,7 @@ from carina.volume import Volume
 __all__ = ["MOST_FRAMES", "TurnClip", "turn_clips"]
 
 MOST_FRAMES = 24
-"""A strip of 24 pictures of 256 pixels is 0.15 MB: ten forks leave a report that can be sent by mail."""
+"""A strip of 24 pictures of 256 pixels is 0.08 MB: ten forks leave a report that can be sent by mail."""
 SIZES_PX = (64, 512)
 LONGEST_S = 4.0
 """A longer flight is shown faster: with so few frames it would stutter."""
