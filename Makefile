@@ -14,7 +14,7 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
+.PHONY: help run setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -38,11 +38,15 @@ run: $(STAMP) ## build what is missing and open the demo (CASE=patient for the r
 
 test: test-rust test-web test-python ## every test that needs no special hardware
 
+# The bindings have no tests of their own, and nothing of them is built. But with them, as they are in the module, the crates
+# below have the dependencies that the module's have: without, each was optimised twice, once for the module and once here.
+ALL_CRATES := --profile checked --workspace --features carina-bindings/extension-module
+
 # The same random cases every time, as in Python (tests/conftest.py): a test that turns red tells of the change at hand.
 # `make soak` draws new ones.
 test-rust: export PROPTEST_RNG_SEED ?= 1
 test-rust:
-	cargo test --profile checked --workspace --exclude carina-bindings
+	cargo test $(ALL_CRATES)
 
 web/node_modules/.package-lock.json: web/package-lock.json
 	cd web && npm ci --no-audit --no-fund
@@ -60,6 +64,8 @@ $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
 # A worker is a process with servers and a browser of its own, and often waits for them: one more than there are cores.
 # Beyond four they wait for memory.
 WORKERS ?= $(shell $(PY) -c 'import os; print(min((os.cpu_count() or 1) + 1, 4))' 2>/dev/null || echo 3)
+
+setup-tests: $(STAMP) $(CLUSTER_STAMP)
 
 test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
@@ -81,17 +87,19 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 
 soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, 2,000 drives of the scope, a cluster that loses members
 	PROPTEST_CASES=2000 cargo test --profile checked -p carina-airpath --lib section
-	cargo test --profile checked --workspace --exclude carina-bindings -- --include-ignored
+	cargo test $(ALL_CRATES) -- --include-ignored
 	$(PY) -m pytest -m soak -ra
 
 check: check-rust check-python check-web ## formatting, lints, types, layers, lock file, spelling, licences, advisories
 
 # One profile for all crates: a second one would compile every dependency again, and find nothing else. GPU support is
 # in the wheel alone: linted here, since no other build would notice that it is broken.
-check-rust:
+check-rust: check-crates
+	cargo clippy --profile checked -p carina-bindings -p carina-gpu --features carina-bindings/gpu,carina-gpu/wgpu -- -D warnings
+
+check-crates:
 	cargo fmt --all --check
 	cargo clippy --profile checked --workspace --all-targets -- -D warnings
-	cargo clippy --profile checked -p carina-bindings -p carina-gpu --features carina-bindings/gpu,carina-gpu/wgpu -- -D warnings
 
 check-web: web/node_modules/.package-lock.json
 	cd web && npm run check

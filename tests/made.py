@@ -8,6 +8,7 @@ phantom that is made by this one. What a test asks for twice in one process is t
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import pickle
@@ -24,8 +25,10 @@ import numpy as np
 import carina
 from carina import _core, phantom
 from carina.phantom import Phantom
-from carina.track import Airways
-from carina.volume import Volume, model
+from carina.track import Airways, AirwayTree
+from carina.track.paths.rebuilt import found_core
+from carina.track.paths.tracker import PathTracker
+from carina.volume import Volume, ct_digest, model
 
 ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / ".pytest_cache" / "d" / "made"
@@ -132,18 +135,62 @@ def alone(name: str) -> Iterator[None]:
         yield
 
 
+def kept_airways(name: str, volume: Volume) -> Airways:
+    """What is found in a volume, searched by whoever needs it first; the others put it together again.
+
+    Their tracker, which no file holds, is calculated anew where paths are first asked for, as that of a case is.
+    """
+    searched: list[Airways] = []
+
+    def search() -> tuple[dict[str, Any], Any]:
+        found = carina.find_airways(volume)
+        searched.append(found)
+        # A field of these holds locks and compiled parts; the rest are values.
+        told = {one.name: getattr(found, one.name) for one in dataclasses.fields(found)}
+        del told["tracker"], told["evidence"]
+        told["tree"] = (found.tree.branches, found.tree.notes)
+        return told, (found.tracker.root_ijk, found.tracker.given_nodes)
+
+    told, (root_ijk, nodes) = made_value(name, search)
+    if searched:
+        return searched[0]
+    (branches, notes), lumen, levels = told.pop("tree"), told["lumen_zyx"], told["wall_levels"]
+    for array in (lumen, told["upper_airway_zyx"]):
+        if array is not None:
+            array.flags.writeable = False
+    tracker = PathTracker(volume, lambda: found_core(volume, lumen, root_ijk, levels), root_ijk=root_ijk)
+    if nodes is None:
+        tracker.follow_branches(branches)
+    else:
+        tracker.set_branches(branches, nodes)
+    return Airways(tree=AirwayTree(branches, notes=notes, _smooth=tracker.smooth), tracker=tracker, **told)
+
+
+_FOUND: dict[str, Airways] = {}
+
+
+def found_airways(volume: Volume) -> Airways:
+    """The airways of a volume, the same object for all with the same voxels in the same place."""
+    place = hashlib.sha256(volume.lps_from_ijk.tobytes() + repr((volume.shape_zyx, volume.is_hu)).encode()).hexdigest()
+    name = f"airways of {ct_digest(volume)[:16]}-{place[:8]}"
+    if name not in _FOUND:
+        _FOUND[name] = kept_airways(name, volume)
+    return _FOUND[name]
+
+
 @lru_cache(maxsize=4)
 def _airways(options: str) -> Airways:
-    return carina.find_airways(_phantom(options).volume)
+    name = hashlib.sha256(options.encode()).hexdigest()[:16]
+    return kept_airways(f"airways of {name}", _phantom(options).volume)
 
 
 def made_airways(**options: Any) -> Airways:
-    """The airways that are found in :func:`made_phantom`, searched once a process."""
+    """The airways that are found in :func:`made_phantom`, searched once for all workers."""
     return _airways(json.dumps(options, sort_keys=True))
 
 
 @cache
 def patient() -> tuple[Volume, Airways]:
-    """The bundled CT and its airways, searched once a process."""
+    """The bundled CT and its airways, searched once for all workers."""
     volume = carina.demo_patient()
-    return volume, carina.find_airways(volume)
+    return volume, kept_airways("airways of the patient", volume)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import carina
+import carina.track
 from carina.cli.app import app
+from carina.plan import judge_scopes
 from carina.scopes import scope_presets
 from carina.volume import write_grid
-from made import made_phantom
+from made import found_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +25,18 @@ def chest(tmp_path_factory):
     folder = tmp_path_factory.mktemp("chest")
     carina.write_phantom(made, folder)
     return folder / "ct.nii.gz", made.truth["nodule"]["center_lps"]
+
+
+@cache
+def wall_of(airways: carina.Airways) -> carina.WallField:
+    return carina.track.wall_field(airways.tracker.volume, airways)
+
+
+@pytest.fixture
+def found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Airways and their wall are found once in one CT, whatever is asked about them."""
+    monkeypatch.setattr(carina, "find_airways", lambda volume, **_options: found_airways(volume))
+    monkeypatch.setattr(carina, "wall_field", lambda _volume, airways: wall_of(airways))
 
 
 def run(path, place, *more):
@@ -51,7 +66,7 @@ def test_the_plan_is_said_written_and_the_same_as_in_python(chest, tmp_path) -> 
     assert "in the procedure the target may lie up to" in result.stderr
 
 
-def test_no_route_is_exit_code_4_with_the_reason(chest, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_route_is_exit_code_4_with_the_reason(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
     path, place = chest
     from carina.plan import routes
 
@@ -71,7 +86,7 @@ def test_no_route_is_exit_code_4_with_the_reason(chest, monkeypatch: pytest.Monk
         (["--paper", "A3"], 2, "expected A4 or Letter"),
     ],
 )
-def test_what_cannot_be_done_is_said(chest, more: list[str], code: int, words: str) -> None:
+def test_what_cannot_be_done_is_said(chest, found_once, more: list[str], code: int, words: str) -> None:
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code == code and words in result.stderr
@@ -83,8 +98,10 @@ def test_a_place_without_a_nodule_is_refused(chest) -> None:
     assert result.exit_code in {2, 4} and "nodule" in result.stderr
 
 
-def test_all_scopes_are_judged_when_asked(chest) -> None:
+def test_all_scopes_are_judged_when_asked(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
     path, place = chest
+    # What the drives come to is another test's matter: they are searched a moment.
+    monkeypatch.setattr("carina.cli.plan.judge_scopes", partial(judge_scopes, effort=2000.0))
     result = run(path, place, "--all-scopes", "--json")
     assert result.exit_code == 0
     verdicts = json.loads(result.stdout)["verdicts"]
@@ -92,7 +109,7 @@ def test_all_scopes_are_judged_when_asked(chest) -> None:
     assert all(one["outcome"] in {"reaches", "may reach", "does not reach", "cannot say"} for one in verdicts)
 
 
-def test_a_mask_is_a_target_and_the_plan_opens_in_slicer_and_prints(chest, tmp_path) -> None:
+def test_a_mask_is_a_target_and_the_plan_opens_in_slicer_and_prints(chest, found_once, tmp_path) -> None:
     path, place = chest
     volume = carina.open_volume(path)
     nodule = carina.grow_nodule(volume, place)
@@ -118,7 +135,7 @@ def test_a_mask_is_a_target_and_the_plan_opens_in_slicer_and_prints(chest, tmp_p
     ("more", "words"),
     [(["--send", "nowhere"], "expected HOST:PORT"), (["--send", "127.0.0.1:1"], "nothing listens there")],
 )
-def test_a_peer_that_is_none_is_said(chest, more: list[str], words: str) -> None:
+def test_a_peer_that_is_none_is_said(chest, found_once, more: list[str], words: str) -> None:
     path, place = chest
     result = run(path, place, *more)
     assert result.exit_code != 0 and words in result.stderr

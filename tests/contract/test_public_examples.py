@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import doctest
-import functools
 import importlib
 import inspect
 import pkgutil
@@ -13,6 +12,7 @@ import pytest
 
 import carina
 from carina.errors import CarinaError
+from made import found_airways, made_phantom
 
 
 def with_examples() -> list[str]:
@@ -28,22 +28,12 @@ def with_examples() -> list[str]:
     return found
 
 
-@functools.cache
-def phantom_once(**arguments: object) -> object:
-    """Examples share their phantom: the same arguments give the same voxels."""
-    return importlib.import_module("carina.phantom").generate_phantom(**arguments)
-
-
-@functools.cache
-def airways_once(volume: carina.Volume) -> carina.Airways:
-    return importlib.import_module("carina.track").find_airways(volume)
-
-
 @pytest.mark.parametrize("name", with_examples())
 def test_examples_print_what_they_say(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(carina, "generate_phantom", phantom_once, raising=False)
-    monkeypatch.setattr(carina, "find_airways", airways_once, raising=False)
+    # Examples share their chests and the airways in them: the same arguments give the same voxels.
+    monkeypatch.setattr(carina, "generate_phantom", made_phantom, raising=False)
+    monkeypatch.setattr(carina, "find_airways", found_airways, raising=False)
     for part in ("track", "render", "scopes"):
         importlib.import_module(f"carina.{part}")
     failed, tried = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)

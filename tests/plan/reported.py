@@ -1,20 +1,27 @@
-"""One phantom's plan, and the sheet that its report is made from."""
+"""One phantom's plan, and the sheet that its report is made from. One worker runs all files that read them."""
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
+from collections.abc import Callable
 from functools import cache
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 import carina
 from carina.plan import Plan, Verdict, judge_scopes, plan_route, turn_list
+from carina.plan.fork_view import Operator
 from carina.plan.moves import Move
 from carina.plan.report import PlanSheet, make_sheet
-from carina.plan.turns import TurnList
-from carina.scopes import WallField, scope_preset
+from carina.plan.report import sheet as sheet_module
+from carina.plan.turn_clips import TurnClip
+from carina.plan.turn_pictures import TurnPicture
+from carina.plan.turns import Turn, TurnList
+from carina.render import Picture, RenderStats
+from carina.scopes import Pose, WallField, scope_preset
 from carina.track import Airways
 from carina.volume import Volume
 from made import made_airways, made_phantom
@@ -56,12 +63,42 @@ def turns(found: Airways, planned: Plan, *, ridge_mm: float | None = 9.0) -> Tur
     return turn_list(found.tree, route, carina_ridge_mm=ridge_mm, moves=moves, insertion_mm=ends)
 
 
+def _key(one: Any) -> object:
+    if isinstance(one, np.ndarray):
+        return one.tobytes()
+    return one if isinstance(one, float | tuple) else id(one)
+
+
+def once(make: Callable[..., Any]) -> Callable[..., Any]:
+    """The same as before of the same objects and equal arrays; these are kept, so that no others take their ids."""
+    made: dict[tuple[object, ...], tuple[Any, Any]] = {}
+
+    def same(*given: Any) -> Any:
+        key = tuple(_key(one) for one in given)
+        if key not in made:
+            made[key] = given, make(*given)
+        return made[key][1]
+
+    return same
+
+
+# What shows the same target in the same CT is rendered once: it takes most of two seconds of the processor, and some
+# thirty sheets differ in their words alone.
+RENDERED = {
+    name: once(getattr(sheet_module, name))
+    for name in ("Renderer", "LumenOutline", "surroundings", "target_slices", "needle_slice", "place_slices")
+}
+
+
 def sheet(**more: Any) -> PlanSheet:
     """The usual sheet, or one made anew with other choices."""
     if not more:
         return _usual()
     told: dict[str, Any] = {"verdicts": verdicts(), "made_on": DAY, "wall": wall()} | more
-    return make_sheet(told.pop("volume", volume()), told.pop("airways", airways()), told.pop("plan", plan()), **told)
+    with patch.multiple("carina.plan.report.sheet", **RENDERED):
+        return make_sheet(
+            told.pop("volume", volume()), told.pop("airways", airways()), told.pop("plan", plan()), **told
+        )
 
 
 @cache
@@ -69,6 +106,19 @@ def _usual() -> PlanSheet:
     return make_sheet(
         volume(), airways(), plan(), verdicts=verdicts(), turns=turns(airways(), plan()), made_on=DAY, wall=wall()
     )
+
+
+def still(turn: Turn, *, operator: Operator = "head", in_view: bool = True, shade: int = 0) -> TurnPicture:
+    """A picture without a renderer."""
+    rgb = np.full((8, 12, 3), shade, np.uint8)
+    picture = Picture(rgb, "airway", RenderStats("leap", 12, 8, 96, 96, 0, 0, 0, 0, 0, 0.0), lps_from_camera=np.eye(4))
+    return TurnPicture(turn, operator, picture, in_view, np.zeros((8, 12), bool))
+
+
+def clip(turn: Turn, *, operator: Operator = "head") -> TurnClip:
+    """Three frames without a renderer."""
+    frames = tuple(np.full((16, 16, 3), shade, np.uint8) for shade in (0, 100, 200))
+    return TurnClip(turn, operator, frames, (Pose(np.eye(4)),) * 3, 1.5)
 
 
 def with_drawn_branch() -> tuple[Airways, Plan]:

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from reported import CHEST
+from reported import wall as chest_wall
 from test_verdict import plan_in, tube
 
 from carina.errors import CancelledError, UsageError
@@ -22,21 +24,14 @@ from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
 from carina.plan.routes import PlannedRoute
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
-from carina.track import wall_field
-from made import made_airways, made_phantom
+from made import made_airways
 
-CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1, "nodule": True}
 BRANCHES = (100, 24, 139)
 """Tips of the tree, 4 to 6 forks on the way."""
 
 
 def thin() -> ScopePreset:
     return scope_preset("ultrathin")
-
-
-@cache
-def chest_wall() -> WallField:
-    return wall_field(made_phantom(**CHEST).volume, made_airways(**CHEST))
 
 
 @cache

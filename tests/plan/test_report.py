@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reported import airways, plan, sheet, turns, verdicts, volume, wall, with_drawn_branch
+from reported import airways, clip, plan, sheet, still, turns, verdicts, volume, wall, with_drawn_branch
 
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.plan import ScoreWeights
@@ -24,8 +24,6 @@ from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Gr
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
 from carina.plan.target_edits import BRUSHED
-from carina.plan.turn_pictures import TurnPicture
-from carina.render import Picture, RenderStats
 
 SAFETY = (
     "Not a medical device.",
@@ -246,13 +244,6 @@ def test_hours_are_those_of_where_the_operator_stands(tmp_path) -> None:
     assert "operator facing the patient: posterior at 12" in write_report(tmp_path / "p.html", told).read_text()
 
 
-def still(turn, *, operator="head", in_view=True, shade=0) -> TurnPicture:
-    """A picture without a renderer."""
-    rgb = np.full((8, 12, 3), shade, np.uint8)
-    picture = Picture(rgb, "airway", RenderStats("leap", 12, 8, 96, 96, 0, 0, 0, 0, 0, 0.0), lps_from_camera=np.eye(4))
-    return TurnPicture(turn, operator, picture, in_view, np.zeros((8, 12), bool))
-
-
 def test_pictures_of_turns_stand_with_their_turns(tmp_path) -> None:
     told = turns(airways(), plan())
     pictures = [still(turn, in_view=n != 1, shade=n) for n, turn in enumerate(told.turns)]
@@ -268,6 +259,34 @@ def test_pictures_of_turns_stand_with_their_turns(tmp_path) -> None:
         sheet(turns=told, turn_pictures=pictures[::-1])
     with pytest.raises(UsageError, match="for an operator at 'facing', the report for one at 'head'"):
         sheet(turns=told, turn_pictures=[still(turn, operator="facing") for turn in told.turns])
+
+
+def test_clips_of_turns_lie_hidden_beside_their_pictures_and_change_no_paper(tmp_path) -> None:
+    told = turns(airways(), plan())
+    pictures = [still(turn) for turn in told.turns]
+    clips = [None if n == 1 else clip(turn) for n, turn in enumerate(told.turns)]
+    plain = sheet(turns=told, turn_pictures=pictures)
+    filmed = sheet(turns=told, turn_pictures=pictures, turn_clips=clips)
+    text = write_report(tmp_path / "plan.html", filmed).read_text()
+    figures = re.findall(r"<figure>.*?</figure>", re.search(r'<section id="turns".*?</section>', text, re.DOTALL)[0])
+    assert ["data:image/jpeg" in one for one in figures] == [one is not None for one in clips]
+    (strip,) = re.findall(r"data:image/jpeg;base64,([^\"]+)", figures[0])
+    assert base64.b64decode(strip) == clips[0].strip()
+    assert 'class="clip on-screen" data-seconds="1.50" hidden' in figures[0] and 'max="3" value="3"' in figures[0]
+    # What plays them is allowed by its own digest, and is in no page without clips.
+    policy = html.unescape(re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1])
+    scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digests = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts]
+    assert len(scripts) == 2 and all(f"'sha256-{digest}'" in policy for digest in digests)
+    assert write_report(tmp_path / "plain.html", plain).read_text().count("<script>") == 1
+    for suffix in (".pdf", ".json"):
+        one, other = (write_report(tmp_path / f"{n}{suffix}", it) for n, it in enumerate((plain, filmed)))
+        assert one.read_bytes() == other.read_bytes()
+    for wrong in (clips[:1], clips[::-1], [clip(turn, operator="facing") for turn in told.turns]):
+        with pytest.raises(UsageError, match=f"a clip, or None, for each of {len(clips)} pictures"):
+            sheet(turns=told, turn_pictures=pictures, turn_clips=wrong)
+    with pytest.raises(UsageError, match="each of 0 pictures"):
+        sheet(turns=told, turn_clips=clips)
 
 
 def test_the_proof_of_a_bronchus_sign_has_its_place_in_the_middle(tmp_path) -> None:

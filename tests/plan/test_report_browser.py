@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
-from reported import sheet
+from reported import clip, sheet, still
 
 from carina.plan.report import write_report
 from find_browser import find_browser
@@ -52,22 +53,56 @@ def report(folder: Path) -> Path:
     return write_report(folder / "plan.html", sheet())
 
 
+@cache
+def filmed_report(folder: Path) -> Path:
+    told = sheet().turns
+    assert told is not None
+    pictures, clips = [still(turn, shade=250) for turn in told.turns], [clip(turn) for turn in told.turns]
+    return write_report(folder / "filmed.html", sheet(turns=told, turn_pictures=pictures, turn_clips=clips))
+
+
+@pytest.fixture(scope="module")
+def tab(browser) -> Iterator[Any]:
+    """One page with the network off for all tests: a process of its own for each took most of their time."""
+    context = browser.new_context(offline=True)
+    yield context.new_page()
+    context.close()
+
+
 @pytest.fixture
-def opened(browser, tmp_path_factory) -> Iterator[Any]:
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, offline=True)
-    page = context.new_page()
+def opened(tab, tmp_path_factory) -> Iterator[Any]:
+    with shown(tab, report(tmp_path_factory.getbasetemp())):
+        yield tab
+
+
+@pytest.fixture
+def filmed(tab, tmp_path_factory) -> Iterator[Any]:
+    with shown(tab, filmed_report(tmp_path_factory.getbasetemp())):
+        yield tab
+
+
+@contextmanager
+def shown(page: Any, path: Path) -> Iterator[None]:
+    """A file, loaded anew; it asks for nothing, and nothing fails in it."""
     asked: list[str] = []
     troubles: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("console", lambda message: troubles.append(message.text))
-    page.on("pageerror", lambda error: troubles.append(str(error)))
-    path = report(tmp_path_factory.getbasetemp())
+    heard = {
+        "request": lambda request: asked.append(request.url),
+        "console": lambda message: troubles.append(message.text),
+        "pageerror": lambda error: troubles.append(str(error)),
+    }
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.emulate_media(media="screen", reduced_motion="no-preference")
+    for name, hear in heard.items():
+        page.on(name, hear)
     page.goto(path.as_uri())
     page.evaluate(DRAWN)
-    yield page
+    yield
     assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
     assert troubles == []
-    context.close()
+    for name, hear in heard.items():
+        page.remove_listener(name, hear)
+    page.mouse.move(0, 0)
 
 
 def letters(page: Any) -> dict[str, list[float]]:
@@ -163,3 +198,71 @@ def test_on_paper_every_page_has_its_head_and_foot_and_nothing_is_cut(opened, pa
     opened.set_viewport_size({"width": round(mm / 25.4 * 96), "height": 1000})
     assert opened.evaluate("document.documentElement.scrollWidth") <= round(mm / 25.4 * 96) + 1
     opened.emulate_media(media="screen")
+
+
+# How the first clip stands: the grey that its canvas shows, to tens (a JPEG rounds it); None where the still is seen.
+SHADE = """() => {
+  const canvas = document.querySelector('.picture canvas');
+  if (canvas.offsetParent === null) return null;
+  const probe = document.createElement('canvas').getContext('2d', { willReadFrequently: true });
+  probe.drawImage(canvas, 0, 0, 1, 1);
+  return Math.round(probe.getImageData(0, 0, 1, 1).data[0] / 10) * 10;
+}"""
+# What is seen of it from now on, picture by picture.
+NOTED = f"""() => {{
+  window.seen = [];
+  const note = () => {{ window.seen.push(({SHADE})()); requestAnimationFrame(note); }};
+  note();
+}}"""
+# The page's policy allows no conditions in text, which Playwright would ask for again and again.
+PLAYED = """() => new Promise((done) => {
+  const look = () => {
+    if (window.seen.some((shade) => shade !== null) && window.seen.at(-1) === null) done();
+    else requestAnimationFrame(look);
+  };
+  look();
+})"""
+
+
+def test_a_clip_plays_over_its_picture_on_a_click_and_leaves_it_at_its_end(filmed) -> None:
+    first = filmed.locator(".clip").first
+    button, slider = first.get_by_role("button"), first.get_by_role("slider")
+    assert filmed.evaluate(SHADE) is None and slider.input_value() == "3"
+    assert slider.get_attribute("aria-valuetext") == "at the fork"
+    filmed.evaluate(NOTED)
+    button.click()
+    filmed.evaluate(PLAYED)
+    assert slider.input_value() == "3" and button.inner_text() == "Play the way there"
+    # In their order, whichever of them a busy machine left out.
+    played = [shade for shade in filmed.evaluate("window.seen") if shade is not None]
+    assert played == sorted(played) and set(played) <= {0, 100, 200}
+
+
+def test_a_clip_moves_by_hand_and_paper_shows_the_still(filmed) -> None:
+    slider = filmed.locator(".clip").first.get_by_role("slider")
+    slider.focus()
+    shades = []
+    for key in ("Home", "ArrowRight", "ArrowRight", "ArrowRight"):
+        filmed.keyboard.press(key)
+        shades.append(filmed.evaluate(SHADE))
+    assert shades == [0, 100, 200, None]
+    filmed.keyboard.press("ArrowLeft")
+    assert filmed.evaluate(SHADE) == 200
+    assert slider.get_attribute("aria-valuetext") == "picture 3 of 3"
+    filmed.emulate_media(media="print")
+    assert filmed.evaluate(SHADE) is None
+    assert not filmed.locator(".clip").first.is_visible()
+    assert filmed.locator(".picture svg").first.is_visible()
+
+
+def test_who_asks_for_less_motion_is_offered_none(filmed) -> None:
+    button, slider = (filmed.locator(".clip").first.locator(name) for name in ("button", "input"))
+    button.click()
+    filmed.emulate_media(reduced_motion="reduce")
+    button.wait_for(state="hidden")
+    assert slider.is_visible() and slider.input_value() == "3" and filmed.evaluate(SHADE) is None
+    slider.focus()
+    filmed.keyboard.press("Home")
+    assert filmed.evaluate(SHADE) == 0
+    filmed.emulate_media(reduced_motion="no-preference")
+    button.wait_for(state="visible")

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from nodules import ellipsoid
+from reported import CHEST, plan, wall
 
 import carina
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import (
     NeedleErrors,
     NeedleScene,
-    Plan,
     ScoreWeights,
     Tool,
     grow_nodule,
@@ -31,16 +31,9 @@ from carina.plan import (
 from carina.plan.routes import standing_apart
 from carina.plan.score import order
 from carina.scopes import ScopePreset, WallField, scope_preset
-from carina.track import Airways, wall_field
+from carina.track import Airways
 from carina.volume import Volume
 from made import made_airways, made_phantom
-
-CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1, "nodule": True}
-
-
-@cache
-def wall() -> WallField:
-    return wall_field(made_phantom(**CHEST).volume, made_airways(**CHEST))
 
 
 def truth() -> dict[str, Any]:
@@ -51,11 +44,6 @@ def truth() -> dict[str, Any]:
 def slim() -> ScopePreset:
     """Thin enough for all airways near the nodule."""
     return dataclasses.replace(scope_preset("ultrathin"), tip_mm=1.5)
-
-
-@cache
-def plan() -> Plan:
-    return plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), truth()["center_lps"], wall=wall())
 
 
 def retreed(airways: Airways, branch_id: int, **changes: Any) -> Airways:

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+import reported
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
-from carina.plan import Plan, Verdict, judge_scope, judge_scopes, plan_route, tool
+from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool
 from carina.plan.last_leg import LastLeg
 from carina.plan.routes import PlannedRoute
 from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
-from carina.track import AirwayTree, Branch, wall_field
-from made import made_airways, made_phantom
+from carina.track import AirwayTree, Branch
 
 RADIUS_MM = 2.0
 STRAIGHT_MM = 70.0
@@ -190,14 +190,9 @@ def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
 
 
 def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancelled() -> None:
-    chest: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1, "nodule": True}
-    airways = made_airways(**chest)
-    wall = wall_field(made_phantom(**chest).volume, airways)
-    plan = plan_route(
-        made_phantom(**chest).volume, airways, made_phantom(**chest).truth["nodule"]["center_lps"], wall=wall
-    )
+    tree, wall, plan = reported.airways().tree, reported.wall(), reported.plan()
     told: list[float] = []
-    found = judge_scopes(airways.tree, plan, wall, spacing_mm=1.1, effort=4000.0, progress=told.append)
+    found = judge_scopes(tree, plan, wall, spacing_mm=1.1, effort=4000.0, progress=told.append)
     assert [one.scope for one in found] == list(scope_presets())
     assert told == sorted(told) and told[-1] == 1.0
     for one in found:
@@ -207,7 +202,7 @@ def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancell
     assert by_name["ion"].outcome in {"cannot say", "does not reach"}
     assert check(by_name["therapeutic"], "diameter").answer == "no"
     with pytest.raises(CancelledError):
-        judge_scopes(airways.tree, plan, wall, cancel=lambda: True)
+        judge_scopes(tree, plan, wall, cancel=lambda: True)
 
 
 def test_a_plan_without_a_route_and_a_bad_spacing_are_refused() -> None:

@@ -37,27 +37,28 @@ from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
 from carina.session.plan_values import shown_surface
 from carina.volume import write_grid
+from made import found_airways, made_phantom
 
 
 @pytest.fixture(autouse=True)
 def few_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two instruments are driven where there would be eighteen."""
+    """Two instruments are driven where there would be eighteen, and their drives are searched a moment, not seconds."""
     whole = carina.plan.judge_scopes
 
     def judge(*given: object, scopes: list, **options: object):
-        return whole(*given, scopes=scopes[:2], **options)
+        return whole(*given, scopes=scopes[:2], effort=2000.0, **options)
 
     monkeypatch.setattr(carina.plan, "judge_scopes", judge)
 
 
 @pytest.fixture(scope="module")
 def chest() -> Phantom:
-    return carina.generate_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
+    return made_phantom(seed=4, spacing_mm=1.5, generations=4, nodule=True)
 
 
 @pytest.fixture(scope="module")
 def airways(chest: Phantom) -> carina.Airways:
-    return carina.find_airways(chest.volume)
+    return found_airways(chest.volume)
 
 
 @pytest.fixture(scope="module")

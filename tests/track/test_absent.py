@@ -12,14 +12,13 @@ import carina
 from carina.track import AirwayTree, Branch, find_absent, name_tree
 from carina.track.tree.uncertain import Uncertainty
 from carina.volume import Volume
-from made import made_phantom
+from made import made_airways, made_phantom
 from made import patient as the_patient
 
 
 @pytest.fixture(scope="module")
 def chest():
-    made = made_phantom(**CHEST)
-    return made, carina.find_airways(made.volume)
+    return made_phantom(**CHEST), made_airways(**CHEST)
 
 
 def without(tree, name):

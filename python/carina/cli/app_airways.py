@@ -245,6 +245,9 @@ def plan(
         bool, typer.Option("--tracing-sheet", help="Write only the one-page tracing sheet (.html or .pdf).")
     ] = False,
     paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF: A4 or Letter.")] = "A4",
+    clips: Annotated[
+        bool, typer.Option("--clips/--no-clips", help="In an .html report, the way to each fork as a short clip.")
+    ] = True,
     with_identity: Annotated[
         bool,
         typer.Option("--with-identity", help="Copy the patient's name and number from the CT into DICOM files."),
@@ -280,6 +283,7 @@ def plan(
                 output=output,
                 kind="tracing" if only_tracing else "report",
                 paper=paper,
+                clips=clips,
                 identity="from the CT" if with_identity else "none",
                 send_to=send_to,
                 as_json=as_json,

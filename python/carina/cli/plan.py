@@ -52,6 +52,7 @@ def report(
     output: Path | None,
     kind: ReportKind,
     paper: str,
+    clips: bool,
     identity: Identity,
     send_to: str | None,
     series: str | None,
@@ -141,7 +142,9 @@ def report(
         say(f"wrote {output}")
         output = None
     if output is not None or as_json:
-        sheet = whole_sheet(materials)
+        # Paper, JSON and the tracing sheet play nothing.
+        plays = clips and output is not None and output.name.lower().endswith(".html") and kind == "report"
+        sheet = whole_sheet(materials, clips=plays)
         if output is not None:
             write_report(output, sheet, kind=kind, paper=PAPERS[paper])
             say(f"wrote {output}")

@@ -26,6 +26,7 @@ from carina.plan.target import PlanTarget, TargetSource, proposed_aims
 from carina.plan.target_click import is_plain_nodule, target_from_click
 from carina.plan.target_edits import brushed, resized, sphere
 from carina.plan.tools import DEFAULT_TOOL, Tool, tool, tool_from_file, tools
+from carina.plan.turn_clips import TurnClip, turn_clips
 from carina.plan.turn_flight import turn_flight
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import OtherWay, Turn, TurnList
@@ -69,6 +70,7 @@ __all__ = [
     "TargetSource",
     "Tool",
     "Turn",
+    "TurnClip",
     "TurnList",
     "TurnPicture",
     "Verdict",
@@ -108,6 +110,7 @@ __all__ = [
     "tool",
     "tool_from_file",
     "tools",
+    "turn_clips",
     "turn_flight",
     "turn_list",
     "turn_pictures",

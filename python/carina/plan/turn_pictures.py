@@ -27,7 +27,7 @@ from carina.scopes import Lens, Pose
 from carina.track import Airways, AirwayTree, Branch
 from carina.volume import Volume
 
-__all__ = ["TurnPicture", "turn_pictures"]
+__all__ = ["TurnPicture", "turn_pictures", "turn_view"]
 
 Points = NDArray[np.float64]
 Field = NDArray[np.float64]
@@ -158,11 +158,10 @@ def turn_pictures(
     return tuple(made)
 
 
-def _picture(
-    renderer: Renderer, tree: AirwayTree, turn: Turn, operator: Operator, size_px: int, *, marked: bool
-) -> TurnPicture:
-    view = AirwayView(
-        turn.camera(operator),
+def turn_view(renderer: Renderer, camera: Pose, size_px: int) -> AirwayView:
+    """What stills and clips of the turns show from a place: nothing in it is decoration."""
+    return AirwayView(
+        camera,
         fov_deg=FOV_DEG,
         width=size_px,
         height=size_px,
@@ -170,6 +169,12 @@ def _picture(
         method="leap" if renderer.prepared else "brute",
         texture=False,
     )
+
+
+def _picture(
+    renderer: Renderer, tree: AirwayTree, turn: Turn, operator: Operator, size_px: int, *, marked: bool
+) -> TurnPicture:
+    view = turn_view(renderer, turn.camera(operator), size_px)
     picture = renderer.render(view)
     coarse = replace(view, width=-(-size_px // COARSE), height=-(-size_px // COARSE))
     column, row = _seed(picture, turn)

@@ -85,7 +85,8 @@ class Reports:
                     )
                     return
                 asked = _with_verdicts(self._session, materials, target_id, job)
-                sheet = whole_sheet(asked, progress=rendering, cancel=job.cancel)
+                plays = path.suffix == ".html" and kind == "report"
+                sheet = whole_sheet(asked, clips=plays, progress=rendering, cancel=job.cancel)
                 made = write_report(path, sheet, kind=kind, progress=writing, cancel=job.cancel)
             except CancelledError:
                 _settle(done, CarinaError("the report was stopped", code="plan.report-stopped"))

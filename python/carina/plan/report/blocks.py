@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from carina.display import one_line
 from carina.plan.report.drawing import Drawing
 
-__all__ = ["Block", "Bullets", "Facts", "Figure", "Figures", "Grid", "Section", "Tone", "Words"]
+__all__ = ["Block", "Bullets", "Clip", "Facts", "Figure", "Figures", "Grid", "Section", "Tone", "Words"]
 
 MOST_ROWS = 14
 """A table of no more rows stays on one page."""
@@ -54,12 +54,26 @@ class Grid:
 
 
 @one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class Clip:
+    """Frames that a page on a screen can play over a drawing; paper shows the drawing alone."""
+
+    strip_jpeg: bytes = field(repr=False)
+    """The frames below one another, square."""
+    num_frames: int
+    duration_s: float
+    says: str
+    """What it shows, for those who cannot see it."""
+
+
+@one_line
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing with what it shows."""
+    """A drawing with what it shows, and the way there."""
 
     drawing: Drawing
     caption: str = ""
+    clip: Clip | None = None
 
 
 @one_line

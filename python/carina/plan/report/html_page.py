@@ -8,7 +8,7 @@ import json
 from importlib.resources import files
 
 from carina.display.html import escaped
-from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, Grid, Section, Words
 from carina.plan.report.doubt import movement_words
 from carina.plan.report.drawing import svg
 from carina.plan.report.sheet import PlanSheet, target_words
@@ -20,24 +20,26 @@ TITLE = "Bronchoscopy plan"
 VIEWS = ("front", "back", "left", "right", "above", "below")
 TREE_AFTER = "airways"
 """The section at whose end the tree to turn stands."""
+PLAY, STOP = "Play the way there", "Stop"
 
 
 def html_page(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
     """A document of these sections; nothing in it is loaded from elsewhere, and all text is shown as it is."""
     here = files("carina.plan.report")
     style = here.joinpath("page.css").read_text(encoding="utf-8")
-    script = here.joinpath("page.js").read_text(encoding="utf-8")
+    body = "".join(_section(part) for part in parts)
     has_tree = any(part.name == TREE_AFTER for part in parts)
+    wanted = {"page.js": has_tree, "clips.js": any(_has_clip(block) for part in parts for block in part.blocks)}
+    scripts = [here.joinpath(name).read_text(encoding="utf-8") for name, is_wanted in wanted.items() if is_wanted]
+    allowed = " ".join(f"'{_hash(one)}'" for one in scripts) or "'none'"
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; "
-        f"script-src {repr(_hash(script)) if has_tree else repr('none')}; base-uri 'none'; form-action 'none'"
+        f"script-src {allowed}; base-uri 'none'; form-action 'none'"
     )
-    body = "".join(_section(part) for part in parts)
     # In a script element nothing ends early where no "<" is written.
     tree = json.dumps(sheet.shape.to_json(), separators=(",", ":")).replace("<", "\\u003c")
-    tail = (
-        f'<script type="application/json" id="tree-data">{tree}</script><script>{script}</script>' if has_tree else ""
-    )
+    tail = f'<script type="application/json" id="tree-data">{tree}</script>' if has_tree else ""
+    tail += "".join(f"<script>{one}</script>" for one in scripts)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{escaped(policy)}">'
@@ -143,4 +145,23 @@ def _table(grid: Grid) -> str:
 
 def _figure(figure: Figure) -> str:
     words = f"<figcaption>{escaped(figure.caption)}</figcaption>" if figure.caption else ""
-    return f"<figure>{svg(figure.drawing)}{words}</figure>"
+    if figure.clip is None:
+        return f"<figure>{svg(figure.drawing)}{words}</figure>"
+    return f'<figure><div class="picture">{svg(figure.drawing)}</div>{_clip(figure.clip)}{words}</figure>'
+
+
+def _has_clip(block: Block) -> bool:
+    figures = block.items if isinstance(block, Figures) else (block,)
+    return any(isinstance(one, Figure) and one.clip is not None for one in figures)
+
+
+def _clip(clip: Clip) -> str:
+    """Its strip and what plays it: hidden until the script shows it, so that nothing is offered that does nothing."""
+    data = base64.b64encode(clip.strip_jpeg).decode("ascii")
+    return (
+        f'<div class="clip on-screen" data-seconds="{clip.duration_s:.2f}" hidden>'
+        f'<button type="button" data-play="{PLAY}" data-stop="{STOP}" aria-label="{PLAY}: {escaped(clip.says)}">{PLAY}'
+        f'</button><input type="range" min="0" max="{clip.num_frames}" value="{clip.num_frames}" '
+        f'aria-label="Place on the way: {escaped(clip.says)}">'
+        f'<img hidden alt="" src="data:image/jpeg;base64,{data}"></div>'
+    )

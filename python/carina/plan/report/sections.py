@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from carina.plan.fork_view import Operator
-from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Grid, Section, Words
+from carina.plan.report.blocks import Block, Bullets, Clip, Facts, Figure, Figures, Grid, Section, Words
 from carina.plan.report.doubt import dense_words
 from carina.plan.report.drawing import Drawing, Raster
 from carina.plan.report.figures import needle_bar, slice_drawing, tree_drawing
@@ -18,6 +18,7 @@ from carina.plan.report.wording import (
 )
 from carina.plan.routes import PlannedRoute, ScoreWeights
 from carina.plan.score import MEDIASTINUM_MM
+from carina.plan.turn_clips import TurnClip
 from carina.plan.turn_pictures import TurnPicture
 from carina.plan.turn_words import hour_words, joined, moves_words
 from carina.plan.turns import Turn
@@ -283,7 +284,11 @@ def _turns(sheet: PlanSheet) -> list[Section]:
         depth = f"Main carina at {sheet.turns.carina_depth_mm / 10.0:.1f} cm from nose or mouth{stop} (estimates)."
         blocks.append(Words(depth, "quiet"))
     if sheet.turn_pictures:
-        stills = tuple(Figure(_still(one), f"{n}. {one.words}") for n, one in enumerate(sheet.turn_pictures, 1))
+        clips = sheet.turn_clips or (None,) * len(sheet.turn_pictures)
+        stills = tuple(
+            Figure(_still(one), f"{n}. {one.words}", None if clip is None else _clip(clip))
+            for n, (one, clip) in enumerate(zip(sheet.turn_pictures, clips, strict=True), 1)
+        )
         blocks += [Words(STILLS, "quiet"), Figures(stills, 3)]
     return [Section("turns", "Turns", tuple(blocks))]
 
@@ -312,6 +317,10 @@ def _still(one: TurnPicture) -> Drawing:
     height, width = one.rgb.shape[:2]
     picture = Raster((0.0, 0.0), (width, height), one.png())
     return Drawing(width, height, (picture,), f"Airway view before the turn into {one.words}")
+
+
+def _clip(one: TurnClip) -> Clip:
+    return Clip(one.strip(), len(one.frames), one.duration_s, f"to the turn into {one.turn.to_branch}")
 
 
 def _verdicts(sheet: PlanSheet) -> list[Section]:

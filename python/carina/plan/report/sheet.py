@@ -22,6 +22,7 @@ from carina.plan.report.slices import SlicePicture, needle_slice, place_slices, 
 from carina.plan.report.tree_shape import TreeShape, tree_shape
 from carina.plan.routes import Plan, PlannedRoute
 from carina.plan.surroundings import Surroundings, surroundings
+from carina.plan.turn_clips import TurnClip
 from carina.plan.turn_pictures import TurnPicture
 from carina.plan.turns import Turn, TurnList
 from carina.plan.verdict import Verdict
@@ -134,6 +135,8 @@ class PlanSheet:
     turns: TurnList | None
     turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
     """One of each turn, or none at all."""
+    turn_clips: tuple[TurnClip | None, ...] = field(repr=False)
+    """The way to each turn, or none at all; None for a stretch without length."""
     forks: tuple[Fork, ...]
     operator: Operator
     place: TargetPlace
@@ -190,6 +193,7 @@ def make_sheet(
     verdicts: Sequence[Verdict] = (),
     turns: TurnList | None = None,
     turn_pictures: Sequence[TurnPicture] = (),
+    turn_clips: Sequence[TurnClip | None] = (),
     notes: Sequence[str] = (),
     patient: str | None = None,
     operator: Operator = "head",
@@ -210,6 +214,8 @@ def make_sheet(
         What instruments can do on that route (`judge_scopes`).
     turns, turn_pictures
         Its list of turns (`carina.plan.turn_list`), and a picture of each (`carina.plan.turn_pictures`), or none.
+    turn_clips
+        The way to each (`carina.plan.turn_clips`), played over its picture, or none.
     notes
         The planner's own, shown as they are.
     patient
@@ -251,6 +257,7 @@ def make_sheet(
     check_type("make_sheet", "plan", plan, Plan, "get a plan from carina.plan_route")
     route = _chosen(plan, route_number)
     _check_pictures(turns, turn_pictures, operator)
+    _check_clips(turn_pictures, turn_clips)
     _check_turns(airways, route, turns)
     told = _Steps(progress, cancel)
     told(0.0)
@@ -271,6 +278,7 @@ def make_sheet(
         verdicts=tuple(verdicts),
         turns=turns,
         turn_pictures=tuple(turn_pictures),
+        turn_clips=tuple(turn_clips),
         forks=() if route is None else _forks(airways, plan, route, turns),
         operator=operator,
         place=place,
@@ -360,6 +368,21 @@ def _check_pictures(turns: TurnList | None, pictures: Sequence[TurnPicture], ope
     if other is not None:
         raise UsageError(
             f"report: the pictures of the turns are for an operator at {other!r}, the report for one at {operator!r}",
+            code="plan.pictures",
+        )
+
+
+def _check_clips(pictures: Sequence[TurnPicture], clips: Sequence[TurnClip | None]) -> None:
+    """Refuse clips that do not end in the pictures over which they are played."""
+    if not clips:
+        return
+    ends = [(one.turn, one.operator) for one in pictures]
+    if len(clips) != len(ends) or any(
+        clip is not None and (clip.turn, clip.operator) != end for clip, end in zip(clips, ends, strict=True)
+    ):
+        raise UsageError(
+            f"report: expected a clip, or None, for each of {len(ends)} pictures of turns, in their order and for the "
+            f"same position of the operator; found {len(clips)} clips, or others",
             code="plan.pictures",
         )
 

@@ -10,16 +10,18 @@ from carina.plan.fork_view import Operator
 from carina.plan.report.sheet import PlanSheet, make_sheet
 from carina.plan.route_turns import turn_list
 from carina.plan.routes import Plan
+from carina.plan.turn_clips import TurnClip, turn_clips
 from carina.plan.turn_pictures import TurnPicture, turn_pictures
 from carina.plan.turns import TurnList
 from carina.plan.verdict import Verdict
+from carina.render import Renderer
 from carina.scopes import WallField
 from carina.track import Airways
 from carina.volume import Volume
 
 __all__ = ["PlanMaterials", "whole_sheet"]
 
-PICTURES_SHARE = 0.6
+PICTURES_SHARE, CLIPS_SHARE = 0.35, 0.35
 """Of the work, where there are turns."""
 
 
@@ -46,10 +48,11 @@ def whole_sheet(
     materials: PlanMaterials,
     *,
     patient: str | None = None,
+    clips: bool = False,
     progress: Callable[[float], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanSheet:
-    """The report of a plan, with the list of turns of its route.
+    """The report of a plan, with the list of turns of its route and a picture of each.
 
     Parameters
     ----------
@@ -57,6 +60,8 @@ def whole_sheet(
         CT, airways and plan.
     patient
         A name or number to be printed; none unless told.
+    clips
+        With the stretch to each turn as a short clip, which only a page on a screen plays.
     progress, cancel
         Told the share done; asked whether to stop.
 
@@ -68,7 +73,16 @@ def whole_sheet(
     made, plan = materials, materials.plan
     turns: TurnList | None = None
     pictures: tuple[TurnPicture, ...] = ()
-    pictures_share = PICTURES_SHARE if plan.routes else 0.0
+    stretches: tuple[TurnClip | None, ...] = ()
+    done = 0.0
+
+    def part(share: float) -> Callable[[float], None] | None:
+        """Tells of the next part of the work, which is this share of it."""
+        nonlocal done
+        before, done = done, done + share
+        tell = progress
+        return None if tell is None else lambda told: tell(before + told * share)
+
     if plan.routes:
         route = plan.routes[made.route_number - 1]
         driven = next((v.driven for v in made.verdicts if v.scope.name == plan.scope.name), None)
@@ -80,14 +94,30 @@ def whole_sheet(
             carina_ridge_mm=plan.carina_ridge_mm,
             carina_depth_mm=made.carina_depth_mm,
         )
+        renderer = Renderer(made.volume)
+        renderer.set_lumen(made.airways.lumen_zyx)
         pictures = turn_pictures(
             made.volume,
             made.airways,
             turns,
             operator=made.operator,
-            progress=None if progress is None else lambda share: progress(share * PICTURES_SHARE),
+            renderer=renderer,
+            progress=part(PICTURES_SHARE),
             cancel=cancel,
         )
+        if clips:
+            # Worth its maps only for hundreds of pictures.
+            renderer.prepare()
+            stretches = turn_clips(
+                made.volume,
+                made.airways,
+                route,
+                turns,
+                operator=made.operator,
+                renderer=renderer,
+                progress=part(CLIPS_SHARE),
+                cancel=cancel,
+            )
     return make_sheet(
         made.volume,
         made.airways,
@@ -96,10 +126,11 @@ def whole_sheet(
         verdicts=made.verdicts,
         turns=turns,
         turn_pictures=pictures,
+        turn_clips=stretches,
         notes=made.notes,
         patient=patient,
         operator=made.operator,
         wall=made.wall,
-        progress=None if progress is None else lambda share: progress(pictures_share + share * (1.0 - pictures_share)),
+        progress=part(1.0 - done),
         cancel=cancel,
     )
