@@ -97,3 +97,15 @@ class TakeTarget(LocalCommand, frozen=True):
     path: str
     structure: str | None = None
     """Name or number, where the file has several."""
+
+
+class MapLungs(Command, frozen=True):
+    """Look for what lies round the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS."""
+
+
+class MapReach(Command, frozen=True):
+    """Map where in the lungs an instrument's tip and tool get to."""
+
+    scope: Identifier = "thin"
+    """Of the library of instruments."""
+    tool: Identifier = "needle-21g"

@@ -28,6 +28,7 @@ from carina.session.grey_scale import HISTOGRAM_PRESET, grey_scale
 from carina.session.inside import in_lumen
 from carina.session.jobs import JobRunner
 from carina.session.key_flight import KeyFlight, key_flight
+from carina.session.lung_values import CaseLungs
 from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts, RendererFactory
 from carina.session.plan_values import CasePlanning
@@ -153,6 +154,7 @@ class OpenCase:
     pilot: Pilot
     history: History[Document]
     planning: CasePlanning
+    lungs: CaseLungs
     wall: Derived[Airways, LumenWall]
     """Of airways that a scope was to be held in."""
     measures: Derived[Airways, TreeMeasures]
@@ -203,7 +205,7 @@ class OpenCase:
 
     def discard(self) -> None:
         """Make nothing more for it, and keep nothing large: another case is open, or none."""
-        for derived in (self.content, self.wall, self.measures, self.planning):
+        for derived in (self.content, self.wall, self.measures, self.planning, self.lungs):
             derived.discard()
 
     @property
@@ -259,6 +261,7 @@ def new_case(
     history = History(document) if kept is None else kept.history()
     measured = MeasuredAirways(() if kept is None else kept.measures)
     transfer = history.current.transfer
+    planning = CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan"))
     case = OpenCase(
         number=number,
         info=CaseSnapshot(volume, parts.quality_words(volume), scale, volume.value_range),
@@ -267,7 +270,15 @@ def new_case(
         ),
         pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
         history=history,
-        planning=CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan")),
+        planning=planning,
+        lungs=CaseLungs(
+            volume,
+            parts,
+            jobs=jobs,
+            lock=lock,
+            wall=planning.wall_of,
+            changed=partial(changed, "lungs", "views"),
+        ),
         wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
         measures=derived_measures(
             volume,

@@ -20,6 +20,7 @@ from carina.track import Mesh, mask_mesh
 
 if TYPE_CHECKING:
     from carina.plan import Nodule, Plan, Verdict
+    from carina.scopes import WallField
     from carina.track import Airways
     from carina.volume import Volume
 
@@ -202,6 +203,12 @@ class CasePlanning:
     def made(self) -> MadePlans | None:
         """The plans of the document, once they are there."""
         return self._plans.of(self._inputs(self._document))
+
+    def wall_of(self, airways: Airways) -> WallField | None:
+        """The wall of airways, where it was made for the plans."""
+        made = self.made
+        same = made is not None and made.airways.lumen_zyx is airways.lumen_zyx
+        return made.wall if made is not None and same else None
 
     def _verdict_inputs(self) -> VerdictInputs | None:
         document, made = self._document, self.made

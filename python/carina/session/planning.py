@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from carina import commands as c
 from carina.case.document import Document, Target
@@ -12,9 +13,13 @@ from carina.plan import tool
 from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
 from carina.session.case import OpenCase, as_point
+from carina.session.lung_values import LungsInfo
 from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number
 from carina.session.subject import Subject, answers, does
 from carina.session.targets import needed_target
+
+if TYPE_CHECKING:
+    from carina.track import Airways
 
 __all__ = ["Planning"]
 
@@ -25,7 +30,30 @@ class Planning(Subject):
     def follow(self, case: OpenCase) -> None:
         """Plan for what the document has now, with the session locked."""
         case.planning.follow(case.document)
-        self.core.changed("plan")
+        case.lungs.follow(case.document)
+        self.core.changed("plan", "lungs")
+
+    @does(c.MapLungs)
+    def map_lungs(self, _command: c.MapLungs) -> None:
+        """In the background; what was stopped or failed is tried again."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            case.lungs.map_lungs(_airways_of(case))
+
+    @does(c.MapReach)
+    def map_reach(self, command: c.MapReach) -> None:
+        """The same, for one instrument at a time."""
+        scope_preset(command.scope)
+        tool(command.tool)
+        case = self.core.needed_case()
+        with self.core.lock:
+            case.lungs.map_reach(_airways_of(case), command.scope, command.tool)
+
+    @answers(c.LungsOf)
+    def lungs_of(self, _question: c.LungsOf) -> LungsInfo:
+        """As far as it is made."""
+        with self.core.lock:
+            return self.core.needed_case().lungs.info()
 
     @does(c.SetPlanOptions)
     def set_plan_options(self, command: c.SetPlanOptions) -> None:
@@ -134,6 +162,15 @@ class Planning(Subject):
                 operator=document.look.operator,
                 notes=tuple(note for note in (target.name, target.note) if note),
             )
+
+
+def _airways_of(case: OpenCase) -> Airways:
+    airways = case.document.airways
+    if airways is None:
+        raise NoResultError(
+            "what lies round the target is told from the airways: segment them first", code="plan.no-airways"
+        )
+    return airways
 
 
 def _with_target(document: Document, changed: Target) -> Document:

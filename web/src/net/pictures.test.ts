@@ -42,6 +42,7 @@ function picture(
     },
     payload: new Uint8Array(),
     outline: null,
+    layers: [],
   };
 }
 
