@@ -54,6 +54,13 @@ class ChoosePlannedRoute(Command, frozen=True):
     """1 is the best."""
 
 
+class SeeTurn(Command, frozen=True):
+    """Put the tip where a turn of the chosen route is seen from, as the list of turns tells its hour."""
+
+    number: Annotated[int, Meta(ge=1, le=100)]
+    """In the list, from 1."""
+
+
 class GrowTarget(Command, frozen=True):
     """What was clicked beside an airway is a nodule, not a place in the airway."""
 

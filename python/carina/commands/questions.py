@@ -54,6 +54,10 @@ class LungsOf(Question[Any], frozen=True):
     """What was mapped of the lungs, as far as it is made: a :class:`carina.session.LungsInfo`."""
 
 
+class CtFolder(Question[Any], frozen=True):
+    """Where the DICOM files of the CT lie, a path; UsageError (``plan.not-dicom``) says why it is not known."""
+
+
 class PlanToTakeAway(Question[Any], frozen=True):
     """What the report of a target's plan is made from: a :class:`carina.plan.report.PlanMaterials`."""
 

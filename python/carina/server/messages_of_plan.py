@@ -104,6 +104,21 @@ class TargetPlan(FrozenValue, frozen=True):
     """Which route is flown, from 1."""
 
 
+class PlannedTurn(FrozenValue, frozen=True):
+    """A turn of the route that is chosen."""
+
+    head: Words
+    """One line, for an operator at the patient's head."""
+    facing: Words
+    """The same for one who faces the patient."""
+    doubts: tuple[Words, ...]
+    """Of the branch that is entered."""
+    fork_branch_id: BranchId
+    """The branch that ends in the fork."""
+    seen_from_lps: PointLps | None
+    """Where the tip is put for it (``see_turn``)."""
+
+
 class MappedLayer(FrozenValue, frozen=True):
     """A layer that there is, as lines in the pictures (``PictureLayer``)."""
 
@@ -152,3 +167,9 @@ class Plans(ServerMessage, frozen=True):
     verdicts_standing: Making
     tools: tuple[tuple[Identifier, Words], ...]
     """Names and titles of the library."""
+    turns: tuple[PlannedTurn, ...] = ()
+    """Of the route that is chosen, in order."""
+    parking: tuple[Words, Words] | None = None
+    """Where to stop, for an operator at the head and for one who faces the patient."""
+    dicom_problem: Words | None = None
+    """Why no DICOM file of the plan can be written; null where one can."""

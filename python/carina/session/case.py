@@ -40,6 +40,7 @@ from carina.volume import Volume
 
 if TYPE_CHECKING:
     from carina.track import Airways, AirwayTree, Branch, TreeMeasures
+    from carina.volume.dicom_structures import References
 
 __all__ = [
     "HISTOGRAM_PRESET",
@@ -175,6 +176,10 @@ class OpenCase:
     asked_mask: AskedMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
     """What the pen's button marks."""
+    place: str | None = None
+    """The file or folder of this machine that the CT was opened from; None where it was dropped, or made."""
+    references: References | None = None
+    """Of a dropped CT in DICOM, what its files say of themselves; never kept."""
     begun_s: float = 0.0
     """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
     numbers: dict[str, int] = field(default_factory=dict)

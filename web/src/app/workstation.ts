@@ -424,10 +424,10 @@ export class Workstation implements Station {
   }
 
   /** The report of a plan as a file. */
-  async takePlan(targetId: string, suffix: PlanSuffix): Promise<void> {
+  async takePlan(targetId: string, suffix: PlanSuffix, named = false): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: `plan${suffix}` });
-    await this.#take(() => fetchPlan(targetId, suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+    await this.#take(() => fetchPlan(targetId, suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS), named));
     this.ui({ making: null });
   }
 
@@ -764,7 +764,7 @@ export class Workstation implements Station {
 }
 
 /** What a plan is saved as. */
-export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd";
+export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd" | ".seg.dcm" | ".sr.dcm" | ".pdf.dcm";
 
 /** What becomes of files that were sent. */
 const UPLOADED = {

@@ -585,6 +585,12 @@ export interface ChoosePlannedRouteMessage {
   readonly number?: number;
 }
 
+/** Put the tip where a turn of the chosen route is seen from, as the list of turns tells its hour. */
+export interface SeeTurnMessage {
+  readonly type: "see_turn";
+  readonly number: number;
+}
+
 /** What was clicked beside an airway is a nodule, not a place in the airway. */
 export interface GrowTargetMessage {
   readonly type: "grow_target";
@@ -1526,6 +1532,15 @@ export interface ScopeVerdict {
   readonly checks: readonly ScopeCheck[];
 }
 
+/** A turn of the route that is chosen. */
+export interface PlannedTurn {
+  readonly head: string;
+  readonly facing: string;
+  readonly doubts: readonly string[];
+  readonly fork_branch_id: number;
+  readonly seen_from_lps: readonly [number, number, number] | null;
+}
+
 /** The plans, when they changed. */
 export interface PlansMessage {
   readonly type: "plans";
@@ -1534,6 +1549,9 @@ export interface PlansMessage {
   readonly verdicts: readonly ScopeVerdict[];
   readonly verdicts_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
   readonly tools: readonly (readonly [string, string])[];
+  readonly turns: readonly PlannedTurn[];
+  readonly parking: readonly [string, string] | null;
+  readonly dicom_problem: string | null;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -1887,6 +1905,7 @@ export type ClientMessage =
   | SetPlanOptionsMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
+  | SeeTurnMessage
   | GrowTargetMessage
   | ResizeTargetMessage
   | BrushTargetMessage
