@@ -11,7 +11,7 @@ import carina
 from carina.commands import LungsOf, MapLungs, MapReach
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.plan import Nodule
-from carina.plan.lung_map import LungMap, MappedMask, map_lungs
+from carina.plan.lung_map import LungMap, MappedMask, _within, map_lungs
 from carina.session.layers import ShownLayers
 from made import made_phantom
 from small_case import small_bench
@@ -179,6 +179,14 @@ def test_without_airways_nothing_is_looked_for():
     bench = bench_with(find_airways=none)
     with pytest.raises(NoResultError, match="segment them first"):
         bench.session.do(MapLungs())
+
+
+def test_the_rim_of_the_lungs_is_no_vessel():
+    known = np.zeros((9, 10, 11), dtype=bool)
+    known[1:8, :, 2:10] = True
+    inner = _within(known, 2)
+    assert inner[3:6, 2:8, 4:8].all()
+    assert inner.sum() == 3 * 6 * 4
 
 
 @pytest.mark.slow

@@ -23,6 +23,8 @@ Mask = NDArray[np.bool_]
 
 SURE = 0.8
 """A stretch of vessel that is on average less sure is drawn as doubtful: 1.3 times the least curvature."""
+RIM_MM = 3.0
+"""The lungs are closed over the vessels that leave them, and reach into the chest wall: its rim looks like vessels."""
 STRETCH_MM = 1.5
 """Of the Gaussian over which that mean is taken: single voxels would make a line flicker between sure and doubtful."""
 
@@ -115,8 +117,20 @@ def map_lungs(
 
 
 def _with_vessels(seen: Surroundings) -> LungMap:
-    inside = seen.vessel & seen.box.known
+    inside = seen.vessel & _within(seen.box.known, round(RIM_MM / seen.box.step_mm))
     return LungMap(_cropped(inside, seen.box), _cropped(_standing_out(inside, seen), seen.box))
+
+
+def _within(known: Mask, num_voxels: int) -> Mask:
+    """Without the outermost voxels, counted by faces."""
+    inner = np.pad(known, 1)
+    for _ in range(num_voxels):
+        less = inner.copy()
+        for axis in range(3):
+            for shift in (-1, 1):
+                less &= np.roll(inner, shift, axis=axis)
+        inner = less
+    return inner[1:-1, 1:-1, 1:-1]
 
 
 def _standing_out(inside: Mask, seen: Surroundings) -> Mask:

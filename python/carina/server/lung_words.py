@@ -42,7 +42,8 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
             f"{lungs.vessels.ml:.0f} ml in both lungs",
             (
                 NO_MEDIASTINUM,
-                "Arteries and veins are not told apart, and vessels thinner than about 1 mm are seen in part.",
+                "Arteries and veins are not told apart, and vessels thinner than about 1 mm are seen in part; "
+                "none is shown in the outermost 3 mm of the lungs.",
                 "Dashed: less sure. Scars and airways that were not found may look like vessels.",
             ),
         )
