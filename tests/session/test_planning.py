@@ -28,13 +28,16 @@ from carina.commands import (
     PlanToTakeAway,
     RemoveTarget,
     ResizeTarget,
+    SeeTurn,
     SetMode,
+    SetOperator,
     SetPlanOptions,
     TakeTarget,
 )
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
+from carina.server.plan_words import plans_message
 from carina.session.plan_values import shown_surface
 from carina.volume import write_grid
 from made import found_airways, made_phantom
@@ -264,3 +267,27 @@ def test_beside_an_airway_the_airway_is_meant_until_a_person_says_that_it_is_a_n
         (grown,) = case.state.document.targets
         assert grown.lesion is not None and (grown.target_id, grown.name) == (target.target_id, target.name)
         assert case.state.document.route is None or case.state.document.route.target_id != target.target_id
+
+
+def test_a_turn_of_the_list_is_seen_from_where_its_hour_is_told(case: carina.Case, chest: Phantom) -> None:
+    with pytest.raises(NoResultError, match="choose a planned route first"):
+        case.do(SeeTurn(1))
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    case.do(ChoosePlannedRoute(target.target_id, 1))
+    turns = case.ask(PlanningOf()).turns
+    assert turns.turns[0].at_main_carina
+    # With what the hand does, by the drive of the planned scope.
+    assert turns.turns[0].moves is not None
+    for operator in ("head", "facing"):
+        case.do(SetOperator(operator))
+        for number, turn in enumerate(turns.turns, 1):
+            case.do(SeeTurn(number))
+            assert np.allclose(case.pose.lps_from_camera, turn.camera(operator).lps_from_camera)
+    with pytest.raises(UsageError, match=f"has {len(turns.turns)} turns"):
+        case.do(SeeTurn(len(turns.turns) + 1))
+    message = plans_message(case.ask(PlanningOf()))
+    assert [one.head for one in message.turns] == list(turns.words("head")[:-1])
+    ends = {branch.id: branch.points[-1] for branch in case.state.document.airways.tree.branches}
+    for one, turn in zip(message.turns, turns.turns, strict=True):
+        assert np.allclose(ends[one.fork_branch_id], turn.fork_lps)

@@ -6,8 +6,7 @@ use carina_grid::{Affine, Camera, Grid, VolumeView, clip_line_to_box, dot, lengt
 
 use crate::{
     Appearance, Decoration, Field, Light, NormalBricks, RaycastError, TransferTable,
-    composite::Gathered,
-    sampling::Lanes,
+    composite::Gathered, sampling::Lanes,
 };
 
 /// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.

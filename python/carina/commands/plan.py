@@ -54,6 +54,13 @@ class ChoosePlannedRoute(Command, frozen=True):
     """1 is the best."""
 
 
+class SeeTurn(Command, frozen=True):
+    """Put the tip where a turn of the chosen route is seen from, as the list of turns tells its hour."""
+
+    number: Annotated[int, Meta(ge=1, le=100)]
+    """In the list, from 1."""
+
+
 class GrowTarget(Command, frozen=True):
     """What was clicked beside an airway is a nodule, not a place in the airway."""
 
@@ -97,3 +104,15 @@ class TakeTarget(LocalCommand, frozen=True):
     path: str
     structure: str | None = None
     """Name or number, where the file has several."""
+
+
+class MapLungs(Command, frozen=True):
+    """Look for what lies round the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS."""
+
+
+class MapReach(Command, frozen=True):
+    """Map where in the lungs an instrument's tip and tool get to."""
+
+    scope: Identifier = "thin"
+    """Of the library of instruments."""
+    tool: Identifier = "needle-21g"

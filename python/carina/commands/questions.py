@@ -50,6 +50,14 @@ class PlanningOf(Question[Any], frozen=True):
     """The plans of all targets with a size, as far as they are made: a :class:`carina.session.PlanningInfo`."""
 
 
+class LungsOf(Question[Any], frozen=True):
+    """What was mapped of the lungs, as far as it is made: a :class:`carina.session.LungsInfo`."""
+
+
+class CtFolder(Question[Any], frozen=True):
+    """Where the DICOM files of the CT lie, a path; UsageError (``plan.not-dicom``) says why it is not known."""
+
+
 class PlanToTakeAway(Question[Any], frozen=True):
     """What the report of a target's plan is made from: a :class:`carina.plan.report.PlanMaterials`."""
 

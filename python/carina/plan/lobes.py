@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,13 @@ class Lobes:
         return float((self.label_zyx == LOBE_NAMES.index(lobe) + 1).sum()) * STEP_MM**3 / 1000.0
 
 
-def lobes(volume: Volume, tree: AirwayTree) -> Lobes:
+def lobes(
+    volume: Volume,
+    tree: AirwayTree,
+    *,
+    box: Box | None = None,
+    progress: Callable[[str, float | None], None] | None = None,
+) -> Lobes:
     """The lobes by the airways that are nearest through the lung; fissures that are seen move the borders to them.
 
     Parameters
@@ -75,16 +82,30 @@ def lobes(volume: Volume, tree: AirwayTree) -> Lobes:
         The CT.
     tree
         Its airways, named (`carina.find_airways`).
+    box
+        `carina.plan.surroundings.lung_box` of the CT, where it is at hand.
+    progress
+        Told what is done, and the share done; it may raise CancelledError.
 
     Raises
     ------
     NoResultError
         If there is no lung in the CT (``plan.no_lung``) or no lobe's bronchus on the tree (``plan.no_lobe``).
     """
-    box = lung_box(volume)
+
+    def say(what: str, share: float) -> None:
+        if progress is not None:
+            progress(what, share)
+
+    if box is None:
+        say("finding the lungs", 0.0)
+        box = lung_box(volume)
+    say("the lobes by their airways", 0.2)
     inside, matrix = _coarse(box)
     first = nearest_lobe(inside, matrix, tree)
+    say("looking for fissures", 0.4)
     seen = fissures(box, first.label_zyx, first.border_mm, matrix)
+    say("the lobes by airways and fissures", 0.8)
     return nearest_lobe(inside, matrix, tree, seen)
 
 

@@ -100,17 +100,17 @@ def surroundings(
     return replace(_seen(Box.around(volume, centre_lps, half_mm), nodule, wall), fissure=fissure)
 
 
-def lung_surroundings(volume: Volume, wall: WallField) -> Surroundings:
+def lung_surroundings(volume: Volume, wall: WallField, *, box: Box | None = None) -> Surroundings:
     """The same for the whole of both lungs, at 1 mm: for pictures of the vessels, not for needles.
 
-    Vessels thinner than about 1 mm are seen in part.
+    Vessels thinner than about 1 mm are seen in part. ``box`` is `lung_box` of the CT, where it is at hand.
 
     Raises
     ------
     NoResultError
         If there is no lung in the CT (code ``plan.no_lung``).
     """
-    return _seen(lung_box(volume), None, wall)
+    return _seen(lung_box(volume) if box is None else box, None, wall)
 
 
 def lung_box(volume: Volume) -> Box:

@@ -45,7 +45,7 @@ def target_from_file(
     *,
     structure: int | str | None = None,
     at_lps: ArrayLike | None = None,
-    ct: str | Path | None = None,
+    ct: str | Path | References | None = None,
     target_id: str = "target",
     name: str | None = None,
     resample: bool = False,
@@ -66,7 +66,8 @@ def target_from_file(
     at_lps
         (3,) LPS mm: which part, where the structure has several.
     ct
-        The folder or a file from which the CT was opened: then the references in a DICOM file are compared with it.
+        The folder or a file from which the CT was opened, or what `ct_references` read of it: then the references in
+        a DICOM file are compared with it.
         What refers to a CT with other coordinates is refused; without this the position alone is checked, and the
         target says so.
     name
@@ -101,7 +102,7 @@ def target_from_file(
     ours: References | None = None
     if file.is_file() and looks_like_dicom(file):
         source = "rtstruct" if is_structure_set(file) else "seg"
-        ours = None if ct is None else ct_references(Path(ct).expanduser(), volume, watch)
+        ours = ct if ct is None or isinstance(ct, References) else ct_references(Path(ct).expanduser(), volume, watch)
     if source == "rtstruct":
         nodule, named = guarded(
             file, lambda where: _from_structures(where, volume, structure, at_lps, ours=ours, watch=watch)

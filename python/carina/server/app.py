@@ -128,7 +128,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         kind: ReportKind = "tracing" if request.query_params.get("kind") == "tracing" else "report"
         try:
             target_id, _, suffix = request.path_params["name"].partition(".")
-            return await reports.answer(target_id, f".{suffix}", kind)
+            named = request.query_params.get("identity") == "ct"
+            return await reports.answer(target_id, f".{suffix}", kind, "from the CT" if named else "none")
         except CarinaError as trouble:
             return _error(trouble, _status(trouble, 409))
 

@@ -123,8 +123,13 @@ def parse_picture(data: bytes) -> tuple[PictureHeader, bytes]:
     magic = b"\xff\xd8\xff" if header.codec == "jpeg" else b"\x89PNG\r\n\x1a\n"
     if not payload.startswith(magic):
         raise ProtocolError(f"the payload of an image message is not {header.codec.upper()}", code="protocol.picture")
+    end = len(payload)
     if header.outline is not None:
-        _outline_places(payload, header.outline.num_bytes)
+        _line_places(payload, end, header.outline.num_bytes)
+        end -= header.outline.num_bytes
+    for layer in reversed(header.layers):
+        _line_places(payload, end, layer.num_bytes)
+        end -= layer.num_bytes
     return header, payload
 
 
@@ -139,21 +144,22 @@ def split_outline(header: PictureHeader, payload: bytes) -> tuple[bytes, tuple[t
     if header.outline is None:
         return payload, ()
     lines = []
-    for start, count in _outline_places(payload, header.outline.num_bytes):
+    for start, count in _line_places(payload, len(payload), header.outline.num_bytes):
         values = struct.unpack_from(f"<{2 * count}H", payload, start)
         lines.append(tuple((c / 16.0, r / 16.0) for c, r in zip(values[::2], values[1::2], strict=True)))
-    return payload[: len(payload) - header.outline.num_bytes], tuple(lines)
+    num_layers = sum(layer.num_bytes for layer in header.layers)
+    return payload[: len(payload) - header.outline.num_bytes - num_layers], tuple(lines)
 
 
-def _outline_places(payload: bytes, num_bytes: int) -> list[tuple[int, int]]:
-    """Where the points of each line begin, and how many they are."""
-    at = len(payload) - num_bytes
+def _line_places(payload: bytes, end: int, num_bytes: int) -> list[tuple[int, int]]:
+    """Where the points of each line begin, and how many they are, in the bytes before an end."""
+    at = end - num_bytes
     if at <= 0:
         raise ProtocolError("the outline in an image message leaves no room for the image", code="protocol.picture")
     places = []
-    while at < len(payload):
-        count = int.from_bytes(payload[at : at + 2], "little") if at + 2 <= len(payload) else 0
-        if count == 0 or at + 2 + 4 * count > len(payload):
+    while at < end:
+        count = int.from_bytes(payload[at : at + 2], "little") if at + 2 <= end else 0
+        if count == 0 or at + 2 + 4 * count > end:
             raise ProtocolError("the outline in an image message ends in the middle of a line", code="protocol.picture")
         places.append((at + 2, count))
         at += 2 + 4 * count

@@ -10,6 +10,7 @@ from carina.commands.fields import BranchId, Count, Identifier, OwnName, Pixels,
 from carina.commands.value import FrozenValue
 from carina.render import VIEW_NAMES
 from carina.server.wire_codec import ClientMessage
+from carina.session.layers import LayerName
 
 
 class AskAtPlace(FrozenValue, frozen=True):
@@ -126,6 +127,12 @@ class SetFrameRate(ClientMessage, frozen=True):
     """Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step."""
 
     rate_hz: Annotated[float, Meta(ge=5.0, le=240.0)]
+
+
+class SetLayers(ClientMessage, frozen=True):
+    """Which of what was mapped round the targets this window's slices carry; all of it, unless told."""
+
+    layers: Annotated[tuple[LayerName, ...], Meta(max_length=8)]
 
 
 class AskStorage(ClientMessage, frozen=True):

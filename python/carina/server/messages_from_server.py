@@ -29,6 +29,7 @@ from carina.render import ClusterState, DecorationName, Processor, Sight
 from carina.scopes import ScopeHold
 from carina.server.messages_of_devices import NetworkPage
 from carina.server.wire_codec import ServerMessage
+from carina.session.layers import LayerName
 from carina.session.snapshot import FlightPlace, SavingInfo
 from carina.track import DrawnPart
 from carina.value import FrozenValue
@@ -491,6 +492,23 @@ class PictureOutline(FrozenValue, frozen=True):
     """False where the lumen is so ragged that it is left out."""
 
 
+class PictureLayer(FrozenValue, frozen=True):
+    """The outline of one part of what was mapped round the targets, in this picture.
+
+    Its bytes stand between the picture's and the outline's, in the order of the list, and have the outline's form; but
+    their numbers are sixteenths of a unit of its own, so that every line is closed, however far the picture is zoomed.
+    """
+
+    layer: LayerName
+    part: Identifier
+    """*sure* or *unsure* of vessels and of reach, where *unsure* encloses *sure*; *seen*; or the name of a lobe."""
+    num_bytes: Annotated[int, Meta(ge=0, le=MAX_OUTLINE_BYTES)]
+    pixel_from_line: Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
+    """From these units to columns and rows of this picture, in the order of a canvas's ``transform``."""
+    complete: bool
+    """False where it is so ragged that it is left out."""
+
+
 class PictureHeader(FrozenValue, frozen=True):
     """Header of a binary message; the payload follows."""
 
@@ -526,3 +544,5 @@ class PictureHeader(FrozenValue, frozen=True):
     """What of an airway view is decoration and not the patient's; empty where nothing is."""
     render_ms: float
     method: Words
+    layers: Annotated[tuple[PictureLayer, ...], Meta(max_length=32)] = ()
+    """Slices and the cut-plane: what was mapped round the targets, as far as the window wants it (``set_layers``)."""

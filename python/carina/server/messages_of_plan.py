@@ -10,6 +10,7 @@ from carina.case.routes import NeedleLine
 from carina.commands.fields import BranchId, Count, Identifier, Part, PointLps, PointsLps, Words
 from carina.commands.plan import PlanOptions
 from carina.server.wire_codec import ServerMessage
+from carina.session.layers import LayerName
 from carina.value import FrozenValue
 
 Making = Literal["unwanted", "making", "had", "failed", "stopped"]
@@ -103,6 +104,59 @@ class TargetPlan(FrozenValue, frozen=True):
     """Which route is flown, from 1."""
 
 
+class PlannedTurn(FrozenValue, frozen=True):
+    """A turn of the route that is chosen."""
+
+    head: Words
+    """One line, for an operator at the patient's head."""
+    facing: Words
+    """The same for one who faces the patient."""
+    doubts: tuple[Words, ...]
+    """Of the branch that is entered."""
+    fork_branch_id: BranchId
+    """The branch that ends in the fork."""
+    seen_from_lps: PointLps | None
+    """Where the tip is put for it (``see_turn``)."""
+
+
+class MappedLayer(FrozenValue, frozen=True):
+    """A layer that there is, as lines in the pictures (``PictureLayer``)."""
+
+    layer: LayerName
+    words: Words
+    """What it shows, in figures."""
+    limits: tuple[Words, ...]
+    """What it does not show, and how sure it is."""
+
+
+class Station(FrozenValue, frozen=True):
+    """Where a lymph node station is looked for with EBUS, by the airways alone."""
+
+    station: Words
+    words: Words
+    point_lps: PointLps | None
+    """On the centreline; null where the tree does not show the airways that define it."""
+    direction_lps: PointLps | None
+    """Unit vector across the airway, to the wall behind which it lies."""
+    borders: Words
+    doubts: tuple[Words, ...]
+
+
+class Lungs(ServerMessage, frozen=True):
+    """What was mapped round the targets, when it changed."""
+
+    standing: Making
+    """Of vessels, fissures, lobes and stations."""
+    reach_standing: Making
+    layers: tuple[MappedLayer, ...]
+    stations: tuple[Station, ...]
+    station_limits: Words
+    problems: tuple[Words, ...]
+    """Why something is missing."""
+    outdated: bool
+    """Something was mapped, and the airways have changed since: it is not shown until a person asks again."""
+
+
 class Plans(ServerMessage, frozen=True):
     """The plans, when they changed."""
 
@@ -113,3 +167,9 @@ class Plans(ServerMessage, frozen=True):
     verdicts_standing: Making
     tools: tuple[tuple[Identifier, Words], ...]
     """Names and titles of the library."""
+    turns: tuple[PlannedTurn, ...] = ()
+    """Of the route that is chosen, in order."""
+    parking: tuple[Words, Words] | None = None
+    """Where to stop, for an operator at the head and for one who faces the patient."""
+    dicom_problem: Words | None = None
+    """Why no DICOM file of the plan can be written; null where one can."""

@@ -25,6 +25,26 @@ def plans_message(info: PlanningInfo) -> wire.Plans:
         verdicts=tuple(_verdict(verdict) for verdict in info.verdicts),
         verdicts_standing=info.verdicts_standing,
         tools=tuple((one.name, one.title) for one in tools()),
+        turns=() if info.turns is None else _turns(info),
+        parking=None if info.turns is None else (info.turns.words("head")[-1], info.turns.words("facing")[-1]),
+        dicom_problem=info.dicom_problem,
+    )
+
+
+def _turns(info: PlanningInfo) -> tuple[wire.PlannedTurn, ...]:
+    assert info.turns is not None
+    airways = info.document.airways
+    ends = {} if airways is None else {_point(branch.points[-1]): branch.id for branch in airways.tree.branches}
+    lines = (info.turns.words("head"), info.turns.words("facing"))
+    return tuple(
+        wire.PlannedTurn(
+            head=lines[0][n],
+            facing=lines[1][n],
+            doubts=turn.doubts,
+            fork_branch_id=ends.get(turn.fork_lps, turn.to_branch_id),
+            seen_from_lps=turn.seen_from_lps,
+        )
+        for n, turn in enumerate(info.turns.turns)
     )
 
 

@@ -18,11 +18,11 @@ from carina.errors import CancelledError, CarinaError, UsageError
 from carina.render import FINDER_VIEW, LEAD_VIEW, CancelToken
 from carina.scopes import Optics
 from carina.server.budget import FULL_STEP_VOX
-from carina.server.messages import PictureHeader, PictureLens, PictureOutline, Status
+from carina.server.messages import PictureHeader, PictureLayer, PictureLens, PictureOutline, Status
 from carina.server.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
 from carina.server.presenter import picture_lines
 from carina.server.wire_codec import encode_picture
-from carina.session import Renderer, ShownCase, log_fault
+from carina.session import LayerLines, Renderer, ShownCase, log_fault
 
 __all__ = ["FramePump", "ShownPicture", "encode_jpeg"]
 
@@ -225,6 +225,7 @@ class FramePump:
             view = scene.spec(shows, order.width, order.height, order.step_vox, full_width=order.full_width)
             picture = scene.renderer.render(view, stop=stop)
             outline = scene.outline_of(shows, picture)
+            layers = scene.layers_of(shows, picture)
             rendered_s = self._clock() - began_s
             frame_id = next(self._frame_ids)
             payload, quality = encode_jpeg(picture.rgb, full=order.full)
@@ -249,8 +250,10 @@ class FramePump:
                 decorated=picture.decorated,
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),
+                layers=tuple(_layer(one) for one in layers),
             )
-            data = encode_picture(header, payload if outline is None else payload + outline.data)
+            parts = (payload, *(one.data for one in layers), b"" if outline is None else outline.data)
+            data = encode_picture(header, b"".join(parts))
         except CarinaError as trouble:
             if isinstance(trouble, CancelledError) and stop.cancelled:
                 with self._lock:
@@ -327,6 +330,10 @@ def _lens(optics: Optics | None) -> PictureLens | None:
         return None
     model, coefficients = optics.formula
     return PictureLens(cast(Any, model), coefficients, optics.focal_px, optics.centre_px, optics.limit_rad)
+
+
+def _layer(lines: LayerLines) -> PictureLayer:
+    return PictureLayer(lines.layer, lines.part, len(lines.data), lines.pixel_from_line, lines.complete)
 
 
 def _matrix(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import time
 from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
+from typing import Literal
 
 from starlette.responses import Response
 
-from carina.commands import PlanningOf, PlanToTakeAway
+from carina.commands import CtFolder, PlanningOf, PlanToTakeAway
 from carina.errors import CancelledError, CarinaError
 from carina.export import export_plan
 from carina.plan.report import PlanMaterials, ReportKind, whole_sheet, write_report
@@ -22,7 +24,9 @@ __all__ = ["REPORT_SUFFIXES", "Reports"]
 
 REPORT_SUFFIXES = (".html", ".pdf", ".json")
 PLAN_SUFFIXES = (".mrk.json", ".seg.nrrd")
-"""For 3D Slicer; DICOM needs the folder of the CT, and is written by ``carina plan``."""
+"""For 3D Slicer."""
+DICOM_SUFFIXES = (".seg.dcm", ".sr.dcm", ".pdf.dcm")
+"""For an archive: segmentation, measurements, the report. They refer to the CT: its folder must be known."""
 STEM: dict[ReportKind, str] = {"report": "plan", "tracing": "tracing-sheet"}
 """Of every file: neither the patient nor the case is in its name."""
 SHEET_SHARE = 0.8
@@ -43,22 +47,28 @@ class Reports:
     def __init__(self, session: Session) -> None:
         self._session = session
 
-    async def answer(self, target_id: str, suffix: str, kind: ReportKind) -> Response:
+    async def answer(
+        self, target_id: str, suffix: str, kind: ReportKind, identity: Literal["none", "from the CT"] = "none"
+    ) -> Response:
         """The report with this suffix, which is removed once it has been sent.
+
+        ``identity`` is that of a DICOM file: nothing of the patient unless asked.
 
         Raises
         ------
         CarinaError
             If Carina writes no such file, there is no plan yet, the job was stopped, or the disk takes nothing.
         """
-        known = (*REPORT_SUFFIXES, *PLAN_SUFFIXES)
+        known = (*REPORT_SUFFIXES, *PLAN_SUFFIXES, *DICOM_SUFFIXES)
         if suffix not in known:
             msg = f"Carina can write a plan as {', '.join(known)}; found {suffix!r}"
             raise CarinaError(msg, code="export.suffix")
         materials: PlanMaterials = self._session.ask(PlanToTakeAway(target_id))
+        archive = _Archive(self._session.ask(CtFolder()), identity) if suffix in DICOM_SUFFIXES else None
         folder = new_folder()
         try:
-            path = await asyncio.wrap_future(self._begin(materials, target_id, folder / f"{STEM[kind]}{suffix}", kind))
+            place = folder / f"{STEM[kind]}{suffix}"
+            path = await asyncio.wrap_future(self._begin(materials, target_id, place, kind, archive))
         except BaseException:
             rmtree(folder, ignore_errors=True)
             raise
@@ -68,7 +78,9 @@ class Reports:
             return FileForOnce(path, headers=headers | {"content-security-policy": SANDBOX})
         return FileForOnce(path, filename=path.name, headers=headers)
 
-    def _begin(self, materials: PlanMaterials, target_id: str, path: Path, kind: ReportKind) -> Future[Path]:
+    def _begin(
+        self, materials: PlanMaterials, target_id: str, path: Path, kind: ReportKind, archive: _Archive | None
+    ) -> Future[Path]:
         done: Future[Path] = Future()
 
         def work(job: Job) -> None:
@@ -84,10 +96,16 @@ class Reports:
                         export_plan(path, materials.plan, materials.airways.tree, badges=materials.airways.badges)
                     )
                     return
+                if archive is not None and not path.name.endswith(".pdf.dcm"):
+                    done.set_result(archive.export(path, materials, job))
+                    return
                 asked = _with_verdicts(self._session, materials, target_id, job)
                 plays = path.suffix == ".html" and kind == "report"
                 sheet = whole_sheet(asked, clips=plays, progress=rendering, cancel=job.cancel)
-                made = write_report(path, sheet, kind=kind, progress=writing, cancel=job.cancel)
+                pages = path if archive is None else path.with_suffix("").with_suffix(".pdf")
+                made = write_report(pages, sheet, kind=kind, progress=writing, cancel=job.cancel)
+                if archive is not None:
+                    made = archive.wrap(path, made.read_bytes(), materials, job)
             except CancelledError:
                 _settle(done, CarinaError("the report was stopped", code="plan.report-stopped"))
                 raise
@@ -99,6 +117,42 @@ class Reports:
 
         self._session.jobs.start("report", "making the report", work)
         return done
+
+
+@dataclass(frozen=True, slots=True)
+class _Archive:
+    """What a DICOM file of a plan needs beside it."""
+
+    ct: Path
+    identity: Literal["none", "from the CT"]
+
+    def export(self, path: Path, materials: PlanMaterials, job: Job) -> Path:
+        """A segmentation or measurements, under the target's name."""
+        job.progress("comparing the CT", None)
+        name = materials.notes[0] if materials.notes else "Target"
+        return export_plan(
+            path,
+            {name: materials.plan},
+            materials.airways.tree,
+            volume=materials.volume,
+            ct=self.ct,
+            identity=self.identity,
+            cancel=job.cancel,
+        )
+
+    def wrap(self, path: Path, pdf: bytes, materials: PlanMaterials, job: Job) -> Path:
+        """The report's pages; they never name the patient."""
+        from carina.export.plan_dicom_pdf import write_plan_pdf
+
+        return write_plan_pdf(
+            path,
+            pdf,
+            names_patient=False,
+            identity=self.identity,
+            volume=materials.volume,
+            ct=self.ct,
+            cancel=job.cancel,
+        )
 
 
 def _with_verdicts(session: Session, materials: PlanMaterials, target_id: str, job: Job) -> PlanMaterials:

@@ -7,9 +7,10 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from carina.commands import PlanningOf
+from carina.commands import LungsOf, PlanningOf
 from carina.errors import UsageError
 from carina.server import messages as wire
+from carina.server.lung_words import lungs_message
 from carina.server.outbox import Outbox
 from carina.server.plan_words import plans_message
 from carina.server.presenter import key_frames_message, route_message, start_message
@@ -111,8 +112,18 @@ class SharedTexts:
             # No case is open, or it has just been closed.
             return wire.encode_message(wire.Plans((), "unwanted", (), "unwanted", ()))
         planned = (value for one in info.targets for value in (one.target, one.planned))
-        state = (info.document.route, info.standing, info.verdicts_standing, info.verdicts)
+        state = (info.document.route, info.standing, info.verdicts_standing, info.verdicts, info.turns)
+        state = (*state, info.dicom_problem)
         return self._cached("plan", lambda: plans_message(info), *state, *planned)
+
+    def lungs(self) -> str:
+        """What was mapped of the open case's lungs."""
+        try:
+            info = self._session.ask(LungsOf())
+        except UsageError:
+            return wire.encode_message(wire.Lungs("unwanted", "unwanted", (), (), "", (), False))
+        state = (info.lungs, info.reach, info.standing, info.reach_standing, info.stations, info.outdated)
+        return self._cached("lungs", lambda: lungs_message(info), *state)
 
     def flights(self) -> str:
         """What was recorded into the case."""

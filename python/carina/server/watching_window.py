@@ -27,6 +27,8 @@ class WatchingWindow(Window):
 
     watches = True
 
+    layers = ()
+
     def __init__(self, number: int, host: Host) -> None:
         super().__init__(number, host, rate_hz=WATCHERS_RATE_HZ)
         self._sent_away: str | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterable
-from functools import partial
+from dataclasses import replace
 from typing import Any, Protocol, assert_never
 
 from carina.commands import VoxelAt, WallAt
@@ -19,13 +19,16 @@ from carina.server.presenter import history_message, picked_message, pose_messag
 from carina.server.pump import FramePump
 from carina.server.shared_texts import SharedTexts
 from carina.session import (
+    LAYERS,
     Changed,
     Event,
     JobEnded,
     JobProgress,
+    LayerName,
     NotEvident,
     Said,
     Session,
+    ShownCase,
     Snapshot,
     StartMarked,
     Trouble,
@@ -78,6 +81,8 @@ class Window:
 
     watches = False
     """It only watches."""
+    layers: tuple[LayerName, ...] = LAYERS
+    """Of what was mapped round the targets, what its slices carry."""
 
     def __init__(self, number: int, host: Host, *, rate_hz: float) -> None:
         self.number = number
@@ -87,7 +92,7 @@ class Window:
         self.inbox = Inbox(self.handle, lambda number: host.in_loop(self._confirm, number))
         self._num_handled = 0
         self.pump = FramePump(
-            partial(host.session.scene, number),
+            self._scene,
             lambda data: host.in_loop(self.outbox.push_picture, data),
             self._tell_from_pump,
             clock=host.clock,
@@ -109,7 +114,7 @@ class Window:
         self._pointing.start()
         topics = ["start", "state", "watching"]
         if self._session.snapshot().case is not None:
-            topics += ["tree", "route", "plan", "key_frames", "flights", "history", "pose"]
+            topics += ["tree", "route", "plan", "lungs", "key_frames", "flights", "history", "pose"]
         self.mark(*topics)
         for job in self._session.jobs.running:
             if job.latest is not None:
@@ -134,6 +139,10 @@ class Window:
     def threads(self) -> tuple[threading.Thread, ...]:
         """They end soon after :meth:`end`."""
         return self._pictures, self._pointing.thread
+
+    def _scene(self) -> ShownCase | None:
+        scene = self._session.scene(self.number)
+        return None if scene is None else replace(scene, wanted_layers=self.layers)
 
     # ------------------------------------------------------------ out
 
@@ -162,6 +171,8 @@ class Window:
                 return self._host.texts.route()
             case "plan":
                 return self._host.texts.plans()
+            case "lungs":
+                return self._host.texts.lungs()
             case "key_frames":
                 return self._host.texts.key_frames()
             case "flights":
@@ -249,6 +260,9 @@ class Window:
             case wire.SetFrameRate():
                 self.pump.set_rate(message.rate_hz)
                 self.mark("state")
+            case wire.SetLayers():
+                self.layers = message.layers
+                self.pump.content_changed()
             case wire.Probe():
                 self.outbox.push(wire.Value(message.lps, self._session.ask(VoxelAt(message.lps))))
             case wire.Pick():

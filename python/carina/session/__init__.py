@@ -10,6 +10,8 @@ from carina.session.errands import Errand
 from carina.session.flying import view_words
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.key_framing import key_file
+from carina.session.layers import LAYERS, LayerLines, LayerName
+from carina.session.lung_values import LungsInfo
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number, shown_surface
 from carina.session.public import Case
@@ -35,6 +37,7 @@ from carina.session.snapshot import (
 __all__ = [
     "CASE_SUFFIX",
     "FORGOTTEN_FOR_S",
+    "LAYERS",
     "Case",
     "CaseRecord",
     "CaseRecords",
@@ -50,8 +53,11 @@ __all__ = [
     "JobEnded",
     "JobProgress",
     "KeyFramesInfo",
+    "LayerLines",
+    "LayerName",
     "ListedCase",
     "LocalStore",
+    "LungsInfo",
     "MaskQuestion",
     "NotEvident",
     "Parts",

@@ -28,6 +28,7 @@ from carina.session.grey_scale import HISTOGRAM_PRESET, grey_scale
 from carina.session.inside import in_lumen
 from carina.session.jobs import JobRunner
 from carina.session.key_flight import KeyFlight, key_flight
+from carina.session.lung_values import CaseLungs
 from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts, RendererFactory
 from carina.session.plan_values import CasePlanning
@@ -39,6 +40,7 @@ from carina.volume import Volume
 
 if TYPE_CHECKING:
     from carina.track import Airways, AirwayTree, Branch, TreeMeasures
+    from carina.volume.dicom_structures import References
 
 __all__ = [
     "HISTOGRAM_PRESET",
@@ -153,6 +155,7 @@ class OpenCase:
     pilot: Pilot
     history: History[Document]
     planning: CasePlanning
+    lungs: CaseLungs
     wall: Derived[Airways, LumenWall]
     """Of airways that a scope was to be held in."""
     measures: Derived[Airways, TreeMeasures]
@@ -173,6 +176,10 @@ class OpenCase:
     asked_mask: AskedMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
     """What the pen's button marks."""
+    place: str | None = None
+    """The file or folder of this machine that the CT was opened from; None where it was dropped, or made."""
+    references: References | None = None
+    """Of a dropped CT in DICOM, what its files say of themselves; never kept."""
     begun_s: float = 0.0
     """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
     numbers: dict[str, int] = field(default_factory=dict)
@@ -203,7 +210,7 @@ class OpenCase:
 
     def discard(self) -> None:
         """Make nothing more for it, and keep nothing large: another case is open, or none."""
-        for derived in (self.content, self.wall, self.measures, self.planning):
+        for derived in (self.content, self.wall, self.measures, self.planning, self.lungs):
             derived.discard()
 
     @property
@@ -259,6 +266,7 @@ def new_case(
     history = History(document) if kept is None else kept.history()
     measured = MeasuredAirways(() if kept is None else kept.measures)
     transfer = history.current.transfer
+    planning = CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan"))
     case = OpenCase(
         number=number,
         info=CaseSnapshot(volume, parts.quality_words(volume), scale, volume.value_range),
@@ -267,7 +275,15 @@ def new_case(
         ),
         pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
         history=history,
-        planning=CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan")),
+        planning=planning,
+        lungs=CaseLungs(
+            volume,
+            parts,
+            jobs=jobs,
+            lock=lock,
+            wall=planning.wall_of,
+            changed=partial(changed, "lungs", "views"),
+        ),
         wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
         measures=derived_measures(
             volume,

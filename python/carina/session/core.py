@@ -46,7 +46,7 @@ Event = Changed | Trouble | NotEvident | Said | StartMarked | JobProgress | JobE
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
-ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "key_frames", "history", "pose", "views")
+ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "lungs", "key_frames", "history", "pose", "views")
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,6 +395,7 @@ class SessionCore:
                 path_mm=case.navigator.path_mm,
                 picture_turned=case.navigator.picture_turned,
                 lumen=case.outline,
+                layers=case.lungs.shown(),
             )
 
 

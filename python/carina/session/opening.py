@@ -22,6 +22,8 @@ from carina.session.saving import Saving
 from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
 from carina.volume import Volume
+from carina.volume.dicom_structures import References, ct_references
+from carina.volume.watch import Watch
 
 __all__ = ["Opening"]
 
@@ -35,6 +37,13 @@ class _Found:
     place: str | None = None
     """Of the CT."""
     dropped: bool = False
+
+
+@dataclass(slots=True)
+class _Dropped:
+    """What is known only when a dropped CT has been read."""
+
+    references: References | None = None
 
 
 class Opening(Subject):
@@ -66,10 +75,17 @@ class Opening(Subject):
         if scans is not None and is_case_file(command.path):
             return self._open_case_file(Path(command.path), scans, dropped=True)
 
-        def read(job: Job) -> Volume:
-            return self.core.parts.open_volume(command.path, job.progress, job.cancel)
+        dropped = _Dropped()
 
-        return self._open("opening the case", read, None)
+        def read(job: Job) -> Volume:
+            volume = self.core.parts.open_volume(command.path, job.progress, job.cancel)
+            if volume.source.format == "dicom":
+                # The files go once they have been read: a target's file is compared with this later.
+                watch = Watch(job.progress, job.cancel)
+                dropped.references = ct_references(Path(command.path), volume, watch)
+            return volume
+
+        return self._open("opening the case", read, None, dropped=dropped)
 
     def _open_path(self, path: str, case_id: str | None = None) -> str:
         scans = self._saving.scans
@@ -265,6 +281,7 @@ class Opening(Subject):
         finds: bool = True,
         found: _Found | None = None,
         ended: Callable[[], None] = lambda: None,
+        dropped: _Dropped | None = None,
     ) -> str:
         """``case_id`` is the kept case that is meant; else the one of this CT that was used last, or none.
 
@@ -310,6 +327,8 @@ class Opening(Subject):
                     say=lambda words: self.core.emit(Said(words)),
                     kept=kept,
                 )
+                case.place = None if found_place is None or found_place.startswith("demo:") else found_place
+                case.references = None if dropped is None else dropped.references
                 if path is not None and self.core.store is not None:
                     self.core.store.remember(path, volume.source.title, self.core.today())
                 with self.core.lock:

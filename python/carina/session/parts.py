@@ -11,7 +11,8 @@ from carina.errors import UsageError
 from carina.scopes import ScopePreset, scope_presets
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, Plan, Verdict
+    from carina.plan import Nodule, Plan, ReachAtlas, Verdict
+    from carina.plan.lung_map import LungMap
     from carina.render import TransferFunction
     from carina.session.scene import Renderer
     from carina.track import Airways, EditPreview, TreeMeasures
@@ -59,6 +60,18 @@ def _plan_route(*arguments: Any, **options: Any) -> Plan:
     return plan.plan_route(*arguments, **options)
 
 
+def _map_lungs(*arguments: Any, **options: Any) -> LungMap:
+    from carina.plan.lung_map import map_lungs
+
+    return map_lungs(*arguments, **options)
+
+
+def _reach_atlas(*arguments: Any, **options: Any) -> ReachAtlas:
+    from carina import plan
+
+    return plan.reach_atlas(*arguments, **options)
+
+
 def _judge_scopes(*arguments: Any, **options: Any) -> tuple[Verdict, ...]:
     from carina import plan
 
@@ -102,6 +115,10 @@ class Parts:
     """``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
     judge_scopes: Callable[..., tuple[Verdict, ...]] = _judge_scopes
     """``judge_scopes(tree, plan, wall, route=, scopes=, spacing_mm=, entry_mm=, found=, progress=, cancel=)``."""
+    map_lungs: Callable[..., LungMap] = _map_lungs
+    """``map_lungs(volume, airways, wall, progress=, found=)``."""
+    reach_atlas: Callable[..., ReachAtlas] = _reach_atlas
+    """``reach_atlas(volume, airways, scope=, tool=, wall=, progress=, cancel=)``."""
     scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets
     """The instruments that are judged."""
 

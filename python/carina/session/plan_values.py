@@ -13,13 +13,14 @@ from carina.case.document import Document, Lesion, Target
 from carina.commands.plan import PlanOptions
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
-from carina.session.derived import Attempt, Derived, Standing
+from carina.session.derived import Attempt, Cached, Derived, Standing, identical
 from carina.session.jobs import JobRunner
 from carina.session.parts import Parts
 from carina.track import Mesh, mask_mesh
 
 if TYPE_CHECKING:
-    from carina.plan import Nodule, Plan, Verdict
+    from carina.plan import Nodule, Plan, TurnList, Verdict
+    from carina.scopes import WallField
     from carina.track import Airways
     from carina.volume import Volume
 
@@ -81,6 +82,10 @@ class PlanningInfo:
     verdicts: tuple[Verdict, ...]
     verdicts_standing: Standing
     document: Document
+    turns: TurnList | None = None
+    """Of the route that is chosen."""
+    dicom_problem: str | None = None
+    """Why no DICOM file can refer to the CT; None where one can."""
 
 
 PlanInputs = tuple[Any, ...]
@@ -134,6 +139,7 @@ class CasePlanning:
         self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
         """Verdicts that are there already while others are being made."""
         self._document: Document | None = None
+        self._turns: Cached[tuple[Any, ...], TurnList] = Cached(_turns, same=_same_turns)
 
     # ------------------------------------------------------------ what is asked
 
@@ -163,6 +169,15 @@ class CasePlanning:
         """What has become of them."""
         inputs = self._verdict_inputs()
         return "unwanted" if inputs is None else self._verdicts.standing(inputs)
+
+    def turns(self) -> TurnList | None:
+        """Of the route that is chosen; with what the hand does, once the verdict on the planned scope is there."""
+        inputs, made = self._verdict_inputs(), self.made
+        if inputs is None or made is None:
+            return None
+        plan, number = inputs[:2]
+        driven = next((v.driven for v in self.verdicts() if v.scope.name == plan.scope.name), None)
+        return self._turns.of((made.airways.tree, plan, number, driven))
 
     def again(self) -> None:
         """A person asks: also what was stopped or failed is tried again."""
@@ -202,6 +217,12 @@ class CasePlanning:
     def made(self) -> MadePlans | None:
         """The plans of the document, once they are there."""
         return self._plans.of(self._inputs(self._document))
+
+    def wall_of(self, airways: Airways) -> WallField | None:
+        """The wall of airways, where it was made for the plans."""
+        made = self.made
+        same = made is not None and made.airways.lumen_zyx is airways.lumen_zyx
+        return made.wall if made is not None and same else None
 
     def _verdict_inputs(self) -> VerdictInputs | None:
         document, made = self._document, self.made
@@ -283,6 +304,23 @@ class CasePlanning:
             progress=lambda share: attempt.progress("driving each instrument along the route", share),
             cancel=attempt.cancel,
         )
+
+
+def _turns(inputs: tuple[Any, ...]) -> TurnList:
+    from carina.plan import turn_list
+
+    tree, plan, number, driven = inputs
+    return turn_list(
+        tree,
+        plan.routes[number - 1],
+        moves=None if driven is None else driven.moves,
+        insertion_mm=None if driven is None else driven.ends_mm,
+        carina_ridge_mm=plan.carina_ridge_mm,
+    )
+
+
+def _same_turns(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    return a[2] == b[2] and all(identical(x, y) for x, y in zip(a, b, strict=True) if not isinstance(x, int))
 
 
 def _same_inputs(a: PlanInputs, b: PlanInputs) -> bool:

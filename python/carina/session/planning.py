@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from carina import commands as c
 from carina.case.document import Document, Target
@@ -12,9 +14,15 @@ from carina.plan import tool
 from carina.plan.report import PlanMaterials
 from carina.scopes import scope_preset
 from carina.session.case import OpenCase, as_point
+from carina.session.ct_place import dicom_problem
+from carina.session.flying import place_pose
+from carina.session.lung_values import LungsInfo
 from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_number
 from carina.session.subject import Subject, answers, does
 from carina.session.targets import needed_target
+
+if TYPE_CHECKING:
+    from carina.track import Airways
 
 __all__ = ["Planning"]
 
@@ -25,7 +33,30 @@ class Planning(Subject):
     def follow(self, case: OpenCase) -> None:
         """Plan for what the document has now, with the session locked."""
         case.planning.follow(case.document)
-        self.core.changed("plan")
+        case.lungs.follow(case.document)
+        self.core.changed("plan", "lungs")
+
+    @does(c.MapLungs)
+    def map_lungs(self, _command: c.MapLungs) -> None:
+        """In the background; what was stopped or failed is tried again."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            case.lungs.map_lungs(_airways_of(case))
+
+    @does(c.MapReach)
+    def map_reach(self, command: c.MapReach) -> None:
+        """The same, for one instrument at a time."""
+        scope_preset(command.scope)
+        tool(command.tool)
+        case = self.core.needed_case()
+        with self.core.lock:
+            case.lungs.map_reach(_airways_of(case), command.scope, command.tool)
+
+    @answers(c.LungsOf)
+    def lungs_of(self, _question: c.LungsOf) -> LungsInfo:
+        """As far as it is made."""
+        with self.core.lock:
+            return self.core.needed_case().lungs.info()
 
     @does(c.SetPlanOptions)
     def set_plan_options(self, command: c.SetPlanOptions) -> None:
@@ -93,6 +124,31 @@ class Planning(Subject):
             route = route_to_parking(document.airways.tree, needle, target.target_id, target.name)
             self.core.change(case, f"route {command.number} to {target.name}", replace(document, route=route))
 
+    @does(c.SeeTurn)
+    def see_turn(self, command: c.SeeTurn) -> None:
+        """In free movement, level for the operator: what the window tells of the fork is then what the list tells."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            turns = case.planning.turns()
+            if turns is None:
+                raise NoResultError("there is no list of turns: choose a planned route first", code="plan.no-route")
+            if command.number > len(turns.turns):
+                raise UsageError(
+                    f"the route has {len(turns.turns)} turns; there is no turn {command.number}", code="plan.range"
+                )
+            camera = turns.turns[command.number - 1].camera(case.document.look.operator)
+            self.core.fly(place_pose(camera))
+
+    @answers(c.CtFolder)
+    def ct_folder(self, _question: c.CtFolder) -> Path:
+        """Where the CT was opened from."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            problem = dicom_problem(case)
+            if problem is not None or case.place is None:
+                raise UsageError(str(problem), code="plan.not-dicom")
+            return Path(case.place)
+
     @answers(c.PlanningOf)
     def planning_of(self, _question: c.PlanningOf) -> PlanningInfo:
         """As far as it is made."""
@@ -109,6 +165,8 @@ class Planning(Subject):
                 verdicts=case.planning.verdicts(),
                 verdicts_standing=case.planning.verdicts_standing(),
                 document=case.document,
+                turns=case.planning.turns(),
+                dicom_problem=dicom_problem(case),
             )
 
     @answers(c.PlanToTakeAway)
@@ -134,6 +192,15 @@ class Planning(Subject):
                 operator=document.look.operator,
                 notes=tuple(note for note in (target.name, target.note) if note),
             )
+
+
+def _airways_of(case: OpenCase) -> Airways:
+    airways = case.document.airways
+    if airways is None:
+        raise NoResultError(
+            "what lies round the target is told from the airways: segment them first", code="plan.no-airways"
+        )
+    return airways
 
 
 def _with_target(document: Document, changed: Target) -> Document:

@@ -15,6 +15,7 @@ from carina.display import one_line
 from carina.render import VIEWS, Sight
 from carina.render.sight import THIN
 from carina.scopes import ImageField, PathFrames, Pose, scope_preset
+from carina.session.layers import LAYERS, LayerLines, LayerName, ShownLayers
 from carina.value import PointLps
 
 if TYPE_CHECKING:
@@ -87,6 +88,10 @@ class ShownCase:
     """The renderer has the transfer function and the lumen that were decided on; else it is being given them."""
     lumen: LumenOutline | None = None
     """The lumen that was decided on, for the outlines in planes: they never wait for the renderer."""
+    layers: ShownLayers | None = None
+    """What lies round the targets, where a person asked for it."""
+    wanted_layers: tuple[LayerName, ...] = LAYERS
+    """Those of them that the window shows."""
 
     @property
     def shown_lps(self) -> PointLps:
@@ -107,6 +112,7 @@ class ShownCase:
             self.content_number if row.by_transfer else None,
             # The object: a lumen is known by its identity, and this keeps it from being another's.
             self.lumen if row.outlined else None,
+            *((self.layers, self.wanted_layers) if row.outlined else ()),
             *row.depends_on(self._settings(row)),
         )
 
@@ -125,6 +131,13 @@ class ShownCase:
         height, width = picture.rgb.shape[:2]
         data = self.lumen.encoded(picture.lps_from_pixel, width, height)
         return LumenLines(b"", complete=False) if data is None else LumenLines(data, complete=True)
+
+    def layers_of(self, view: str, picture: Picture) -> tuple[LayerLines, ...]:
+        """What lies round the targets in a picture of this scene, as far as it was asked for and is wanted."""
+        matrix = picture.lps_from_pixel
+        if not VIEWS[view].outlined or self.layers is None or matrix is None or not np.isfinite(matrix).all():
+            return ()
+        return self.layers.lines(matrix, self.wanted_layers)
 
     def can_be_final(self, view: str) -> bool:
         """Whether a view's picture shows what was decided on, and will not be made again by itself."""

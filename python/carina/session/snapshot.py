@@ -46,7 +46,7 @@ __all__ = [
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
-Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan"]
+Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames", "flights", "history", "plan", "lungs"]
 
 
 @one_line

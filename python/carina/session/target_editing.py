@@ -19,6 +19,7 @@ from carina.plan import (
     whereabouts,
 )
 from carina.session.case import OpenCase
+from carina.session.ct_place import ct_of
 from carina.session.jobs import Job
 from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
@@ -87,6 +88,7 @@ class TargetEditing(Subject):
                 command.path,
                 case.info.volume,
                 structure=named,
+                ct=ct_of(case),
                 target_id=f"target-{number}",
                 progress=job.progress,
                 cancel=job.cancel,

@@ -31,7 +31,7 @@ from carina.track.paths.field import FieldPath, FieldPaths, aimed_path
 from carina.track.paths.live import LivePath
 from carina.track.paths.tracker import PathTracker, TrackedPath
 from carina.track.surface.mesh import Mesh, lumen_mask, lumen_mesh, mask_mesh
-from carina.track.surface.outline import LumenOutline
+from carina.track.surface.outline import LumenOutline, MaskOutline
 from carina.track.surface.wall import wall_field
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.track.targets.tracking import track_paths
@@ -60,6 +60,7 @@ __all__ = [
     "LetterRule",
     "LivePath",
     "LumenOutline",
+    "MaskOutline",
     "Mesh",
     "MoveFork",
     "MoveRoot",

@@ -19,6 +19,7 @@ import { kindWords } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
 import { penOffWords } from "../state/pen";
+import { besideRouteMm, turnBefore } from "../state/plan";
 import { nextStopMm } from "../state/route";
 import { worksIn } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
@@ -391,11 +392,18 @@ function Readings() {
   const station = useStation();
   const advancing = useApp((state) => state.ui.advancing);
   const viewUpDeg = useApp((state) => scopeOf(state)?.view_up_deg ?? 0);
+  const turns = useApp((state) => state.plans?.turns ?? null);
   if (pose === null) return null;
+  const camera = cameraFromMatrix(pose.lps_from_camera);
+  // Before a fork of the list of turns the tip stands by itself, and the fork is the one of the list.
+  const turn = turnBefore(turns ?? [], camera.position);
+  const meant = turn === null ? null : (turns?.[turn]?.fork_branch_id ?? null);
+  const forkFrom =
+    pose.mode === "path" || route === null || meant === null ? at : besideRouteMm(route, camera.position);
   const fork =
-    tree === null || route === null || at === null || pose.mode !== "path"
+    tree === null || route === null || forkFrom === null || (pose.mode !== "path" && meant === null)
       ? null
-      : forkAhead(tree, route, at, lookingUp(cameraFromMatrix(pose.lps_from_camera), viewUpDeg));
+      : forkAhead(tree, route, forkFrom, lookingUp(camera, viewUpDeg), meant);
   const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);

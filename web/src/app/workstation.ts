@@ -14,6 +14,7 @@ import { type AppState, crosshairLps, INITIAL_STATE, pathMm, shownBranch, tipLps
 import { routeDoubts } from "../state/branch-words";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
+import { type ShownLayer, toggled, wantedLayers } from "../state/lungs";
 import { NOT_SENT } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
 import { type PathCost, startOf, targetMessage } from "../state/path-search";
@@ -78,9 +79,9 @@ export class Workstation implements Station {
   constructor(connect: () => WebSocket, token: string | null) {
     this.#board = new PictureBoard<ImageBitmap>({
       decode: ({ header, payload }) => createImageBitmap(new Blob([payload], { type: `image/${header.codec}` })),
-      draw: (header, image, outline) => {
+      draw: (header, image, outline, layers) => {
         // A view that has just left the screen is not remembered either: it would lie when it comes back.
-        if (!this.wall.draw(header, image, outline)) return;
+        if (!this.wall.draw(header, image, outline, layers)) return;
         // What stands in for the airway view says nothing about how quickly that one follows.
         if (header.view === LEAD_VIEW) this.#pace.pictureDrawn(header.pose_id, performance.now());
         else if (header.stands_for === LEAD_VIEW) this.#pace.standInDrawn(header.pose_id);
@@ -406,16 +407,27 @@ export class Workstation implements Station {
     this.ui({ step: "route" });
   };
 
+  /** Shows a layer round the targets, or puts it away: pictures come without it then. */
+  toggleLayer(layer: ShownLayer): void {
+    this.ui({ hiddenLayers: toggled(this.state.ui.hiddenLayers, layer) });
+    this.#tellLayers();
+  }
+
+  #tellLayers(): void {
+    if (!this.state.watches)
+      this.#stream.send({ type: "set_layers", layers: wantedLayers(this.state.ui.hiddenLayers) });
+  }
+
   /** The report of a plan in a tab of its own, which opens the browser's print dialogue; its job tells how far it is. */
   printPlan(targetId: string, kind: "report" | "tracing"): void {
     window.open(planAddress(targetId, ".html", kind), "_blank", "noopener");
   }
 
   /** The report of a plan as a file. */
-  async takePlan(targetId: string, suffix: PlanSuffix): Promise<void> {
+  async takePlan(targetId: string, suffix: PlanSuffix, named = false): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: `plan${suffix}` });
-    await this.#take(() => fetchPlan(targetId, suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+    await this.#take(() => fetchPlan(targetId, suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS), named));
     this.ui({ making: null });
   }
 
@@ -742,6 +754,7 @@ export class Workstation implements Station {
     this.pointing.reset();
     this.previewing.reset();
     if (this.state.ui.devicesOpen) this.#stream.send({ type: "watch_devices", on: true });
+    if (this.state.ui.hiddenLayers.length > 0) this.#tellLayers();
     this.wall.tellLayout(true);
   }
 
@@ -751,7 +764,7 @@ export class Workstation implements Station {
 }
 
 /** What a plan is saved as. */
-export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd";
+export type PlanSuffix = ".pdf" | ".json" | ".mrk.json" | ".seg.nrrd" | ".seg.dcm" | ".sr.dcm" | ".pdf.dcm";
 
 /** What becomes of files that were sent. */
 const UPLOADED = {

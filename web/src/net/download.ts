@@ -26,8 +26,11 @@ export function fetchPlan(
   targetId: string,
   suffix: string,
   signal: AbortSignal,
+  /** Of a DICOM file: whether it names the CT's patient. */
+  named = false,
 ): Promise<{ name: string; blob: Blob }> {
-  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/");
+  const asked = named ? "?identity=ct" : "";
+  return fetchFile(`${encodeURIComponent(targetId)}${suffix}`, signal, "plans/", asked);
 }
 
 /** The key frames with their ways, as `carina fly` takes them. */
@@ -42,8 +45,13 @@ export function fetchFlight(number: number, signal: AbortSignal): Promise<{ name
 
 export const KEYS_FILE = "key-frames.json";
 
-async function fetchFile(name: string, signal: AbortSignal, folder = ""): Promise<{ name: string; blob: Blob }> {
-  const response = await fetch(`./api/${folder}${name}`, { signal });
+async function fetchFile(
+  name: string,
+  signal: AbortSignal,
+  folder = "",
+  asked = "",
+): Promise<{ name: string; blob: Blob }> {
+  const response = await fetch(`./api/${folder}${name}${asked}`, { signal });
   if (!response.ok) {
     const body: unknown = await response.json().catch(() => null);
     const field = (name: string): string | null => {

@@ -43,6 +43,7 @@ function picture(
     },
     payload: new Uint8Array(),
     outline: null,
+    layers: [],
   };
 }
 

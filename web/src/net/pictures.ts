@@ -14,7 +14,7 @@ export interface Decoded {
 export interface PictureSink<T extends Decoded> {
   decode(picture: WirePicture): Promise<T>;
   /** Called synchronously before the acknowledgement. The image is closed after it returns. */
-  draw(header: PictureHeader, image: T, outline: WirePicture["outline"]): void;
+  draw(header: PictureHeader, image: T, outline: WirePicture["outline"], layers: WirePicture["layers"]): void;
   acknowledge(frameId: number): void;
   /** A payload that is no image; the view keeps its last picture. */
   failed(header: PictureHeader): void;
@@ -85,7 +85,7 @@ export class PictureBoard<T extends Decoded> {
       // The view may have been reset while this picture was decoded.
       if (this.#views.get(view) === queue && (queue.shown === null || !isOlder(header, queue.shown))) {
         queue.shown = header;
-        this.#sink.draw(header, image, picture.outline);
+        this.#sink.draw(header, image, picture.outline, picture.layers);
       }
       image.close();
     } catch {

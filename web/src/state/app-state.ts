@@ -12,6 +12,7 @@ import {
   type HistoryMessage,
   type KeyFramesMessage,
   type Look,
+  type LungsMessage,
   type NoEvidenceMessage,
   type PenMessage,
   type PickedMessage,
@@ -36,6 +37,7 @@ import { type BranchTree, buildTree } from "./airways";
 import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
 import type { LiveAnswer } from "./live-path";
+import type { ShownLayer } from "./lungs";
 import { allUnderWay, type Local, type Optimistic, shown, underWay } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import type { PathCost } from "./path-search";
@@ -134,6 +136,8 @@ export interface Ui {
   readonly routeLineVisible: boolean;
   /** Outline of the lumen and centrelines in slices and the cut-plane. */
   readonly outlineVisible: boolean;
+  /** Of what was mapped round the targets, what is switched off. */
+  readonly hiddenLayers: readonly ShownLayer[];
   readonly advancing: boolean;
   readonly cursorLps: Vec3 | null;
   /** The way that is shown is the pen's, since it has moved later than the cursor. */
@@ -182,6 +186,8 @@ export interface AppState {
   readonly keyFrames: KeyFramesMessage | null;
   /** Targets with a size, the routes to them, and what instruments can do there. */
   readonly plans: PlansMessage | null;
+  /** What was mapped round the targets. */
+  readonly lungs: LungsMessage | null;
   /** What was recorded into the case. */
   readonly flights: readonly FlightInfo[];
   /** What was done, and how much of it holds. */
@@ -235,6 +241,7 @@ export const INITIAL_STATE: AppState = {
   pen: null,
   keyFrames: null,
   plans: null,
+  lungs: null,
   flights: [],
   history: null,
   playing: NOT_PLAYING,
@@ -272,6 +279,7 @@ export const INITIAL_STATE: AppState = {
     headset: null,
     routeLineVisible: true,
     outlineVisible: true,
+    hiddenLayers: [],
     advancing: false,
     cursorLps: null,
     penLeads: false,
@@ -418,6 +426,8 @@ function receive(state: AppState, message: ServerMessage): AppState {
       return { ...state, pen: message.device === null ? null : message };
     case "plans":
       return { ...state, plans: message };
+    case "lungs":
+      return { ...state, lungs: message };
     case "key_frames":
       return { ...state, keyFrames: message };
     case "flights":
@@ -443,6 +453,7 @@ function sessionChanged(state: AppState, session: StateMessage): AppState {
       pen: null,
       keyFrames: null,
       plans: null,
+      lungs: null,
       flights: [],
       history: null,
     };

@@ -20,12 +20,19 @@ export interface ForkAhead {
 }
 
 /** Null where the route has no fork ahead with more than one way on. */
-export function forkAhead(tree: BranchTree, route: RouteInfo, pathMm: number, camera: Camera): ForkAhead | null {
+export function forkAhead(
+  tree: BranchTree,
+  route: RouteInfo,
+  pathMm: number,
+  camera: Camera,
+  /** The branch that ends in the fork that is meant, where the tip stands before one of the list of turns. */
+  meant: number | null = null,
+): ForkAhead | null {
   // At a look-out the fork that it was made for is meant, however near the one behind still is.
   const lookoutMm = route.lookouts_mm.findLast((at) => at <= pathMm + FORK_TOLERANCE_MM) ?? 0;
   const fromMm = Math.max(pathMm - STILL_HERE_MM, lookoutMm);
   for (const span of route.spans) {
-    if (span.to_mm < fromMm) continue;
+    if (meant === null ? span.to_mm < fromMm : span.branch_id !== meant) continue;
     const node = tree.byId.get(span.branch_id);
     if (node === undefined || node.children.length < 2) continue;
     const distanceMm = span.to_mm - pathMm;

@@ -1,7 +1,16 @@
 /** What a plan says, in words. */
 
-import type { PlansMessage, RouteOffer, ScopeVerdict, TargetPlan } from "../wire/messages";
+import type {
+  Look,
+  PlannedTurn,
+  PlansMessage,
+  RouteInfo,
+  RouteOffer,
+  ScopeVerdict,
+  TargetPlan,
+} from "../wire/messages";
 import { fixed, mm } from "./format";
+import { asVec3, sub, type Vec3 } from "./vec";
 
 export const planOf = (plans: PlansMessage | null, targetId: string | null): TargetPlan | null =>
   plans?.targets.find((target) => target.target_id === targetId) ?? null;
@@ -56,3 +65,32 @@ export function verdictsInOrder(verdicts: readonly ScopeVerdict[]): ScopeVerdict
 
 const ORDER = ["reaches", "may reach", "cannot say", "does not reach"];
 const rank = ({ outcome }: ScopeVerdict): number => (ORDER.indexOf(outcome) + ORDER.length + 1) % (ORDER.length + 1);
+
+/** The line of a turn, for the operator's position. */
+export const turnWords = (turn: PlannedTurn, operator: Look["operator"]): string =>
+  operator === "head" ? turn.head : turn.facing;
+
+/** So near to the place that a turn is seen from the tip stands there: a turn of the look leaves it. */
+const STANDS_MM = 0.3;
+
+/** The turn of the list before which the tip stands, by its place in the list; null where it stands elsewhere. */
+export function turnBefore(turns: readonly PlannedTurn[], tip: Vec3 | null): number | null {
+  if (tip === null) return null;
+  const at = turns.findIndex(
+    ({ seen_from_lps: from }) => from !== null && Math.hypot(...sub(asVec3(from), tip)) <= STANDS_MM,
+  );
+  return at < 0 ? null : at;
+}
+
+/** The place on a route nearest to the tip, for free movement; null where the tip is not in its airways. */
+export function besideRouteMm(route: RouteInfo, tip: Vec3): number | null {
+  let best: { mm: number; away: number; radius: number } | null = null;
+  route.points_lps.forEach((point, n) => {
+    const away = Math.hypot(...sub(asVec3(point), tip));
+    if (best === null || away < best.away) {
+      best = { mm: route.cumulative_mm[n] ?? 0, away, radius: route.radius_mm[n] ?? 0 };
+    }
+  });
+  const found = best as { mm: number; away: number; radius: number } | null;
+  return found !== null && found.away <= Math.max(found.radius, 1) ? found.mm : null;
+}

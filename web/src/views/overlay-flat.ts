@@ -26,6 +26,7 @@ import {
   tipMark,
 } from "./ink";
 import { paintBrush, paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
+import { paintLayers, paintStations } from "./overlay-layers";
 import { paintLesionsFlat } from "./overlay-lesion";
 import { paintCentrelines, paintOutline } from "./overlay-outline";
 import { paintPen } from "./overlay-pen";
@@ -52,6 +53,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (plane !== null) paintCrosshair(ink, viewport, geometry, scene, plane);
   if (!seesThrough) {
+    paintLayers(ink, viewport, scene);
     paintOutline(ink, viewport, scene);
     paintCentrelines(ink, viewport, geometry, scene);
   }
@@ -76,6 +78,12 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     // What has a size is drawn as what it is, where it is cut.
     if (!target.hasSize || !near || seesThrough) targetMark(ink, at, colour, near ? 1 : 0.35);
     if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
+  }
+  if (!seesThrough) {
+    paintStations(ink, viewport, scene, (lps) => {
+      const seen = pixelFromLps(geometry, lps);
+      return seen === null ? null : { ...viewport.screenAt(seen), near: inPlane(seen.depthMm) };
+    });
   }
   paintWallMarks(ink, viewport, geometry, scene, inPlane);
   if (scene.tip !== null) {

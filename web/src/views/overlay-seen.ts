@@ -20,6 +20,7 @@ import {
 } from "./ink";
 import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
+import { paintStations } from "./overlay-layers";
 import { paintLesionsOutside } from "./overlay-lesion";
 import { paintLobes, paintNames } from "./overlay-names";
 import { paintPen } from "./overlay-pen";
@@ -66,6 +67,12 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
     const colour = target.reachable ? INK.accent : INK.warning;
     if (!target.hasSize) targetMark(ink, at, colour, 1);
     names.name(ink, target.name, at, colour, viewport.size);
+  }
+  if (isTree) {
+    paintStations(ink, viewport, scene, (lps) => {
+      const seen = pixelFromLps(geometry, lps);
+      return seen === null ? null : { ...viewport.screenAt(seen), near: true };
+    });
   }
   paintWallMarks(ink, viewport, geometry, scene, () => true);
   if (scene.tip !== null) {

@@ -7,6 +7,7 @@ import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edi
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
+import { type SeenStation, type ShownLayer, stationsSeen } from "../state/lungs";
 import { startOf } from "../state/path-search";
 import { marksByPen } from "../state/pen";
 import { pointsBetween } from "../state/route";
@@ -47,6 +48,9 @@ export interface Scene {
   routeLineVisible: boolean;
   /** Outline of the lumen and centrelines in slices and the cut-plane. */
   outlineVisible: boolean;
+  /** Of what was mapped round the targets, what is switched off. */
+  hiddenLayers: readonly ShownLayer[];
+  stations: readonly SeenStation[];
   tree: BranchTree | null;
   pathMm: number | null;
   targets: readonly SceneTarget[];
@@ -281,6 +285,7 @@ const MADE = [
   "crosshair",
   "targets",
   "lesions",
+  "stations",
   "needle",
   "root",
   "start",
@@ -327,6 +332,8 @@ function madeOf(state: AppState): Scene {
     routeRuns: cachedRuns,
     routeLineVisible: state.ui.routeLineVisible,
     outlineVisible: state.ui.outlineVisible,
+    hiddenLayers: state.ui.hiddenLayers,
+    stations: stationsSeen(state.lungs, state.ui.hiddenLayers),
     tree: state.tree,
     pathMm: pathMm(state),
     targets:

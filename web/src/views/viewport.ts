@@ -2,8 +2,10 @@
 
 import type { PixelPoint } from "../state/projection";
 import type { PictureHeader, ViewName } from "../wire/messages";
+import type { WireLayer } from "../wire/parse";
 import { VIEWS } from "../wire/views";
 import type { Ink, Rect, ScreenPoint } from "./ink";
+import { type DrawnLayer, drawnLayers } from "./layer-path";
 import { clipPathOf, type Shape } from "./outline";
 import { outlinePath } from "./outline-path";
 
@@ -19,6 +21,8 @@ export class Viewport {
   header: PictureHeader | null = null;
   /** Of the lumen, in pixels of the picture shown. */
   outline: Path2D | null = null;
+  /** What was mapped round the targets, in this picture. */
+  layers: readonly DrawnLayer[] = [];
   /** Changes with all of it but what is drawn over the picture. */
   version = 0;
   #view: ViewName;
@@ -65,6 +69,7 @@ export class Viewport {
     this.version += 1;
     this.header = null;
     this.outline = null;
+    this.layers = [];
     this.picture.getContext("2d")?.clearRect(0, 0, this.picture.width, this.picture.height);
     this.#describe();
   }
@@ -103,12 +108,18 @@ export class Viewport {
     return Math.min(pixels.width, pixels.height) < MIN_SIDE_PX ? null : pixels;
   }
 
-  draw(header: PictureHeader, image: CanvasImageSource, outline: Uint8Array | null): void {
+  draw(
+    header: PictureHeader,
+    image: CanvasImageSource,
+    outline: Uint8Array | null,
+    layers: readonly WireLayer[] = [],
+  ): void {
     const ink = this.picture.getContext("2d");
     if (ink === null) return;
     this.header = header;
     this.version += 1;
     this.outline = outline === null ? null : outlinePath(outline);
+    this.layers = drawnLayers(layers);
     const { width, height } = this.picture;
     const fit = fitInside(header, width, height);
     // A picture of other proportions only comes while a cell changes its size; the rest must not show an older one.

@@ -1,6 +1,7 @@
 /** All pictures on the screen: hands each its frames, repaints what is drawn over them, tells the server what is visible. */
 
 import type { PictureHeader, ViewName, ViewSize } from "../wire/messages";
+import type { WireLayer } from "../wire/parse";
 import { VIEWS } from "../wire/views";
 import type { Shape } from "./outline";
 import { paintAirway } from "./overlay-airway";
@@ -47,12 +48,17 @@ export class Wall {
     return null;
   }
 
-  draw(header: PictureHeader, image: CanvasImageSource, outline: Uint8Array | null): boolean {
+  draw(
+    header: PictureHeader,
+    image: CanvasImageSource,
+    outline: Uint8Array | null,
+    layers: readonly WireLayer[] = [],
+  ): boolean {
     const viewport = this.find(header.stands_for ?? header.view);
     if (viewport === null) return false;
-    viewport.draw(header, image, outline);
+    viewport.draw(header, image, outline, layers);
     // At once: the outline of one picture is never seen over another.
-    if (outline !== null) this.#paint(viewport, this.#hooks.scene());
+    if (outline !== null || layers.length > 0) this.#paint(viewport, this.#hooks.scene());
     this.touch();
     return true;
   }

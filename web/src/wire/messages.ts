@@ -585,6 +585,12 @@ export interface ChoosePlannedRouteMessage {
   readonly number?: number;
 }
 
+/** Put the tip where a turn of the chosen route is seen from, as the list of turns tells its hour. */
+export interface SeeTurnMessage {
+  readonly type: "see_turn";
+  readonly number: number;
+}
+
 /** What was clicked beside an airway is a nodule, not a place in the airway. */
 export interface GrowTargetMessage {
   readonly type: "grow_target";
@@ -619,6 +625,18 @@ export interface MarkSphereMessage {
   readonly type: "mark_sphere";
   readonly lps: readonly [number, number, number];
   readonly diameter_mm: number;
+}
+
+/** Look for what lies round the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS. */
+export interface MapLungsMessage {
+  readonly type: "map_lungs";
+}
+
+/** Map where in the lungs an instrument's tip and tool get to. */
+export interface MapReachMessage {
+  readonly type: "map_reach";
+  readonly scope?: string;
+  readonly tool?: string;
 }
 
 /** First message of a client. */
@@ -704,6 +722,12 @@ export interface AskBranchDetailMessage {
 export interface SetFrameRateMessage {
   readonly type: "set_frame_rate";
   readonly rate_hz: number;
+}
+
+/** Which of what was mapped round the targets this window's slices carry; all of it, unless told. */
+export interface SetLayersMessage {
+  readonly type: "set_layers";
+  readonly layers: readonly ("fissures" | "lobes" | "reach" | "vessels")[];
 }
 
 /** Ask what the cases and their CTs take on the disk now; the answer is `start`. */
@@ -1402,6 +1426,35 @@ export interface KeyFramesMessage {
   readonly problem: string | null;
 }
 
+/** A layer that there is, as lines in the pictures (`PictureLayer`). */
+export interface MappedLayer {
+  readonly layer: "fissures" | "lobes" | "reach" | "vessels";
+  readonly words: string;
+  readonly limits: readonly string[];
+}
+
+/** Where a lymph node station is looked for with EBUS, by the airways alone. */
+export interface Station {
+  readonly station: string;
+  readonly words: string;
+  readonly point_lps: readonly [number, number, number] | null;
+  readonly direction_lps: readonly [number, number, number] | null;
+  readonly borders: string;
+  readonly doubts: readonly string[];
+}
+
+/** What was mapped round the targets, when it changed. */
+export interface LungsMessage {
+  readonly type: "lungs";
+  readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly reach_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
+  readonly layers: readonly MappedLayer[];
+  readonly stations: readonly Station[];
+  readonly station_limits: string;
+  readonly problems: readonly string[];
+  readonly outdated: boolean;
+}
+
 /** The boundary of a target, for drawing. */
 export interface TargetSurface {
   readonly vertices_lps: readonly (readonly [number, number, number])[];
@@ -1479,6 +1532,15 @@ export interface ScopeVerdict {
   readonly checks: readonly ScopeCheck[];
 }
 
+/** A turn of the route that is chosen. */
+export interface PlannedTurn {
+  readonly head: string;
+  readonly facing: string;
+  readonly doubts: readonly string[];
+  readonly fork_branch_id: number;
+  readonly seen_from_lps: readonly [number, number, number] | null;
+}
+
 /** The plans, when they changed. */
 export interface PlansMessage {
   readonly type: "plans";
@@ -1487,6 +1549,9 @@ export interface PlansMessage {
   readonly verdicts: readonly ScopeVerdict[];
   readonly verdicts_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
   readonly tools: readonly (readonly [string, string])[];
+  readonly turns: readonly PlannedTurn[];
+  readonly parking: readonly [string, string] | null;
+  readonly dicom_problem: string | null;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -1678,6 +1743,18 @@ export interface PictureOutline {
   readonly complete: boolean;
 }
 
+/** The outline of one part of what was mapped round the targets, in this picture.
+
+    Its bytes stand between the picture's and the outline's, in the order of the list, and have the outline's form; but
+    their numbers are sixteenths of a unit of its own, so that every line is closed, however far the picture is zoomed. */
+export interface PictureLayer {
+  readonly layer: "fissures" | "lobes" | "reach" | "vessels";
+  readonly part: string;
+  readonly num_bytes: number;
+  readonly pixel_from_line: readonly number[];
+  readonly complete: boolean;
+}
+
 /** Header of a binary message; the payload follows. */
 export interface PictureHeader {
   readonly frame_id: number;
@@ -1697,9 +1774,10 @@ export interface PictureHeader {
   readonly quality: number;
   readonly full: boolean;
   readonly empty: boolean;
-  readonly decorated: readonly ("hue" | "membrane" | "rings" | "spurs" | "texture" | "vessels")[];
+  readonly decorated: readonly ("fog" | "hue" | "membrane" | "rings" | "secretions" | "specks" | "spurs" | "texture" | "vessels")[];
   readonly render_ms: number;
   readonly method: string;
+  readonly layers?: readonly PictureLayer[];
 }
 
 /** What `look` begins with. */
@@ -1756,7 +1834,7 @@ export const SETS = {
 } as const;
 
 /** What a client sends that is no command, and that `handled` does not count. */
-export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_key_frames"];
+export const NO_COMMANDS: readonly string[] = ["hello", "open_upload", "import_mask", "import_target", "layout", "ack", "probe", "pick", "live_path", "branch_detail", "set_frame_rate", "set_layers", "ask_storage", "set_watch_page", "send_away", "accept_notice", "device_sample", "connect_device", "disconnect_device", "publish_tip", "set_phone", "watch_devices", "start_recording", "preview_edit", "open_key_frames"];
 
 export type ClientMessage =
   | OpenPathMessage
@@ -1828,11 +1906,14 @@ export type ClientMessage =
   | SetPlanOptionsMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
+  | SeeTurnMessage
   | GrowTargetMessage
   | ResizeTargetMessage
   | BrushTargetMessage
   | AimTargetMessage
   | MarkSphereMessage
+  | MapLungsMessage
+  | MapReachMessage
   | ClientHelloMessage
   | OpenUploadMessage
   | ImportMaskMessage
@@ -1844,6 +1925,7 @@ export type ClientMessage =
   | AskLivePathMessage
   | AskBranchDetailMessage
   | SetFrameRateMessage
+  | SetLayersMessage
   | AskStorageMessage
   | SetWatchPageMessage
   | SendAwayMessage
@@ -1882,6 +1964,7 @@ export type ServerMessage =
   | EditPreviewMessage
   | NoEvidenceMessage
   | KeyFramesMessage
+  | LungsMessage
   | PlansMessage
   | TreeMessage
   | LivePathMessage

@@ -4,8 +4,8 @@
  */
 
 import schemaJson from "../../../protocol/schema.json";
-import type { ClientMessage, PictureHeader, ServerMessage, ToPhoneMessage } from "./messages";
-import { clientProblem, doubledKey, pictureProblem } from "./second-checks";
+import type { ClientMessage, PictureHeader, PictureLayer, ServerMessage, ToPhoneMessage } from "./messages";
+import { clientProblem, doubledKey, layersOf, pictureProblem } from "./second-checks";
 
 export class WireError extends Error {}
 
@@ -189,6 +189,13 @@ export interface WirePicture {
   readonly payload: Uint8Array<ArrayBuffer>;
   /** The lines of its outline, as the wire has them; null where it has none. */
   readonly outline: Uint8Array<ArrayBuffer> | null;
+  /** The lines of what was mapped round the targets. */
+  readonly layers: readonly WireLayer[];
+}
+
+export interface WireLayer {
+  readonly header: PictureLayer;
+  readonly bytes: Uint8Array<ArrayBuffer>;
 }
 
 /** Splits one binary message: u32 little-endian header length, JSON header, payload. */
@@ -211,7 +218,15 @@ export function parsePicture(data: ArrayBuffer): WirePicture {
   const rest = new Uint8Array(data, 4 + headerBytes);
   const wrong = pictureProblem(checked, rest);
   if (wrong !== null) throw new WireError(wrong);
-  if (checked.outline === null) return { header: checked, payload: rest, outline: null };
-  const split = rest.length - checked.outline.num_bytes;
-  return { header: checked, payload: rest.subarray(0, split), outline: rest.subarray(split) };
+  let end = rest.length;
+  const before = (numBytes: number) => {
+    end -= numBytes;
+    return rest.subarray(end, end + numBytes);
+  };
+  const outline = checked.outline === null ? null : before(checked.outline.num_bytes);
+  const layers = layersOf(checked)
+    .toReversed()
+    .map((header) => ({ header, bytes: before(header.num_bytes) }))
+    .toReversed();
+  return { header: checked, payload: rest.subarray(0, end), outline, layers };
 }

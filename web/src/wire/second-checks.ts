@@ -1,6 +1,6 @@
 /** What no schema can say: the "second checks" of `protocol/README.md`. */
 
-import type { AskEditPreviewMessage, AskLivePathMessage, ClientMessage, PictureHeader } from "./messages";
+import type { AskEditPreviewMessage, AskLivePathMessage, ClientMessage, PictureHeader, PictureLayer } from "./messages";
 
 /** A key that stands twice in one object of a JSON text, or null. `JSON.parse` would silently keep the last. */
 export function doubledKey(text: string): string | null {
@@ -96,16 +96,30 @@ export function pictureProblem(header: PictureHeader, payload: Uint8Array): stri
   const magic = header.codec === "png" ? PNG_MAGIC : JPEG_MAGIC;
   if (!magic.every((byte, index) => payload[index] === byte))
     return `the payload of an image message is not ${header.codec}`;
-  return header.outline === null ? null : outlineProblem(payload, header.outline.num_bytes);
+  let end = payload.length;
+  for (const numBytes of [
+    header.outline?.num_bytes ?? 0,
+    ...layersOf(header)
+      .map((layer) => layer.num_bytes)
+      .reverse(),
+  ]) {
+    const wrong = linesProblem(payload, end, numBytes);
+    if (wrong !== null) return wrong;
+    end -= numBytes;
+  }
+  return null;
 }
 
-function outlineProblem(payload: Uint8Array, numBytes: number): string | null {
-  if (numBytes >= payload.length) return "the outline in an image message leaves no room for the image";
-  let at = payload.length - numBytes;
-  while (at < payload.length) {
+/** A server of before sends none. */
+export const layersOf = (header: PictureHeader): readonly PictureLayer[] => header.layers ?? [];
+
+function linesProblem(payload: Uint8Array, end: number, numBytes: number): string | null {
+  if (numBytes >= end) return "the outline in an image message leaves no room for the image";
+  let at = end - numBytes;
+  while (at < end) {
     const count = (payload[at] ?? 0) + 256 * (payload[at + 1] ?? 0);
     at += 2 + 4 * count;
-    if (count === 0 || at > payload.length) return "the outline in an image message ends in the middle of a line";
+    if (count === 0 || at > end) return "the outline in an image message ends in the middle of a line";
   }
   return null;
 }

@@ -17,9 +17,7 @@ use super::{
     vectors::{along, dot, scaled, smooth, splat, turn, unit},
     voxels::Voxels,
 };
-use crate::{
-    Decoration, Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting,
-};
+use crate::{Decoration, Field, Frame, InstructionSet, composite::Gathered, lighting::Lighting};
 
 /// Squared radius of a light guide's end, mm2: the inverse square does not run away where a wall touches it.
 const GUIDE_MM2: f32 = 2.5;

@@ -1,4 +1,4 @@
-"""The lumen's outline in a plane, on the sub-voxel wall."""
+"""Outlines in a plane: of the lumen on the sub-voxel wall, and of any mask half-way between its voxels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carina import _core
 from carina.track.find.found import Airways
 from carina.volume.model import Volume
 
-__all__ = ["LumenOutline"]
+__all__ = ["LumenOutline", "MaskOutline"]
 
 
 class LumenOutline:
@@ -81,6 +81,33 @@ class LumenOutline:
                     volume.hu_zyx, volume.lps_from_ijk, np.ascontiguousarray(self._lumen_zyx), levels=self._levels
                 )
             return self._surface
+
+
+class MaskOutline:
+    """Cuts one mask with planes: its lines lie half-way between voxels inside and outside. Any thread may use it.
+
+    Parameters
+    ----------
+    mask_zyx
+        (nz, ny, nx), not to be written to meanwhile.
+    lps_from_ijk
+        (4, 4) of its grid.
+    """
+
+    def __init__(self, mask_zyx: NDArray[np.bool_], lps_from_ijk: NDArray[np.float64]) -> None:
+        self._shape = mask_zyx.shape
+        mask = np.ascontiguousarray(mask_zyx).view(np.uint8)
+        # Values are asked for by nobody without levels: zeros that no memory is taken for.
+        values = np.zeros(mask.shape, dtype=np.int16)
+        self._surface = _core.LumenSurface(values, _matrix(lps_from_ijk), mask, levels=None)
+
+    def __repr__(self) -> str:
+        nz, ny, nx = self._shape
+        return f"MaskOutline({nx} x {ny} x {nz} voxels)"
+
+    def encoded(self, lps_from_pixel: NDArray[np.float64], width: int, height: int) -> bytes | None:
+        """As :meth:`LumenOutline.encoded`."""
+        return self._surface.encoded(_matrix(lps_from_pixel), width=width, height=height)
 
 
 def _matrix(lps_from_pixel: NDArray[np.float64]) -> NDArray[np.float64]:

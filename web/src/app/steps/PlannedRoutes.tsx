@@ -1,8 +1,10 @@
 /** The routes to a target side by side, what instruments can do on the one that is taken, and the plan to print. */
 
 import { useState } from "react";
+import { Button } from "react-aria-components";
+import { tipLps } from "../../state/app-state";
 import { sentence } from "../../state/format";
-import { ROUTE_ROWS, verdictsInOrder } from "../../state/plan";
+import { ROUTE_ROWS, turnBefore, turnWords, verdictsInOrder } from "../../state/plan";
 import type { PlansMessage, ScopeVerdict, Target, TargetPlan } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
@@ -46,6 +48,7 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
       {chosen === null || plans === null ? null : (
         <>
           <Verdicts plans={plans} planned={plan.options.scope} />
+          <Turns plans={plans} />
           <Print target={target} />
         </>
       )}
@@ -282,6 +285,39 @@ const PLAN_FILES: readonly [PlanSuffix, string, string][] = [
   [".seg.nrrd", "Segmentation", "The target as a segmentation for 3D Slicer"],
 ];
 
+/** Fork by fork; a click puts the tip where the fork is seen from, so that the picture tells the same hour. */
+function Turns({ plans }: { plans: PlansMessage }) {
+  const station = useStation();
+  const operator = useApp((state) => state.look.operator);
+  const at = useApp((state) => turnBefore(state.plans?.turns ?? [], tipLps(state)));
+  const turns = plans.turns ?? [];
+  if (turns.length === 0) return null;
+  const stop = plans.parking?.[operator === "head" ? 0 : 1] ?? null;
+  return (
+    <details className="turns" data-testid="turns" open>
+      <summary>Turns, for an operator {operator === "head" ? "at the head" : "who faces the patient"}</summary>
+      <ol>
+        {turns.map((turn, index) => (
+          <li key={`${turn.fork_branch_id} ${turn.head}`} className={at === index ? "chosen" : undefined}>
+            <Button
+              className="turn"
+              data-testid={`turn-${index + 1}`}
+              isDisabled={turn.seen_from_lps === null}
+              onPress={() => {
+                station.flight.stopAuto();
+                station.send({ type: "see_turn", number: index + 1 });
+              }}
+            >
+              {turnWords(turn, operator)}
+            </Button>
+          </li>
+        ))}
+        {stop === null ? null : <li className="quiet">{stop}</li>}
+      </ol>
+    </details>
+  );
+}
+
 function Print({ target }: { target: Target }) {
   const station = useStation();
   const making = useApp((state) => state.ui.making);
@@ -314,6 +350,54 @@ function Print({ target }: { target: Target }) {
           />
         ))}
       </div>
+      <Archive target={target} />
     </>
+  );
+}
+
+const ARCHIVE_FILES: readonly [PlanSuffix, string, string][] = [
+  [".seg.dcm", "SEG", "The target as a DICOM segmentation of this CT"],
+  [".sr.dcm", "SR", "Its measurements as a DICOM structured report"],
+  [".pdf.dcm", "PDF", "The report as a PDF in a DICOM file"],
+];
+
+/** DICOM refers to the CT's images: where their folder is not known, it says what is missing. */
+function Archive({ target }: { target: Target }) {
+  const station = useStation();
+  const problem = useApp((state) => state.plans?.dicom_problem ?? null);
+  const making = useApp((state) => state.ui.making);
+  const [named, setNamed] = useState(false);
+  return (
+    <details className="plan-options" data-testid="archive">
+      <summary>DICOM for the archive</summary>
+      {problem === null ? (
+        <>
+          <label className="check">
+            <input type="checkbox" checked={named} onChange={(event) => setNamed(event.target.checked)} />
+            With the name and number of the CT's patient
+          </label>
+          <div className="row">
+            {ARCHIVE_FILES.map(([suffix, label, words]) => (
+              <Act
+                key={suffix}
+                kind="quiet"
+                label={making === `plan${suffix}` ? "Preparing\u2026" : label}
+                words={words}
+                disabled={making !== null}
+                testId={`take-plan${suffix}`}
+                onPress={() => void station.takePlan(target.target_id, suffix, named)}
+              />
+            ))}
+          </div>
+          <p className="quiet">
+            {named ? "The files name the patient." : "The files name nobody, but keep the CT's identifiers (UIDs)."}
+          </p>
+        </>
+      ) : (
+        <p className="quiet" data-testid="archive-problem">
+          {sentence(problem)}
+        </p>
+      )}
+    </details>
   );
 }

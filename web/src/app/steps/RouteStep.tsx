@@ -6,7 +6,9 @@ import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
 import { LesionCard } from "./LesionCard";
+import { LungsPanel } from "./LungsPanel";
 import { PlannedRoutes } from "./PlannedRoutes";
+import { useReachOf } from "./reach-of";
 import { TargetRow } from "./TargetStep";
 
 export function RouteStep() {
@@ -18,6 +20,7 @@ export function RouteStep() {
   const narrow = route === null || !known ? null : narrowest(route);
   const plan = useApp((state) => planOf(state.plans, state.route?.target_id ?? null));
   const planned = targets?.find((target) => target.target_id === plan?.target_id) ?? null;
+  const reach = useReachOf();
   const generation = known ? (route?.spans.at(-1)?.generation ?? null) : null;
   return (
     <>
@@ -69,6 +72,7 @@ export function RouteStep() {
           </dl>
         </>
       )}
+      <LungsPanel scope={reach.scope} tool={reach.tool} />
       <Act
         kind={planned === null ? "primary" : "plain"}
         icon="play"

@@ -11,11 +11,14 @@ import { Act, Choice, SwitchKey, Tip } from "../controls";
 import { Icon } from "../icons";
 import { PenWords } from "../ToolTag";
 import { LesionCard } from "./LesionCard";
+import { LungsPanel } from "./LungsPanel";
+import { useReachOf } from "./reach-of";
 
 export function TargetStep() {
   const station = useStation();
   const targets = useApp((state) => state.session?.targets ?? null);
   const armed = useApp((state) => state.ui.armed === "target");
+  const reach = useReachOf();
   return (
     <>
       <PathSearch />
@@ -31,6 +34,7 @@ export function TargetStep() {
       <PenWords />
       <Coordinates />
       <FromFile />
+      <LungsPanel scope={reach.scope} tool={reach.tool} />
       {targets === null || targets.length === 0 ? (
         <p className="empty">Targets appear here, each with its path, or why no path leads there.</p>
       ) : (

@@ -1,0 +1,157 @@
+"""What lies round every target at once: vessels, fissures and lobes of both lungs, made to be drawn over slices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.errors import CancelledError, CarinaError
+from carina.plan.box import Box, smoothed
+from carina.plan.lobes import LOBE_NAMES, Lobes, lobes
+from carina.plan.surroundings import Surroundings, lung_box, lung_surroundings
+from carina.scopes import WallField
+from carina.track import Airways
+from carina.volume import Volume
+
+__all__ = ["LungMap", "MappedMask", "map_lungs"]
+
+Mask = NDArray[np.bool_]
+
+SURE = 0.8
+"""A stretch of vessel that is on average less sure is drawn as doubtful: 1.3 times the least curvature."""
+RIM_MM = 3.0
+"""The lungs are closed over the vessels that leave them, and reach into the chest wall: its rim looks like vessels."""
+STRETCH_MM = 1.5
+"""Of the Gaussian over which that mean is taken: single voxels would make a line flicker between sure and doubtful."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedMask:
+    """One structure on a grid of cubic voxels along LPS."""
+
+    inside_zyx: Mask
+    lps_from_ijk: NDArray[np.float64]
+
+    @property
+    def ml(self) -> float:
+        """Its volume."""
+        return float(np.count_nonzero(self.inside_zyx) * np.prod(np.diag(self.lps_from_ijk)[:3])) / 1000.0
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class LungMap:
+    """Vessels, fissures and lobes of both lungs; None where one is still to be looked for, or could not be told.
+
+    Vessels of the mediastinum and the hila are no part of it: without contrast a CT does not show them.
+    """
+
+    vessels: MappedMask | None = None
+    """At 1 mm: arteries and veins are not told apart, and those thinner than about 1 mm are seen in part."""
+    sure_vessels: MappedMask | None = None
+    """The stretches of them that stand out well."""
+    fissures: MappedMask | None = None
+    """Plates at 1 mm, as far as they are seen; empty where none is."""
+    lobes: tuple[tuple[str, MappedMask], ...] = ()
+    """By name, at 2 mm. Where no fissure is seen their borders follow from the airways."""
+    missing_lobes: tuple[str, ...] = ()
+    """No bronchus of them is on the tree: their room is told as their neighbours'."""
+    problems: tuple[str, ...] = ()
+    """Why something could not be told."""
+
+
+def map_lungs(
+    volume: Volume,
+    airways: Airways,
+    wall: WallField,
+    *,
+    progress: Callable[[str, float | None], None] | None = None,
+    found: Callable[[LungMap], None] | None = None,
+) -> LungMap:
+    """Vessels first, then lobes and fissures; what fails is told and the rest is there.
+
+    Parameters
+    ----------
+    volume, airways, wall
+        The CT, its airways and their wall.
+    progress
+        Told what is done, and the share done; it may raise CancelledError.
+    found
+        Given the vessels while the lobes are still being looked for.
+
+    Raises
+    ------
+    NoResultError
+        If there is no lung in the CT (``plan.no_lung``).
+    CancelledError
+        If ``progress`` raised it.
+    """
+
+    def say(what: str, share: float) -> None:
+        if progress is not None:
+            progress(what, share)
+
+    say("finding the lungs", 0.0)
+    box = lung_box(volume)
+    say("looking for vessels", 0.1)
+    made = _with_vessels(lung_surroundings(volume, wall, box=box))
+    if found is not None:
+        found(made)
+    try:
+        told = lobes(
+            volume,
+            airways.tree,
+            box=box,
+            progress=None if progress is None else lambda what, share: progress(what, 0.5 + 0.5 * (share or 0.0)),
+        )
+    except CancelledError:
+        raise
+    except CarinaError as trouble:
+        return replace(made, problems=(str(trouble),))
+    return _with_lobes(made, told)
+
+
+def _with_vessels(seen: Surroundings) -> LungMap:
+    inside = seen.vessel & _within(seen.box.known, round(RIM_MM / seen.box.step_mm))
+    return LungMap(_cropped(inside, seen.box), _cropped(_standing_out(inside, seen), seen.box))
+
+
+def _within(known: Mask, num_voxels: int) -> Mask:
+    """Without the outermost voxels, counted by faces."""
+    inner = np.pad(known, 1)
+    for _ in range(num_voxels):
+        less = inner.copy()
+        for axis in range(3):
+            for shift in (-1, 1):
+                less &= np.roll(inner, shift, axis=axis)
+        inner = less
+    return inner[1:-1, 1:-1, 1:-1]
+
+
+def _standing_out(inside: Mask, seen: Surroundings) -> Mask:
+    """Where the mean over a stretch of the vessel is sure."""
+    sigma = STRETCH_MM / seen.box.step_mm
+    weight = smoothed(inside.astype(np.float32), sigma)
+    mean = smoothed(np.where(inside, seen.sure, 0.0).astype(np.float32), sigma)
+    found: Mask = inside & (mean >= SURE * weight)
+    return found
+
+
+def _with_lobes(made: LungMap, told: Lobes) -> LungMap:
+    named = [(name, told.label_zyx == number) for number, name in enumerate(LOBE_NAMES, 1)]
+    return replace(
+        made,
+        fissures=None if told.fissure is None else _cropped(told.fissure.mask, told.fissure.box),
+        lobes=tuple((name, MappedMask(mask, told.lps_from_ijk)) for name, mask in named if mask.any()),
+        missing_lobes=told.missing,
+    )
+
+
+def _cropped(mask: Mask, box: Box) -> MappedMask:
+    """Without the box's values, which are large."""
+    return MappedMask(mask, np.array(box.lps_from_ijk, dtype=np.float64))

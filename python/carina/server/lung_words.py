@@ -1,0 +1,79 @@
+"""What was mapped of a case's lungs, as a wire message."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from carina.plan import EBUS_LIMITS
+from carina.server import messages as wire
+from carina.session import LungsInfo
+
+if TYPE_CHECKING:
+    from carina.plan import Landmark, ReachAtlas
+    from carina.plan.lung_map import LungMap
+
+__all__ = ["lungs_message"]
+
+NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
+NO_DRIVE = "Judged by diameter and bend along the way. No drive was simulated, and breathing may move the target."
+
+
+def lungs_message(info: LungsInfo) -> wire.Lungs:
+    """What the steps *Target* and *Route* show."""
+    lungs, reach = info.lungs, info.reach
+    layers = (*(() if lungs is None else _lung_layers(lungs)), *(() if reach is None else (_reach_layer(reach),)))
+    failed = tuple(words for words in (info.problem, info.reach_problem) if words is not None)
+    return wire.Lungs(
+        standing=info.standing,
+        reach_standing=info.reach_standing,
+        layers=layers,
+        stations=tuple(_station(one) for one in info.stations),
+        station_limits=EBUS_LIMITS,
+        problems=(*failed, *(() if lungs is None else lungs.problems)),
+        outdated=info.outdated,
+    )
+
+
+def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
+    if lungs.vessels is not None:
+        yield wire.MappedLayer(
+            "vessels",
+            f"{lungs.vessels.ml:.0f} ml in both lungs",
+            (
+                NO_MEDIASTINUM,
+                "Arteries and veins are not told apart, and vessels thinner than about 1 mm are seen in part; "
+                "none is shown in the outermost 3 mm of the lungs.",
+                "Dashed: less sure. Scars and airways that were not found may look like vessels.",
+            ),
+        )
+    if lungs.fissures is not None:
+        seen = lungs.fissures.inside_zyx.any()
+        yield wire.MappedLayer(
+            "fissures",
+            "as far as the CT shows them" if seen else "none seen",
+            ("Where none is shown there may be one, it may be fused, or the CT is too blurred for it.",),
+        )
+    if lungs.lobes:
+        missing = f"No bronchus of {', '.join(lungs.missing_lobes)} is on the tree: its lung is counted to the others."
+        yield wire.MappedLayer(
+            "lobes",
+            ", ".join(f"{name} {mask.ml:.0f} ml" for name, mask in lungs.lobes),
+            (
+                "The borders are estimated from the airways, and lie on a fissure only where one is shown.",
+                *((missing,) if lungs.missing_lobes else ()),
+            ),
+        )
+
+
+def _reach_layer(reach: ReachAtlas) -> wire.MappedLayer:
+    tool = reach.tool.title
+    return wire.MappedLayer(
+        "reach",
+        f"{reach.scope.title} with {tool}: {100.0 * reach.share:.0f} % of the lungs",
+        (NO_DRIVE, "Dashed: may reach."),
+    )
+
+
+def _station(mark: Landmark) -> wire.Station:
+    return wire.Station(mark.station, mark.words, mark.point_lps, mark.direction_lps, mark.borders, mark.doubts)

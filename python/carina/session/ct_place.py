@@ -1,0 +1,33 @@
+"""Where the CT of the open case was opened from, for what refers to its DICOM files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from carina.session.case import OpenCase
+from carina.volume.dicom_structures import References
+
+__all__ = ["ct_of", "dicom_problem"]
+
+DROPPED = (
+    "the CT was dropped into the window, so the folder of its DICOM files is not known: open the CT by its folder to "
+    "save DICOM files that refer to it"
+)
+
+
+def ct_of(case: OpenCase) -> Path | References | None:
+    """What a target's file is compared with: the CT's place, else what was read when it was dropped."""
+    if case.place is not None and Path(case.place).exists():
+        return Path(case.place)
+    return case.references
+
+
+def dicom_problem(case: OpenCase) -> str | None:
+    """Why no DICOM file can refer to the CT, in words; None where one can."""
+    if case.info.volume.source.format != "dicom":
+        return "the CT was not opened from DICOM files, which a DICOM object has to refer to"
+    if case.place is None:
+        return DROPPED
+    if not Path(case.place).exists():
+        return "the folder that the CT was opened from is no longer there: connect it, or open the CT again"
+    return None

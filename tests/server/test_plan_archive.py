@@ -1,0 +1,99 @@
+"""A plan as DICOM from the window: only where the CT's folder is known, and naming nobody unless asked."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from carina.commands import CtFolder, PlanningOf, PlanToTakeAway
+from carina.errors import CarinaError, UsageError
+from carina.export import plan_dicom_pdf
+from carina.server import reports
+from carina.server.reports import Reports
+
+
+class SmallSession:
+    """With a plan, and a CT whose folder is known or not."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self.jobs = SimpleNamespace(start=self.start)
+
+    def start(self, _kind, _title, work):
+        work(SimpleNamespace(progress=lambda *_given: None, cancel=lambda: False))
+
+    def ask(self, question):
+        match question:
+            case PlanToTakeAway():
+                return SimpleNamespace(
+                    notes=("Left lower", "a remark"), plan="plan", airways=SimpleNamespace(tree="tree"), volume="volume"
+                )
+            case CtFolder():
+                if self.folder is None:
+                    raise UsageError("the CT was dropped into the window", code="plan.not-dicom")
+                return self.folder
+            case PlanningOf():
+                return SimpleNamespace(verdicts_standing="had")
+
+
+def answered(session, suffix, **options):
+    response = asyncio.run(Reports(session).answer("target-1", suffix, "report", **options))
+    return Path(response.path)
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """What the exports were asked for."""
+    found = {}
+
+    def export(path, plan, tree, **options):
+        found.update(plan=plan, tree=tree, **options)
+        path.write_bytes(b"DICM")
+        return path
+
+    def sheet(_materials, **_options):
+        return "sheet"
+
+    def pages(path, _sheet, **_options):
+        path.write_bytes(b"%PDF-1.4 %%EOF")
+        return path
+
+    def wrap(path, pdf, **options):
+        found.update(pdf=pdf, **options)
+        path.write_bytes(b"DICM")
+        return path
+
+    monkeypatch.setattr(reports, "export_plan", export)
+    monkeypatch.setattr(reports, "whole_sheet", sheet)
+    monkeypatch.setattr(reports, "write_report", pages)
+    monkeypatch.setattr(plan_dicom_pdf, "write_plan_pdf", wrap)
+    return found
+
+
+@pytest.mark.parametrize("suffix", [".seg.dcm", ".sr.dcm"])
+def test_segmentation_and_measurements_refer_to_the_folder_of_the_ct(tmp_path, written, suffix):
+    path = answered(SmallSession(tmp_path), suffix)
+    assert path.name == f"plan{suffix}"
+    assert written["plan"] == {"Left lower": "plan"}
+    assert (written["ct"], written["volume"], written["identity"]) == (tmp_path, "volume", "none")
+    answered(SmallSession(tmp_path), suffix, identity="from the CT")
+    assert written["identity"] == "from the CT"
+
+
+def test_the_report_is_wrapped_as_it_is_and_never_names_the_patient_itself(tmp_path, written):
+    path = answered(SmallSession(tmp_path), ".pdf.dcm")
+    assert path.name == "plan.pdf.dcm"
+    assert written["pdf"].startswith(b"%PDF")
+    assert (written["names_patient"], written["identity"], written["ct"]) == (False, "none", tmp_path)
+
+
+def test_without_the_folder_it_is_refused_in_words_before_any_work(written):
+    for suffix in (".seg.dcm", ".sr.dcm", ".pdf.dcm"):
+        with pytest.raises(UsageError, match="dropped into the window"):
+            answered(SmallSession(None), suffix)
+    assert written == {}
+    with pytest.raises(CarinaError, match="can write a plan as"):
+        answered(SmallSession(None), ".dcm")

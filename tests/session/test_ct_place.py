@@ -1,0 +1,88 @@
+"""Where the CT of a case lies: what a target's file is compared with, and what DICOM files refer to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from carina.commands import CtFolder, OpenFiles, OpenPath, PlanningOf, TakeTarget
+from carina.errors import UsageError, VolumeImportError
+from carina.session import Trouble, opening, target_editing
+from carina.volume.dicom_structures import References
+from small_case import small_bench, small_volume
+
+OURS = References(frozenset({"1.2.3"}), frozenset({"4.5"}), frozenset({"6"}), frozenset({"7"}))
+
+
+def dicom_volume(*_given):
+    volume = small_volume()
+    return replace(volume, source=replace(volume.source, format="dicom"))
+
+
+@pytest.fixture
+def taken(monkeypatch):
+    """What the file of a target was compared with; it is refused."""
+    found = []
+
+    def refuse(path, volume, *, ct, **_options):
+        found.append(ct)
+        raise VolumeImportError(f"reading {Path(path).name}: it was drawn on another CT", code="import.other-ct")
+
+    monkeypatch.setattr(target_editing, "target_from_file", refuse)
+    return found
+
+
+def take(bench):
+    bench.session.do(TakeTarget("nodule.dcm"))
+    bench.background.run_all()
+    return bench.of_type(Trouble)[-1]
+
+
+def test_a_targets_file_is_compared_with_the_folder_that_the_ct_was_opened_from(tmp_path, taken):
+    bench = small_bench(open_volume=dicom_volume)
+    bench.session.do(OpenPath(str(tmp_path)))
+    bench.background.run_all()
+    trouble = take(bench)
+    assert taken == [tmp_path]
+    assert (trouble.code, "drawn on another CT" in trouble.message) == ("import.other-ct", True)
+    assert bench.session.ask(CtFolder()) == tmp_path
+    assert bench.session.ask(PlanningOf()).dicom_problem is None
+
+
+def test_of_a_dropped_ct_its_own_words_are_kept_as_long_as_it_is_open(monkeypatch, taken, tmp_path):
+    read = []
+
+    def references(path, volume, watch):
+        read.append(path)
+        return OURS
+
+    monkeypatch.setattr(opening, "ct_references", references)
+    bench = small_bench(open_volume=dicom_volume)
+    bench.session.do(OpenFiles(str(tmp_path)))
+    bench.background.run_all()
+    take(bench)
+    assert (read, taken) == ([tmp_path], [OURS])
+    # A DICOM file needs the images themselves, and says what is missing.
+    with pytest.raises(UsageError, match="open the CT by its folder"):
+        bench.session.ask(CtFolder())
+    assert "was dropped" in bench.session.ask(PlanningOf()).dicom_problem
+    # Another case knows nothing of it.
+    bench.session.do(OpenPath(str(tmp_path)))
+    bench.background.run_all()
+    take(bench)
+    assert taken[-1] == tmp_path
+
+
+def test_what_is_no_dicom_or_has_gone_says_so(tmp_path, taken):
+    bench = small_bench()
+    bench.session.do(OpenPath(str(tmp_path)))
+    bench.background.run_all()
+    assert "was not opened from DICOM" in bench.session.ask(PlanningOf()).dicom_problem
+    gone = small_bench(open_volume=dicom_volume)
+    gone.session.do(OpenPath(str(tmp_path / "stick")))
+    gone.background.run_all()
+    assert "no longer there" in gone.session.ask(PlanningOf()).dicom_problem
+    take(gone)
+    assert taken == [None]

@@ -1,0 +1,214 @@
+"""What lies round the targets over slices: cut where the masks lie, whatever the zoom, and without the targets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import carina
+from carina.commands import LungsOf, MapLungs, MapReach
+from carina.errors import CancelledError, NoResultError, UsageError
+from carina.plan import Nodule
+from carina.plan.lung_map import LungMap, MappedMask, _within, map_lungs
+from carina.session.layers import ShownLayers
+from made import made_phantom
+from small_case import small_bench
+
+MATRIX = np.diag([2.0, 2.0, 2.0, 1.0])
+MATRIX[:3, 3] = (-10.0, 30.0, -200.0)
+NUM = (20, 24, 28)
+
+
+def ball(middle_ijk: tuple[float, float, float], radius: float) -> np.ndarray:
+    k, j, i = np.indices(NUM)
+    return sum((a - b) ** 2 for a, b in zip((i, j, k), middle_ijk, strict=True)) < radius**2
+
+
+def axial(mm_per_px: float, column: float = 0.0, row: float = 0.0, z: float = -180.0) -> np.ndarray:
+    """A slice whose first pixel lies where the masks begin, moved by pixels."""
+    matrix = np.diag([mm_per_px, mm_per_px, 1.0, 1.0])
+    matrix[:3, 3] = (-10.0 + mm_per_px * column, 30.0 + mm_per_px * row, z)
+    return matrix
+
+
+def drawn(lines) -> np.ndarray:
+    """Its points in pixels of the picture, (n, 2)."""
+    data, points = lines.data, []
+    while data:
+        count = int.from_bytes(data[:2], "little")
+        points.append(np.frombuffer(data, "<u2", 2 * count, 2).reshape(-1, 2) / 16.0)
+        data = data[2 + 4 * count :]
+    found = np.concatenate(points)
+    a, b, c, d, e, f = lines.pixel_from_line
+    return found @ np.array([[a, b], [c, d]]) + (e, f)
+
+
+@pytest.mark.parametrize("place", [axial(1.0), axial(0.3, 40.0, -25.0), axial(5.0)])
+def test_a_mask_is_outlined_half_way_between_its_voxels_whatever_the_zoom(place):
+    lungs = LungMap(lobes=(("RUL", MappedMask(ball((10, 12, 10), 6.0), MATRIX)),))
+    (lines,) = ShownLayers(lungs, None).lines(place, ("lobes",))
+    assert (lines.layer, lines.part, lines.complete) == ("lobes", "RUL", True)
+    points = np.column_stack([drawn(lines), np.zeros(len(drawn(lines))), np.ones(len(drawn(lines)))]) @ place.T
+    away = np.linalg.norm(points[:, :3] - (MATRIX @ (10, 12, 10, 1))[:3], axis=1)
+    # Half a voxel's diagonal and the rounding of the lines.
+    assert away.min() > 12.0 - 1.8
+    assert away.max() < 12.0 + 1.8
+    # Closed, also where the picture is but a part of it.
+    assert np.allclose(drawn(lines)[0], drawn(lines)[-1])
+
+
+def test_a_plane_beside_a_mask_carries_nothing_and_what_is_not_wanted_is_left_out():
+    shown = ShownLayers(LungMap(fissures=MappedMask(ball((10, 12, 10), 3.0), MATRIX)), None)
+    assert shown.names == ("fissures",)
+    assert shown.lines(axial(1.0, z=-100.0), ("fissures",)) == ()
+    assert shown.lines(axial(1.0), ("vessels", "lobes")) == ()
+    assert len(shown.lines(axial(1.0), ("fissures",))) == 1
+
+
+def test_a_target_is_not_drawn_as_a_vessel():
+    vessels = MappedMask(ball((6, 12, 10), 3.0) | ball((14, 12, 10), 3.0), MATRIX)
+    inside = np.ones((9, 9, 9), dtype=bool)
+    matrix = np.diag([2.0, 2.0, 2.0, 1.0])
+    matrix[:3, 3] = MATRIX[:3, 3] + 2.0 * np.array([10, 8, 6])
+    centre = tuple(float(v) for v in MATRIX[:3, 3] + 2.0 * np.array([14, 12, 10]))
+    nodule = Nodule(centre, "solid", 500.0, 10.0, 9.0, 9.0, 0.5, 500.0, 30.0, (), inside, matrix)
+    lungs = LungMap(vessels=vessels)
+    both, (one,) = ((ShownLayers(lungs, None, n).lines(axial(1.0), ("vessels",))) for n in ((), (nodule,)))
+    assert drawn(both[0])[:, 0].max() > 28.0
+    assert drawn(one)[:, 0].max() < 20.0
+    # The map itself is as it was.
+    assert vessels.inside_zyx[10, 12, 14]
+
+
+def bench_with(**parts):
+    made = small_bench(wall_field=lambda *_given, **_options: object(), **parts)
+    made.open()
+    return made
+
+
+BALL = MappedMask(ball((10, 12, 10), 6.0), MATRIX)
+
+
+def test_what_lies_round_is_made_when_it_is_asked_for_and_vessels_come_before_the_lobes():
+    seen = []
+
+    def slow(_volume, _airways, _wall, *, progress, found):
+        progress("looking for vessels", 0.1)
+        found(LungMap(vessels=BALL))
+        seen.append(session.ask(LungsOf()))
+        assert session.scene().layers.names == ("vessels",)
+        return LungMap(vessels=BALL, lobes=(("RUL", BALL),))
+
+    bench = bench_with(map_lungs=slow)
+    session = bench.session
+    bench.background.run_all()
+    assert session.scene().layers is None
+    assert session.ask(LungsOf()).standing == "unwanted"
+    key = session.scene().key("axial")
+    session.do(MapLungs())
+    assert session.ask(LungsOf()).standing == "making"
+    bench.background.run_all()
+    assert seen[0].standing == "making"
+    assert seen[0].lungs.vessels is BALL
+    info = session.ask(LungsOf())
+    assert info.standing == "had"
+    assert [mark.station for mark in info.stations][:2] == ["4R", "4L"]
+    assert session.scene().layers.names == ("lobes", "vessels")
+    assert session.scene().key("axial") != key
+
+
+def test_what_was_made_of_other_airways_is_not_shown_and_says_that_it_is_outdated():
+    bench = bench_with(map_lungs=lambda *_given, **_options: LungMap(vessels=BALL))
+    session = bench.session
+    session.do(MapLungs())
+    bench.background.run_all()
+    case = session._core.case
+    airways = case.document.airways
+    changed = replace(case.document, airways=type(airways)(**vars(airways)))
+    with session._core.lock:
+        session._core.change(case, "other airways", changed)
+    info = session.ask(LungsOf())
+    assert (info.lungs, info.standing, info.outdated, info.stations) == (None, "unwanted", True, ())
+    assert session.scene().layers is None
+    session.undo()
+    assert session.scene().layers.names == ("vessels",)
+    assert not session.ask(LungsOf()).outdated
+
+
+def test_what_fails_says_why_and_can_be_asked_for_again():
+    trouble = [NoResultError("no lung was found", code="plan.no_lung"), CancelledError("stopped"), None]
+
+    def make(*_given, **_options):
+        problem = trouble.pop(0)
+        if problem is not None:
+            raise problem
+        return LungMap(vessels=BALL)
+
+    bench = bench_with(map_lungs=make)
+    for standing, problem in (("failed", "no lung was found"), ("stopped", None), ("had", None)):
+        bench.session.do(MapLungs())
+        bench.background.run_all()
+        info = bench.session.ask(LungsOf())
+        assert (info.standing, info.problem) == (standing, problem)
+
+
+def test_the_reach_is_of_the_instrument_that_was_asked_for_last():
+    asked = []
+
+    def make(_volume, _airways, *, scope, tool, wall, progress, cancel):
+        asked.append((scope, tool))
+        raise NoResultError(f"nothing for {scope}")
+
+    bench = bench_with(reach_atlas=make)
+    with pytest.raises(UsageError):
+        bench.session.do(MapReach("no-such-scope"))
+    bench.session.do(MapReach("ultrathin"))
+    bench.background.run_all()
+    bench.session.do(MapReach("thin", "forceps"))
+    bench.background.run_all()
+    assert asked == [("ultrathin", "needle-21g"), ("thin", "forceps")]
+    assert bench.session.ask(LungsOf()).reach_problem == "nothing for thin"
+
+
+def test_without_airways_nothing_is_looked_for():
+    def none(*_given, **_options):
+        raise NoResultError("no trachea")
+
+    bench = bench_with(find_airways=none)
+    with pytest.raises(NoResultError, match="segment them first"):
+        bench.session.do(MapLungs())
+
+
+def test_the_rim_of_the_lungs_is_no_vessel():
+    known = np.zeros((9, 10, 11), dtype=bool)
+    known[1:8, :, 2:10] = True
+    inner = _within(known, 2)
+    assert inner[3:6, 2:8, 4:8].all()
+    assert inner.sum() == 3 * 6 * 4
+
+
+@pytest.mark.slow
+def test_the_lungs_of_a_phantom_have_vessels_lobes_and_progress_that_can_stop_it():
+    made = made_phantom(seed=4, spacing_mm=3.0, generations=4)
+    airways = carina.find_airways(made.volume)
+    wall = carina.track.wall_field(made.volume, airways)
+    told, early = [], []
+    lungs = map_lungs(
+        made.volume, airways, wall, progress=lambda what, share: told.append((what, share)), found=early.append
+    )
+    assert early[0].lobes == ()
+    assert early[0].vessels is lungs.vessels
+    assert 20.0 < lungs.vessels.ml < 1000.0
+    assert not (lungs.sure_vessels.inside_zyx & ~lungs.vessels.inside_zyx).any()
+    assert {name for name, _ in lungs.lobes} >= {"RUL", "RLL", "LUL", "LLL"}
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+
+    def stop(what, _share):
+        if "vessels" in what:
+            raise CancelledError("stopped")
+
+    with pytest.raises(CancelledError):
+        map_lungs(made.volume, airways, wall, progress=stop)

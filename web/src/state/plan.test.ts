@@ -1,0 +1,40 @@
+import { describe, expect, it } from "vitest";
+import type { PlannedTurn, RouteInfo } from "../wire/messages";
+import { besideRouteMm, turnBefore, turnWords } from "./plan";
+
+const turn = (at: [number, number, number] | null): PlannedTurn => ({
+  head: "3 o'clock",
+  facing: "9 o'clock",
+  doubts: [],
+  fork_branch_id: 0,
+  seen_from_lps: at,
+});
+
+describe("the list of turns", () => {
+  it("is told for the operator's position", () => {
+    expect(turnWords(turn(null), "head")).toBe("3 o'clock");
+    expect(turnWords(turn(null), "facing")).toBe("9 o'clock");
+  });
+
+  it("knows the turn before which the tip stands, and none once the tip has moved on", () => {
+    const turns = [turn(null), turn([1, 2, 3]), turn([5, 5, 5])];
+    expect(turnBefore(turns, [1, 2, 3.1])).toBe(1);
+    expect(turnBefore(turns, [1, 2, 4])).toBeNull();
+    expect(turnBefore(turns, null)).toBeNull();
+    expect(turnBefore([], [1, 2, 3])).toBeNull();
+  });
+
+  it("finds the tip's place beside the route only in its airway", () => {
+    const route = {
+      points_lps: [
+        [0, 0, 0],
+        [0, 0, 10],
+        [0, 0, 20],
+      ],
+      cumulative_mm: [0, 10, 20],
+      radius_mm: [5, 4, 3],
+    } as unknown as RouteInfo;
+    expect(besideRouteMm(route, [3, 0, 11])).toBe(10);
+    expect(besideRouteMm(route, [5, 0, 20])).toBeNull();
+  });
+});
