@@ -121,9 +121,11 @@ def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePrese
 
 
 def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
+    """To where the scope stands, which may be between two points of the centreline."""
     points = np.concatenate([branch.points for branch in tree.lineage(route.branch_id)])
-    last = int(np.argmin(np.linalg.norm(points - np.array(route.leg.tip_lps), axis=1)))
-    return points[: last + 1]
+    tip = np.array(route.leg.tip_lps)
+    last = int(np.argmin(np.linalg.norm(points - tip, axis=1)))
+    return np.concatenate([points[:last], tip[None]])
 
 
 def _true_place(truth: TrueTree, way: Floats) -> int:
