@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import CarinaError
-from carina.plan import Nodule, Plan, Surroundings, grow_nodule, plan_route, surroundings
+from carina.plan import Nodule, Plan, PlannedRoute, Surroundings, grow_nodule, plan_route, surroundings
 from carina.plan.room import rooms_mm
 from carina.scopes import ScopePreset
 from carina.track import AirwayTree, Branch
@@ -45,6 +45,7 @@ PLACES_MM, WALK_MM, FINE_MM = 0.35, 0.1, 0.5
 NUM_NEEDLES = 6000
 SIGMA_ANGLE_DEG, SIGMA_TIP_MM = 4.0, 0.7
 TOLERANCE = 0.04
+LEAST_SHOWN = 0.003
 RANKS = ("reaches", "may reach", "does not reach")
 
 
@@ -56,9 +57,8 @@ def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random
     found = []
     rooms = {branch.id: rooms_mm(branch, case.wall) for branch in case.airways.tree.branches}
     for branch in case.airways.tree.branches:
-        for place in _places(case.airways.tree, branch, plan.scope, max(case.volume.spacing_mm), rooms):
-            if np.linalg.norm(place["point"] - centre) > reach_mm + nodule.long_mm:
-                continue
+        near = partial(_is_near, centre, reach_mm + nodule.long_mm)
+        for place in _places(case.airways.tree, branch, plan.scope, max(case.volume.spacing_mm), rooms, near):
             walked = _walked(case, plan, around, place)
             if walked is not None:
                 found.append(place | walked)
@@ -68,7 +68,9 @@ def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random
     for one in found:
         if best is not None and (one["rank"] > best[0] or _worth(plan, one, one["lost"]) <= best[1]):
             break
-        lost = one["lost"] + plan.weights.misses * (1.0 - _drawn(nodule, one["point"], centre, reach_mm, rng))
+        misses = 1.0 - _drawn(nodule, one["point"], centre, reach_mm, rng)
+        lost = one["lost"] + plan.weights.misses * misses
+        one["parts"]["misses"] = misses
         if best is None or _worth(plan, one, lost) > best[1]:
             best = one["rank"], _worth(plan, one, lost), one
     assert best is not None
@@ -80,16 +82,35 @@ def _worth(plan: Plan, place: Row, lost: float) -> float:
     return _score(plan, lost) * (place["chance"] if place["rank"] == 1 else 1.0)
 
 
+def _apart(plan: Plan, first: PlannedRoute, place: Row) -> str:
+    """What each part of the score and the chance add to the difference, where it is seen."""
+    weights = plan.weights.to_json()
+    total = sum(weights.values())
+    off = {name: weights[name] * (first.parts[name] - part) / total for name, part in place["parts"].items()}
+    off["chance"] = place["chance"] - first.chance if first.outlook == "may reach" else 0.0
+    shown = [f"{name} {value:+.3f}" for name, value in off.items() if abs(value) >= LEAST_SHOWN]
+    return f"of it {', '.join(shown)}" if shown else "alike in all parts"
+
+
 def _score(plan: Plan, lost: float) -> float:
     weights = plan.weights
     total = weights.misses + weights.way + weights.angle + weights.narrow + weights.vessels + weights.shallow
     return 1.0 - lost / total
 
 
+def _is_near(centre: Floats, most_mm: float, point: Floats) -> bool:
+    return float(np.linalg.norm(point - centre)) <= most_mm
+
+
 def _places(
-    tree: AirwayTree, branch: Branch, scope: ScopePreset, spacing_mm: float, rooms: dict[int, Floats]
+    tree: AirwayTree,
+    branch: Branch,
+    scope: ScopePreset,
+    spacing_mm: float,
+    rooms: dict[int, Floats],
+    near: Callable[[Floats], bool],
 ) -> Iterator[Row]:
-    """Points of a branch 0.35 mm apart, each with its direction and what the way there allows."""
+    """Points of a branch 0.35 mm apart that are near, each with its direction and what the way there allows."""
     lineage: list[Branch] = []
     one: Branch | None = branch
     while one is not None:
@@ -116,11 +137,15 @@ def _places(
     at_branch = np.gradient(branch.points, axis=0)
     own_along = along[first : first + len(branch.points)]
     for mm in np.arange(along[first], along[-1] + 1e-6, PLACES_MM):
+        point = np.array([np.interp(mm, along, points[:, axis]) for axis in range(3)])
+        # What the way asks is slow to find.
+        if not near(point):
+            continue
         ahead = np.array([np.interp(mm, own_along, at_branch[:, axis]) for axis in range(3)])
         yield {
             "branch": branch.id,
             "mm": float(mm),
-            "point": np.array([np.interp(mm, along, points[:, axis]) for axis in range(3)]),
+            "point": point,
             "forward": ahead / np.linalg.norm(ahead),
             # Between two points of the centreline it is as wide as at the narrower of them.
             "width_mm": (width_mm := float(widths[: int(np.searchsorted(along, mm - 1e-6)) + 1].min())),
@@ -180,16 +205,18 @@ def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row
     thick = around.read(around.thick, stretch) & around.holds(stretch) & (case.wall.distance_mm(stretch) < -1.5)
     near = 1.0 if thick.sum() * WALK_MM > 2.0 else 1.0 - min(float(vessel_mm.min()) / plan.vessel_margin_mm, 1.0)
     lacks = 1.0 - place["width_mm"] / max(plan.scope.tip_mm + 0.4, plan.scope.tube_mm or 0.0)
-    lost = (
-        weights.way * min(max(first - out, 0) * WALK_MM / reach_mm, 1.0)
-        + weights.angle * min(angle / 90.0, 1.0)
-        + weights.narrow * min(max(4.0 * lacks, 0.0), 1.0)
-        + weights.vessels * near
-        + weights.shallow * max(1.0 - in_mm / min(8.0, 0.9 * nodule.short_mm), 0.0)
-    )
+    parts = {
+        "way": min(max(first - out, 0) * WALK_MM / reach_mm, 1.0),
+        "angle": min(angle / 90.0, 1.0),
+        "narrow": min(max(4.0 * lacks, 0.0), 1.0),
+        "vessels": near,
+        "shallow": max(1.0 - in_mm / min(8.0, 0.9 * nodule.short_mm), 0.0),
+    }
+    lost = sum(getattr(weights, name) * part for name, part in parts.items())
     depth = 0.5 * math.erfc(-(reach_mm - first * WALK_MM) / 0.5 / math.sqrt(2.0))
     return {
         "lost": lost,
+        "parts": parts,
         "rank": max(place["rank"], 0 if depth >= 0.9 else 2 if depth <= 0.1 else 1),
         "chance": place["chance"] * depth,
     }
@@ -240,7 +267,7 @@ def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
             off.append(score - worth if outlook == first.outlook else 0.0)
             say(
                 f"phantom-{seed}, {plan.scope.name}: {worth:.3f} {first.outlook} in {first.key}; best of all "
-                f"{score:.3f} {outlook} in {place['branch']}-{place['mm']:.1f}"
+                f"{score:.3f} {outlook} in {place['branch']}-{place['mm']:.1f}; {_apart(plan, first, place)}"
             )
             num += 1
             if num == NUM_TARGETS:

@@ -1,7 +1,8 @@
 """Planned routes flown in the truth: chests with random nodules whose airways are known and are found anew.
 
 ``python -m carina_bench.plan_truth FOLDER`` keeps in FOLDER what is slow, the CTs with the airways found in them, so
-that a second run plans alone.
+that a second run plans alone; and the rows of each case as soon as it is done, so that a run that was stopped goes on
+where it was. Rows are judged anew where the plan or the judging has changed since. Phantoms come first.
 
 A target is *reachable* if some point of the true centrelines suffices: the scope fits all the way there (true diameter
 at least ``fit_mm``), and the needle, aimed at the nodule's true middle at no more than 100 degrees from the airway,
@@ -14,6 +15,7 @@ the true nodule within its reach. A route is *told reachable* if its outlook say
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import time
 from collections import Counter
@@ -26,12 +28,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import carina.plan
 from carina.config import load_settings
 from carina.errors import CarinaError
 from carina.plan import Plan, grow_nodule, plan_route
 from carina.plan.routes import MOST_ANGLE_DEG, PlannedRoute
 from carina.scopes import ScopePreset, scope_preset
 from carina.track import AirwayTree
+from carina_bench import plan_cases
 from carina_bench.plan_cases import PlanCase, Target, TrueTree, found_case, patient_cases, phantom_case
 
 __all__ = ["Flight", "flown", "is_reachable", "run"]
@@ -52,6 +56,17 @@ AT_ALL_MM = 3.0
 """A true branch shorter than this may be passed without its centreline being met."""
 PASSED = 0.6
 """Of a true branch's length that the found way must follow."""
+
+
+def _code() -> str:
+    taken = hashlib.sha256()
+    for path in (*sorted(Path(carina.plan.__file__).parent.glob("*.py")), Path(plan_cases.__file__), Path(__file__)):
+        taken.update(path.read_bytes())
+    return taken.hexdigest()[:16]
+
+
+CODE = _code()
+"""Tells the code that plans and judges from any other, as it was when this run began."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +121,11 @@ def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePrese
 
 
 def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
+    """To where the scope stands, which may be between two points of the centreline."""
     points = np.concatenate([branch.points for branch in tree.lineage(route.branch_id)])
-    last = int(np.argmin(np.linalg.norm(points - np.array(route.leg.tip_lps), axis=1)))
-    return points[: last + 1]
+    tip = np.array(route.leg.tip_lps)
+    last = int(np.argmin(np.linalg.norm(points - tip, axis=1)))
+    return np.concatenate([points[:last], tip[None]])
 
 
 def _true_place(truth: TrueTree, way: Floats) -> int:
@@ -166,6 +183,32 @@ def judged(case: PlanCase, say: Say) -> Iterator[Row]:
         yield row
 
 
+def kept_rows(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> list[Row]:
+    """The rows of a case, read where the same code has judged it before, else judged and kept."""
+    kept = None if folder is None else folder / "rows" / f"{name}.json"
+    if kept is not None and kept.exists():
+        found = json.loads(kept.read_text())
+        if found["code"] == CODE:
+            rows: list[Row] = found["rows"]
+            return rows
+    start = time.process_time()
+    case = found_case(folder, name, make, say)
+    found_s = time.process_time() - start
+    rows = list(judged(case, say))
+    arrived, reachable = sum(row["reachable"] and row["arrives"] for row in rows), sum(row["reachable"] for row in rows)
+    planned_s = time.process_time() - start - found_s
+    say(
+        f"{name}: {arrived} of {reachable} reachable arrive; {len(rows)} targets; {found_s:.0f} s of the processor to "
+        f"make or read the case, {planned_s:.0f} to plan"
+    )
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        draft = kept.with_suffix(".draft")
+        draft.write_text(json.dumps({"code": CODE, "rows": rows}, indent=0))
+        draft.rename(kept)
+    return rows
+
+
 def _told(plan: Plan) -> Row:
     if not plan.routes:
         return {"told": "no route"}
@@ -209,18 +252,14 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
 def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
     """Rows of painted patients, of phantoms, and of both."""
     data = load_settings().data_dir
+    phantoms: list[Row] = []
+    for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
+        phantoms += kept_rows(folder, f"phantom-{seed}", partial(phantom_case, seed, num=NUM_PER_PHANTOM), say)
     patients: list[Row] = []
     if data is not None:
         wanted = list(PATIENTS[:1] if quick else PATIENTS)
         for name, make in patient_cases(data, wanted, CONDITION, NUM_PER_PATIENT, say):
-            patients += judged(found_case(folder, name, make, say), say)
-    phantoms: list[Row] = []
-    for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
-        make = partial(phantom_case, seed, num=NUM_PER_PHANTOM)
-        case = found_case(folder, f"phantom-{seed}", make, say)
-        phantoms += judged(case, say)
-    if folder is not None:
-        (folder / "rows.json").write_text(json.dumps([*patients, *phantoms], indent=0))
+            patients += kept_rows(folder, name, make, say)
     rows = []
     for what, part in (("painted", patients), ("phantoms", phantoms), ("all", [*patients, *phantoms])):
         if part:

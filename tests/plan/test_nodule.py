@@ -46,6 +46,23 @@ def test_the_volume_is_right(kind, most, seed):
     assert (kind == "pleura") == ("pleura" in nodule.touches)
 
 
+@pytest.mark.parametrize("shift_mm", [(0.07, 0.14, -0.02), (-0.3, 0.35, 0.2)])
+def test_a_thin_faint_rim_beside_a_large_core_is_not_lost(shift_mm):
+    scene = Scene(
+        radii_mm=(6.0, 6.0, 6.0),
+        level_hu=-644.0,
+        core_mm=3.43,
+        spacing_mm=(0.79, 0.79, 0.95),
+        sigma_mm=0.58,
+        noise_hu=12.0,
+        shift_mm=shift_mm,
+    )
+    volume, true_mm3, middle = painted(scene)
+    nodule = grow_nodule(volume, middle)
+    assert nodule.kind == "part-solid"
+    assert nodule.volume_mm3 == pytest.approx(true_mm3, rel=0.12)
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", ["solid", "vessel", "pleura", "ground-glass", "part-solid", "2 mm", "3 mm"])
 def test_the_error_that_is_told_holds_the_truth_nine_times_of_ten(kind):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from nodules import ellipsoid
 
 from carina.plan.last_leg import LastLeg
-from carina.plan.places import Places
+from carina.plan.places import FINE_MM, PLACES_MM, Places
 from carina.plan.score import RANK, Judge, ScoreWeights, bending_mm
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch
@@ -66,6 +66,34 @@ def test_the_narrowest_place_is_where_the_lumen_is_narrow() -> None:
     assert asked.room_mm.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
     before = places.asks(len(tree.root.points) + 20, SECTION_MM)
     assert before.room_mm.value == pytest.approx(6.0)
+
+
+@settings(deadline=None, max_examples=10)
+@given(at_mm=st.floats(31.0, 130.0))
+def test_places_beside_one_lie_on_the_centreline_and_are_no_wider_than_its_points(at_mm: float) -> None:
+    tree = bent(70.0, 12.0)
+    radius = np.interp(np.arange(len(tree.branches[1].points)), [0, 400], [3.0, 0.5])
+    tree = AirwayTree((tree.root, dataclasses.replace(tree.branches[1], radius=radius)))
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    own = places.branch == 1
+    along, points = places.along_mm[own], places.points[own]
+    at_mm = min(at_mm, float(along[-1]))
+    found = places.beside([(1, at_mm)])
+    assert (np.abs(found.along_mm - at_mm) <= PLACES_MM + 1e-9).all()
+    assert (np.diff(found.along_mm) <= 2.0 * FINE_MM + 1e-9).all() and len(found.along_mm) >= 4
+    assert min(at_mm + PLACES_MM, along[-1]) in found.along_mm, "up to the neighbours, or to where the branch ends"
+    for n, mm in enumerate(found.along_mm):
+        after = min(int(np.searchsorted(along, mm)), len(along) - 1)
+        before = points[max(after - 1, 0)]
+        step = points[after] - before
+        assert found.points[n] == pytest.approx(before + (mm - along[max(after - 1, 0)]) / 0.5 * step, abs=0.05)
+        assert np.linalg.norm(np.cross(found.points[n] - before, step)) < 1e-9
+        assert found.narrowest_mm[n] == places.narrowest_mm[own][after]
+        assert np.linalg.norm(found.forward[n]) == pytest.approx(1.0)
+    asked = found.asks(0, SECTION_MM)
+    assert asked.room_mm.at_mm <= found.along_mm[0]
+    assert asked.bend_deg.value <= places.asks(len(places.points) - 1, SECTION_MM).bend_deg.value
+    assert len(places.beside([]).points) == 0
 
 
 @settings(deadline=None, max_examples=30)

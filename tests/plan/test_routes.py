@@ -28,8 +28,9 @@ from carina.plan import (
     tool,
     tools,
 )
+from carina.plan.places import Places
 from carina.plan.routes import standing_apart
-from carina.plan.score import order
+from carina.plan.score import RANK, Judge, bending_mm, order
 from carina.scopes import ScopePreset, WallField, scope_preset
 from carina.track import Airways
 from carina.volume import Volume
@@ -54,6 +55,13 @@ def retreed(airways: Airways, branch_id: int, **changes: Any) -> Airways:
     return dataclasses.replace(airways, tree=dataclasses.replace(airways.tree, branches=branches))
 
 
+def off_line_mm(line: np.ndarray, point: np.ndarray) -> float:
+    """From a point to the nearest place on a line of straight pieces."""
+    start, step = line[:-1], np.diff(line, axis=0)
+    share = np.clip(((point - start) * step).sum(axis=1) / (step * step).sum(axis=1), 0.0, 1.0)
+    return float(np.linalg.norm(start + share[:, None] * step - point, axis=1).min())
+
+
 def test_a_nodule_beside_an_airway_gets_a_route_that_reaches_it_in_the_truth() -> None:
     best = plan().routes[0]
     tip, aim = np.array(best.leg.tip_lps), np.array(truth()["center_lps"])
@@ -61,7 +69,7 @@ def test_a_nodule_beside_an_airway_gets_a_route_that_reaches_it_in_the_truth() -
     assert best.leg.to_target_mm == pytest.approx(to_edge, abs=1.0)
     assert best.leg.reaches and best.leg.hit_share > 0.9
     branch = made_airways(**CHEST).tree.branch(best.branch_id)
-    assert np.linalg.norm(branch.points - tip, axis=1).min() < 1e-9, "the tip stands on the centreline"
+    assert off_line_mm(branch.points, tip) < 1e-9, "the tip stands on the centreline"
     route = made_airways(**CHEST).tree.route_to(best.branch_id)
     assert 0.0 < best.from_carina_mm < best.along_mm < 1.02 * route.length_mm
 
@@ -107,6 +115,31 @@ def test_no_place_on_any_branch_scores_better_than_the_first_route() -> None:
     assert {route.outlook for route in plan().routes} == {"does not reach"}, "the score alone ranks them"
     assert plan().routes[0].score >= best - 0.02
     assert [route.score for route in plan().routes] == sorted((route.score for route in plan().routes), reverse=True)
+
+
+def test_no_place_between_two_points_of_the_first_routes_branch_scores_better() -> None:
+    airways, found = made_airways(**CHEST), plan()
+    first, nodule = found.routes[0], found.nodule
+    around = surroundings(made_phantom(**CHEST).volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
+    scene = NeedleScene(nodule, wall(), around, found.tool, NeedleErrors())
+    judge = Judge(found.scope, 3.0, ScoreWeights(), found.tool.reach_mm, 1.1)
+    places = Places(airways.tree, nodule, wall())
+    finer = places.beside((first.branch_id, first.along_mm + mm) for mm in np.arange(-8.0, 8.0, 0.6))
+    scores = []
+    for n, (point, forward) in enumerate(zip(finer.points, finer.forward, strict=True)):
+        leg = last_leg(scene, point, forward)
+        if not leg.reaches or leg.angle_deg > 100.0:
+            continue
+        asked = finer.asks(n, bending_mm(found.scope))
+        outlook, chance, _ = judge.outlook(asked, leg)
+        assert RANK[outlook] >= RANK[first.outlook]
+        if outlook == first.outlook:
+            score = judge.score(judge.parts(leg, asked.room_mm.value, nodule))
+            scores.append(score * (chance if outlook == "may reach" else 1.0))
+    assert len(scores) > 5
+    lines = [(airways.tree.branch(route.branch_id).points, np.array(route.leg.tip_lps)) for route in found.routes]
+    assert any(np.linalg.norm(line - tip, axis=1).min() > 0.05 for line, tip in lines), "between two points"
+    assert first.score * (first.chance if first.outlook == "may reach" else 1.0) >= max(scores) - 0.004
 
 
 def test_routes_stand_apart_and_at_least_two_are_told() -> None:

@@ -45,8 +45,10 @@ DENSEST_HU = 100.0
 TISSUE_HU = 40.0
 CAVITY_WALL_MM = 4.0
 """A cavity's wall is looked for this far outside of it."""
-RIM_DEEP_MM = (0.8, 1.3)
-"""There ground glass round a core is read again, once its boundary is known."""
+RIM_DEEP_MM, RIM_BIN_MM, NUM_RIMS = (0.4, 2.8), 0.4, 2
+"""There ground glass round a core is read again, once its boundary is known, and once more."""
+LEAST_RING = 20
+"""Fewer voxels say nothing of a density."""
 CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
 """Radius of the ball that a cavity has room for, and its volume: less is noise."""
 LEAST_RISE_HU = 110.0
@@ -97,12 +99,14 @@ class Boundary:
         self._grow(min(level, DENSEST_HU))
         glass = self._glass_hu()
         self._grow(min(level, DENSEST_HU) if glass is None else glass)
+        self.rim_hu: float | None = None
         if glass is not None:
-            # Nearer to its edge less of the core is seen.
-            depth = ball_distance(self.inside, box.step_mm)
-            rim = (depth >= RIM_DEEP_MM[0]) & (depth <= RIM_DEEP_MM[1])
-            if rim.sum() >= 20:
-                self._grow(float(np.median(box.hu_zyx[rim])))
+            for _ in range(NUM_RIMS):
+                # Nearer to its edge less of the core is seen, and the boundary that follows lies farther out.
+                self.rim_hu = self._rim_hu()
+                if self.rim_hu is None:
+                    break
+                self._grow(self.rim_hu)
         self.has_glass = glass is not None
         """Round a denser part."""
 
@@ -235,6 +239,23 @@ class Boundary:
         if level - self.lung_hu > GLASS_SHARE * (densest - self.lung_hu):
             return None
         return float(np.median(self.box.hu_zyx[ring]))
+
+    def _rim_hu(self) -> float | None:
+        """How dense the ground glass is where it is least touched by the lung and by the core; None in a thin one.
+
+        There the values change least with depth: a thin faint rim shows its own density nowhere else.
+        """
+        depth = ball_distance(self.inside, self.box.step_mm)
+        at, level = [], []
+        for first in np.arange(RIM_DEEP_MM[0], RIM_DEEP_MM[1], RIM_BIN_MM):
+            ring = (depth >= first) & (depth < first + RIM_BIN_MM)
+            if ring.sum() >= LEAST_RING:
+                at.append(float(depth[ring].mean()))
+                level.append(float(np.median(self.box.hu_zyx[ring])))
+        if len(at) < 2:
+            return None
+        n = int(np.argmin(np.diff(level) / np.diff(at)))
+        return 0.5 * (level[n] + level[n + 1])
 
     @property
     def is_film(self) -> bool:

@@ -109,9 +109,9 @@ def _share(nodule: Nodule, tips: Points, ways: Points, reach_mm: float) -> float
 
 
 def axes_across(along: Points) -> tuple[Points, Points]:
-    """Two unit vectors across a direction and each other."""
-    across = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
-    across /= np.linalg.norm(across)
+    """Two unit vectors across a direction and each other; of directions (..., 3) across each."""
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=-1)])
+    across /= np.sqrt((across * across).sum(axis=-1, keepdims=True))
     return across, np.cross(along, across)
 
 

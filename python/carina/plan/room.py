@@ -55,8 +55,7 @@ def rooms_mm(branch: Branch, wall: WallField | None) -> Points:
     ahead = points[-1] - points[0] if len(points) < 3 else np.gradient(points, axis=0)
     ahead = np.broadcast_to(ahead, points.shape)
     ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-    axes = [axes_across(one) for one in ahead]
-    across, up = (np.array([pair[n] for pair in axes]) for n in (0, 1))
+    across, up = axes_across(ahead)
     turn = 2.0 * np.pi * np.arange(NUM_ROUND) / NUM_ROUND
     ring = np.cos(turn)[:, None, None] * across + np.sin(turn)[:, None, None] * up
     middle, best = points.copy(), wall.distance_mm(points)

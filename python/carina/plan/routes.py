@@ -298,17 +298,17 @@ def plan_route(
         half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, LEAST_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
-        drafts: dict[tuple[int, int], list[PlannedRoute]] = {}
-        for step, (n, aim) in enumerate(candidates):
-            say(0.6 + 0.3 * step / len(candidates))
-            leg = leg_as_aimed(scene, places.points[n], places.forward[n], meant[aim])
-            if leg.reaches and (used.pierces or leg.is_open):
-                route = _route(places, int(n), aim, leg, judge)
-                drafts.setdefault((route.branch_id, aim), []).append(route)
-        best = [_best(scene, judge, rows) for rows in drafts.values()]
+        search = _Search(scene, judge, meant)
+        best = {key: search.best(drafts) for key, drafts in search.drafts(places, candidates, say).items()}
+        # The best place of a branch may lie between two of those.
+        for aim, aim_lps in enumerate(meant):
+            finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
+            near = [(n, aim) for n in finer.within_reach(used, aim_lps, MOST_ANGLE_DEG, apart_mm=0.0)]
+            for key, drafts in search.drafts(finer, near).items():
+                best[key] = search.best(drafts, best[key])
         kept = tuple(
             replace(route, leg=where_it_may_have_moved(scene, route.leg, moved))
-            for route in standing_apart(sorted(best, key=order))
+            for route in standing_apart(sorted(best.values(), key=order))
         )
     told = next((route for route in kept if route.from_carina_mm is not None), None)
     ridge_mm = None
@@ -338,22 +338,43 @@ def plan_route(
     )
 
 
-def _best(scene: NeedleScene, judge: Judge, drafts: list[PlannedRoute]) -> PlannedRoute:
-    """The best of routes whose needles go as they are aimed, with the needle's errors.
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """For the best place of each branch and aim."""
 
-    What cannot be the best even if no needle missed is not looked at.
-    """
-    found: PlannedRoute | None = None
-    for draft in sorted(drafts, key=order):
-        if found is not None and order(found) <= order(draft):
-            break
-        leg = with_errors(scene, draft.leg)
-        parts = judge.parts(leg, draft.narrowest_mm, scene.nodule)
-        route = replace(draft, leg=leg, parts=parts, score=judge.score(parts))
-        if found is None or order(route) < order(found):
-            found = route
-    assert found is not None
-    return found
+    scene: NeedleScene
+    judge: Judge
+    aims_lps: Points
+
+    def drafts(
+        self, places: Places, candidates: Sequence[tuple[Any, int]], say: Callable[[float], None] | None = None
+    ) -> dict[tuple[int, int], list[PlannedRoute]]:
+        """Routes to places and aims, by branch and aim, whose needles go as they are aimed and reach the target."""
+        found: dict[tuple[int, int], list[PlannedRoute]] = {}
+        for step, (n, aim) in enumerate(candidates):
+            if say is not None:
+                say(0.6 + 0.3 * step / len(candidates))
+            leg = leg_as_aimed(self.scene, places.points[n], places.forward[n], self.aims_lps[aim])
+            if leg.reaches and (self.scene.tool.pierces or leg.is_open):
+                route = _route(places, int(n), aim, leg, self.judge)
+                found.setdefault((route.branch_id, aim), []).append(route)
+        return found
+
+    def best(self, drafts: Sequence[PlannedRoute], found: PlannedRoute | None = None) -> PlannedRoute:
+        """The best of drafts with the needle's errors, or ``found`` if that is better.
+
+        What cannot be the best even if no needle missed is not looked at.
+        """
+        for draft in sorted(drafts, key=order):
+            if found is not None and order(found) <= order(draft):
+                break
+            leg = with_errors(self.scene, draft.leg)
+            parts = self.judge.parts(leg, draft.narrowest_mm, self.scene.nodule)
+            route = replace(draft, leg=leg, parts=parts, score=self.judge.score(parts))
+            if found is None or order(route) < order(found):
+                found = route
+        assert found is not None
+        return found
 
 
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:

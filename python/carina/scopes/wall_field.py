@@ -13,6 +13,13 @@ from carina.display import one_line
 
 __all__ = ["WallField"]
 
+STEP_MM = 0.6
+"""From a point to those round it: farther than the diagonal of a square of samples, which the ridge lies in."""
+BEYOND_MM = 0.3
+"""No farther than this is looked at behind a wall, where the next lumen may be near."""
+INSIDE_MM = 4.5
+AT_ONCE = 4096
+
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,3 +109,44 @@ class WallField:
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
         """Distances (n,) of points (n, 3), LPS mm."""
         return self.core.distance_mm(np.atleast_2d(np.asarray(points_lps, dtype=np.float64)))
+
+    def ball_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
+        """Radius of the largest ball round points that touches no wall, for measuring; what `distance_mm` says outside.
+
+        Along the middle of a lumen the distance has a ridge, which a reading between samples cuts off: by `distance_mm`
+        a tube is 0.4 mm too narrow there, up to 0.56 mm, whatever its width. Beside the ridge it is right, and a point
+        is as far from the wall as the nearest of the points round it, and the way to that one. Tubes of 1 to 6 mm come
+        out 0.06 mm too narrow, 0.1 mm at most (docs/decisions/0074). It takes 65 times as long.
+
+        Parameters
+        ----------
+        points_lps
+            (n, 3) LPS mm.
+
+        Returns
+        -------
+        numpy.ndarray
+            (n,) mm, up to 4.5.
+        """
+        points = np.atleast_2d(np.asarray(points_lps, dtype=np.float64))
+        found = self.distance_mm(points)
+        for first in range(0, len(points), AT_ONCE):
+            own = first + np.flatnonzero(found[first : first + AT_ONCE] > 0.0)
+            step = np.minimum(found[own] + BEYOND_MM, STEP_MM)
+            round_it = points[own, None] + step[:, None, None] * _DIRECTIONS
+            least = self.distance_mm(round_it.reshape(-1, 3)).reshape(len(own), len(_DIRECTIONS)).min(axis=1)
+            found[own] = np.clip(least + step, found[own], INSIDE_MM)
+        return found
+
+
+def _spread(num: int) -> NDArray[np.float64]:
+    """Directions spread evenly over the sphere, (num, 3)."""
+    n = np.arange(num)
+    z = 1.0 - (2.0 * n + 1.0) / num
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * n
+    across = np.sqrt(1.0 - z * z)
+    found: NDArray[np.float64] = np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+    return found
+
+
+_DIRECTIONS = _spread(64)

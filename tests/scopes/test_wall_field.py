@@ -1,0 +1,59 @@
+"""Readings of the wall's distance between its samples, in lumens whose width is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina.scopes import WallField
+
+STEP_MM = 0.4
+
+
+def tubes(radius_mm: float, axis: np.ndarray, *middles: np.ndarray) -> WallField:
+    """Parallel tubes, exact at samples 0.4 mm apart."""
+    num = int(2.0 * (radius_mm + 2.2) / STEP_MM) + 3
+    low = -0.5 * (num - 1) * STEP_MM
+    k, j, i = np.indices((num, num, num)) * STEP_MM + low
+    distance = np.full(i.shape, -np.inf)
+    for middle in middles:
+        off = np.stack([i, j, k], axis=-1) - middle
+        square = np.maximum((off * off).sum(axis=-1) - (off @ axis) ** 2, 0.0)
+        distance = np.maximum(distance, radius_mm - np.sqrt(square))
+    place = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
+    place[:3, 3] = low
+    return WallField.from_distances(distance.astype(np.float32), place)
+
+
+@pytest.mark.parametrize("diameter_mm", [1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+@pytest.mark.parametrize("off_mm", [0.0, 0.15, 0.3])
+def test_a_tube_is_as_wide_as_it_is_in_every_direction_and_wherever_it_lies(diameter_mm: float, off_mm: float) -> None:
+    rng = np.random.default_rng(int(10 * diameter_mm))
+    ways = np.concatenate([np.eye(3), rng.normal(size=(9, 3))])
+    biases = []
+    for axis in ways / np.linalg.norm(ways, axis=1, keepdims=True):
+        middle = rng.uniform(-0.5 * STEP_MM, 0.5 * STEP_MM, 3)
+        across = np.cross(axis, rng.normal(size=3))
+        across /= np.linalg.norm(across)
+        at = middle + off_mm * across + rng.uniform(-0.4, 0.4, 40)[:, None] * axis
+        biases.append(2.0 * (tubes(0.5 * diameter_mm, axis, middle).ball_mm(at) - (0.5 * diameter_mm - off_mm)))
+    assert np.abs(biases).max() <= 0.1
+    assert abs(np.mean(biases)) <= 0.07
+
+
+def test_the_ball_beside_a_thin_wall_does_not_see_the_next_lumen() -> None:
+    axis = np.array([0.0, 0.0, 1.0])
+    left, right = np.array([-0.9, 0.1, 0.0]), np.array([1.8, 0.1, 0.0])
+    field = tubes(1.0, axis, left, right)
+    for off_mm in (0.0, 0.4, 0.8, 0.95):
+        at = left + np.array([off_mm, 0.0, 0.0])
+        assert field.ball_mm(at)[0] == pytest.approx(1.0 - off_mm, abs=0.06)
+
+
+def test_outside_the_lumen_and_far_in_it_the_ball_is_what_the_distance_says() -> None:
+    field = tubes(1.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    outside = np.array([[1.5, 0.0, 0.0], [0.0, 2.0, 0.3], [99.0, 0.0, 0.0]])
+    assert field.ball_mm(outside).tolist() == field.distance_mm(outside).tolist()
+    wide = tubes(6.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    assert wide.ball_mm([0.0, 0.0, 0.0]).tolist() == [4.5]
+    assert len(wide.ball_mm(np.empty((0, 3)))) == 0
