@@ -86,7 +86,7 @@ def test_the_picture_is_as_fine_as_the_time_allows(full_s, samples, counts):
     time_s, order = simulation.sent[-1]
     took_s = simulation.machine.seconds(order, time_s)
     assert took_s < 1.05 / 60.0
-    # One level finer would not have fitted: a level costs 0.82 to 0.86 of the one before, and 0.87 of the period is
+    # One level finer would not have fitted: a level costs 0.82 to 0.86 of the one before, and 0.85 of the period is
     # asked for. What the model's prior is off by takes a little more of it.
     assert order.level == 0 or took_s > 0.66 / 60.0
 

@@ -37,11 +37,11 @@ PLANAR_LEVELS = tuple(Level(scale, FULL_STEP_VOX) for scale in _SCALES)
 AIRWAY_LEVELS = (*PLANAR_LEVELS, *(Level(0.25, step_vox) for step_vox in (0.6, 0.72, 0.86, 1.0, 1.2, 1.4, 1.7, 2.0)))
 """Resolution first, then the step. A level costs some 0.85 of the one before, so a budget is never missed by much."""
 
-OVER = 1.05
+OVER = 1.0
 """A level is left for a coarser one when it takes this many times the budget..."""
-FITS = 0.92
+FITS = 0.9
 """... for one that takes at most this part of it; and for a finer one only where that is predicted to take no more. The
-levels before and after such a change are 0.85 apart, so that between 0.92 and 1.05 nothing changes."""
+levels before and after such a change are 0.85 apart, so that between 0.9 and 1 nothing changes."""
 DWELL_S = 0.4
 """Time between a change and the next step to a finer level; doubled each time that such a step had to be taken back."""
 MAX_DWELL_S = 2.0
