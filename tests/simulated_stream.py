@@ -34,15 +34,28 @@ class Machine:
     slowed: Callable[[float], float] = lambda _now_s: 1.0
     waits_s: Callable[[], float] = lambda: 0.0
     """For a core that another program has, before each picture."""
+    shared: Callable[[float], float] = lambda _now_s: 1.0
+    """How many times as long everything takes because other programs have the cores for a part of the time."""
+    counts: bool = True
+    """Whether the rays' processor time is told, as it is on Linux."""
+
+    def cost(self, order: RenderOrder, now_s: float) -> tuple[float, float | None]:
+        """What a picture takes, and what of it its rays take where nothing else wants a core."""
+        slowed = self.slowed(now_s)
+        rays_s = self._rays_s(order) * slowed
+        seconds = (self.each_s * slowed + rays_s) * self.shared(now_s) + self.waits_s()
+        return seconds, rays_s if self.counts else None
 
     def seconds(self, order: RenderOrder, now_s: float) -> float:
+        """What a picture takes."""
+        return self.cost(order, now_s)[0]
+
+    def _rays_s(self, order: RenderOrder) -> float:
         pixels = order.width * order.height
         if order.view == "airway" and order.purpose != "finder":
             per_ray = (self.full_s - self.each_s) / (800 * 640)
-            work_s = per_ray * pixels * (1.0 - self.samples + self.samples * 0.5 / order.step_vox)
-        else:
-            work_s = self.slices_s * pixels / (300 * 250)
-        return (self.each_s + work_s) * self.slowed(now_s) + self.waits_s()
+            return per_ray * pixels * (1.0 - self.samples + self.samples * 0.5 / order.step_vox)
+        return self.slices_s * pixels / (300 * 250)
 
 
 @dataclass
@@ -97,14 +110,14 @@ class Simulation:
         return self.fly(seconds, moves=False)
 
     def _render(self, order: RenderOrder) -> None:
-        seconds = self.machine.seconds(order, self.now_s)
+        seconds, rays_s = self.machine.cost(order, self.now_s)
         if order.purpose == "probe":
             self.probes.append((self.now_s, seconds))
         self.now_s += seconds
         self._frame_id += 1
         name = order.purpose if order.view == "airway" else order.view
         self.spent_s[name] = self.spent_s.get(name, 0.0) + seconds
-        if self.scheduler.rendered(order, self._frame_id, seconds, self.now_s):
+        if self.scheduler.rendered(order, self._frame_id, seconds, self.now_s, rays_s=rays_s):
             self.sent.append((self.now_s, order))
             self._acks.append((self.now_s + self.ack_s, self._frame_id))
 

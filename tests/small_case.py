@@ -197,6 +197,8 @@ class SmallRenderer:
     """What a pick finds."""
     grey: int = 90
     """Of its pictures."""
+    rays_s: float | None = None
+    """What it says that the rays of a picture took."""
     picks: list[Any] = field(default_factory=list)
     on_prepare: Callable[[], None] = lambda: None
 
@@ -218,7 +220,7 @@ class SmallRenderer:
             lps_from_camera=None if planar else view.pose.lps_from_camera,
             fov_deg=None if planar else 90.0,
             optics=None,
-            stats=SimpleNamespace(method="brute"),
+            stats=SimpleNamespace(method="brute", rays_s=self.rays_s),
         )
 
     def set_transfer(self, transfer: Any) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
+import os
 import statistics
 import subprocess
 import sys
@@ -32,14 +35,16 @@ PERIOD_S = 1.0 / 60.0
 def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
     """Measure, print, and write ``stream.json``."""
     seconds = 4.0 if quick else 20.0
-    with _server(case) as (host, token):
+    with _server(case) as (host, token, pid):
         say("waiting for the airways")
         with _client(host, token) as client:
             client.open()
-            rows = {
-                "steer": client.measure(seconds, device=False),
-                "device": client.measure(seconds, device=True),
-            }
+            rows = {}
+            for name, device in (("steer", False), ("device", True)):
+                began_s, used_s = time.monotonic(), _used_s(pid)
+                rows[name] = client.measure(seconds, device=device)
+                if used_s is not None:
+                    rows[name]["cores_used"] = ((_used_s(pid) or used_s) - used_s) / (time.monotonic() - began_s)
     facts = {
         "case": case,
         "size": [SIZE_PX, SIZE_PX],
@@ -59,11 +64,17 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
             f"{name}: input to changed picture p50 {row['p50_ms']:.1f} ms, p95 {row['p95_ms']:.1f} ms "
             f"(limit {LIMIT_MS:g}: {held}), {row['pictures_hz']:.0f} pictures/s, {row['num']} inputs"
         )
+        used = "" if "cores_used" not in row else f", {row['cores_used']:.2f} cores used"
+        print(
+            f"  served at {row['p5_px']:.0f} to {row['p95_px']:.0f} px, median {row['p50_px']:.0f} of {SIZE_PX}; "
+            f"{row['size_changes']} changes of size, {row['num_older']} older poses after newer ones{used}"
+        )
     return 0
 
 
 @contextmanager
-def _server(case: str) -> Iterator[tuple[str, str]]:
+def _server(case: str) -> Iterator[tuple[str, str, int]]:
+    """Where it listens, its token, its process."""
     arguments = ["demo", case] if case in {"phantom", "patient"} else ["open", case]
     command = [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -76,9 +87,19 @@ def _server(case: str) -> Iterator[tuple[str, str]]:
                     raise CarinaError("the server that was to be measured did not start", code="machine")
                 text += line
             said = json.loads(text)
-            yield str(said["url"]).split("//")[1].split("/")[0], str(said["token"])
+            yield str(said["url"]).split("//")[1].split("/")[0], str(said["token"]), process.pid
         finally:
             process.terminate()
+
+
+def _used_s(pid: int) -> float | None:
+    """Processor time of a process; None where the system does not say it in this way."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    except OSError:
+        return None
+    # After the name: the 12th and 13th are user and system time (proc(5): utime, stime).
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class _Client:
@@ -134,7 +155,8 @@ class _Client:
         """
         sent: list[tuple[float, int]] = []
         latencies_ms: list[float] = []
-        num_pictures = 0
+        sizes_px: list[int] = []
+        newest_id, num_older = -1, 0
         began_s = now_s = time.monotonic()
         n, due_s = 0, began_s
         while now_s - began_s < seconds:
@@ -164,7 +186,10 @@ class _Client:
                 except TimeoutError:
                     break
                 if isinstance(message, wire.PictureHeader) and message.view == "airway":
-                    num_pictures += 1
+                    # By the picture's area: a picture of a square view has this side.
+                    sizes_px.append(round(math.sqrt(message.width * message.height)))
+                    num_older += message.pose_id < newest_id
+                    newest_id = max(newest_id, message.pose_id)
                     arrived_s = time.monotonic()
                     # Shown by a picture of a newer pose than the one known when it was sent.
                     shown = [at for at, pose_id in sent if message.pose_id > pose_id]
@@ -185,15 +210,21 @@ class _Client:
                 )
             )
             self._send(wire.DeviceGone("bench"))
-        if len(latencies_ms) < 20:
+        if min(len(latencies_ms), len(sizes_px)) < 20:
             raise CarinaError("too few pictures came to be measured", code="machine")
         quantiles = statistics.quantiles(latencies_ms, n=20)
+        by_size_px = statistics.quantiles(sizes_px, n=20)
         return {
             "num": len(latencies_ms),
             "p50_ms": statistics.median(latencies_ms),
             "p95_ms": quantiles[-1],
             "max_ms": max(latencies_ms),
-            "pictures_hz": num_pictures / seconds,
+            "pictures_hz": len(sizes_px) / seconds,
+            "p5_px": by_size_px[0],
+            "p50_px": statistics.median(sizes_px),
+            "p95_px": by_size_px[-1],
+            "size_changes": sum(a != b for a, b in itertools.pairwise(sizes_px)),
+            "num_older": num_older,
         }
 
 

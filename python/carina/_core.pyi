@@ -107,6 +107,9 @@ class ForceLoop:
     def stop(self) -> None:
         """End the loop."""
 
+def picture_clock_s() -> float | None:
+    """Mean processor time of the threads which make pictures now, in s; None where it cannot be told (yet)."""
+
 def picture_threads() -> int:
     """Threads that a picture is made by now."""
 

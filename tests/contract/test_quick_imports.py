@@ -1,13 +1,41 @@
-"""Who needs only a type waits for no reader of DICOM and no server."""
+"""Who needs only a type waits for no reader of DICOM and no server; who starts the workstation waits for no reader."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from own_folders import environment_in
+
 SLOW = ("pydicom", "SimpleITK", "starlette", "typer", "ray", "av")
+LATE = (
+    "pydicom",
+    "SimpleITK",
+    "PIL",
+    "ray",
+    "av",
+    "reportlab",
+    "cryptography",
+    "rich",
+    "urllib.request",
+    "xml.etree.ElementTree",
+)
+"""What some command or file needs, and a window that opens does not."""
+
+START = f"""
+import os, signal, sys
+import carina.cli.app
+from carina.server import serve
+
+def ready(url, token):
+    print(*(name for name in {LATE!r} if name in sys.modules), flush=True)
+    os.kill(os.getpid(), signal.SIGINT)
+
+serve(None, open_browser=False, on_ready=ready)
+"""
 
 
 @pytest.mark.parametrize("part", ["volume", "scopes", "render", "track", "navigate", "export", "phantom"])
@@ -18,3 +46,15 @@ def test_a_part_is_imported_without_readers_and_servers(part: str) -> None:
     )
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert ran.stdout.split() == []
+
+
+def test_the_start_page_is_served_without_what_only_some_files_need(tmp_path: Path) -> None:
+    environment = environment_in(tmp_path)
+    ran = subprocess.run([sys.executable, "-c", START], check=True, capture_output=True, text=True, env=environment)
+    assert ran.stdout.split() == []
+
+
+def test_a_grid_file_is_opened_without_the_readers_of_dicom() -> None:
+    code = "import sys, carina; carina.demo_patient(); print('pydicom' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout.strip() == "False"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 import threading
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from carina import _core
 from carina.errors import CancelledError, GeometryError, RenderError
-from carina.render import AirwayView, CancelToken, Light, Renderer, TransferFunction, transfer_preset
+from carina.render import AirwayView, CancelToken, Light, Renderer, SliceView, TransferFunction, transfer_preset
 from carina.render.wall import grow_one_voxel, wall_levels, with_wall
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -190,6 +191,21 @@ def test_a_picture_under_way_is_given_up_and_the_next_one_is_whole(airway):
     timer.join()
     assert stop.cancelled
     np.testing.assert_array_equal(renderer.render(wanted, stop=CancelToken()).rgb, whole)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of a thread how long it was on a core")
+def test_a_picture_tells_what_its_rays_took_and_a_plane_does_not(airway):
+    renderer = Renderer(airway.volume)
+    renderer.prepare()
+    wanted = view(airway, width=96, height=80)
+    while (stats := renderer.render(wanted).stats).rays_s is None:
+        pass  # a thread that still builds a map has not told its clock yet
+    assert 0.0 < stats.rays_s <= 1.1 * stats.seconds
+    # Four times the rays, beside the same machine: a wait does not count.
+    more = renderer.render(view(airway, width=384, height=320)).stats
+    assert more.rays_s > 4.0 * stats.rays_s
+    plane = SliceView("axial", (0.0, 0.0, 0.0), width=32, height=32)
+    assert renderer.render(plane).stats.rays_s is None
 
 
 def test_pictures_rendered_during_a_change_show_the_state_before_or_after(airway):

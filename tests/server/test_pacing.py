@@ -54,8 +54,9 @@ class Player:
 @pytest.mark.parametrize("layout", [AIRWAY, ALL_VIEWS], ids=["airway alone", "six views"])
 @pytest.mark.parametrize("full_s", FULL_COSTS_S)
 @pytest.mark.parametrize("hand_hz", [60.0, 1000.0])
-def test_the_asked_rate_is_held_whatever_a_picture_costs(layout, full_s, hand_hz):
-    simulation = Simulation(Machine(full_s), layout=dict(layout), hand_per_s=hand_hz)
+@pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
+def test_the_asked_rate_is_held_whatever_a_picture_costs(layout, full_s, hand_hz, counts):
+    simulation = Simulation(Machine(full_s, counts=counts), layout=dict(layout), hand_per_s=hand_hz)
     simulation.fly(2.0)
     sent = simulation.fly(3.0)
     # Ten per cent, as asked; a hand that moves more often than the rate gets no more than the rate.
@@ -78,14 +79,16 @@ def test_another_rate_is_held_too_and_a_lower_one_gives_finer_pictures(rate):
 
 @pytest.mark.parametrize("full_s", FULL_COSTS_S)
 @pytest.mark.parametrize("samples", [0.1, 0.5, 0.9])
-def test_the_picture_is_as_fine_as_the_time_allows(full_s, samples):
-    simulation = Simulation(Machine(full_s, samples=samples))
+@pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
+def test_the_picture_is_as_fine_as_the_time_allows(full_s, samples, counts):
+    simulation = Simulation(Machine(full_s, samples=samples, counts=counts))
     simulation.fly(6.0)
     time_s, order = simulation.sent[-1]
     took_s = simulation.machine.seconds(order, time_s)
-    assert took_s < 1.1 / 60.0
-    # One level finer would not have fitted: a level costs 0.7 of the one before, and 0.85 of the period is asked for.
-    assert order.level == 0 or took_s > 0.5 / 60.0
+    assert took_s < 1.05 / 60.0
+    # One level finer would not have fitted: a level costs 0.82 to 0.86 of the one before, and 0.85 of the period is
+    # asked for. What the model's prior is off by takes a little more of it.
+    assert order.level == 0 or took_s > 0.66 / 60.0
 
 
 def test_resolution_gives_way_before_the_step_does():
@@ -96,24 +99,27 @@ def test_resolution_gives_way_before_the_step_does():
     first_coarse = next(n for n, step in enumerate(steps) if step > steps[0])
     assert all(area == areas[-1] for area in areas[first_coarse:])
     works = [level.work for level in AIRWAY_LEVELS]
-    assert all(0.65 < b / a < 1.0 for a, b in itertools.pairwise(works))
+    assert all(0.8 < b / a < 0.9 for a, b in itertools.pairwise(works))
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_noise_and_hiccups_make_neither_flicker_nor_a_lower_rate(seed):
+@pytest.mark.parametrize("counts", [True, False], ids=["rays counted", "by the clock alone"])
+def test_noise_and_hiccups_make_neither_flicker_nor_a_lower_rate(seed, counts):
     rng = random.Random(seed)
-
-    def slowed(_now_s):
-        # A tenth of noise, and once a second another program's moment.
-        return math.exp(rng.gauss(0.0, 0.1)) * (3.0 if rng.random() < 1 / 60 else 1.0)
-
-    simulation = Simulation(Machine(0.06, slowed=slowed), layout=dict(ALL_VIEWS))
+    # A tenth of noise, and once a second another program's moment.
+    machine = Machine(
+        0.06,
+        slowed=lambda _now_s: math.exp(rng.gauss(0.0, 0.1)),
+        shared=lambda _now_s: 3.0 if rng.random() < 1 / 60 else 1.0,
+        counts=counts,
+    )
+    simulation = Simulation(machine, layout=dict(ALL_VIEWS))
     simulation.fly(2.0)
     sent = simulation.fly(10.0)
     assert rate_hz(sent) == pytest.approx(60.0, rel=0.1)
     assert num_changes(sent) <= 10, "no more than one change a second"
-    levels = [order.level for _, order in airway(sent)]
-    assert max(levels) - min(levels) <= 2
+    widths = [order.width for _, order in airway(sent)]
+    assert min(widths) >= (0.83 if counts else 0.7) * max(widths)
 
 
 def test_a_slow_down_is_answered_within_a_few_pictures_and_taken_back_after_it():
@@ -144,9 +150,31 @@ def test_waiting_for_a_core_does_not_cost_sharpness_that_would_not_shorten_it(se
     simulation.fly(2.0)
     sent = simulation.fly(10.0)
     assert rate_hz(sent) == pytest.approx(60.0, rel=0.1)
-    levels = sorted(order.level for _, order in airway(sent))
-    assert levels[len(levels) // 2] <= quiet.sent[-1][1].level + 3
-    assert levels[-1] < len(AIRWAY_LEVELS) - 1, "never as coarse as can be"
+    widths = sorted(order.width for _, order in airway(sent))
+    assert widths[len(widths) // 2] >= 0.75 * quiet.sent[-1][1].width
+    assert widths[0] >= 0.6 * quiet.sent[-1][1].width
+
+
+def test_a_neighbour_who_stays_is_answered_and_one_who_leaves_is_forgotten():
+    # Another program has half of the cores from second 15 to 18.
+    machine = Machine(0.06, shared=lambda now_s: 2.0 if 15.0 <= now_s < 18.0 else 1.0)
+    simulation = Simulation(machine)
+    before = simulation.fly(5.0)[-1][1].width
+    hit = airway(simulation.fly(3.0))
+    late = [n for n, (time_s, o) in enumerate(hit) if machine.seconds(o, time_s - 0.001) > 1.1 / 60]
+    assert late[-1] <= 10, "a few pictures come late, then the level has given way"
+    assert rate_hz(hit[12:]) == pytest.approx(60.0, rel=0.05)
+    assert airway(simulation.fly(3.0))[-1][1].width == before
+
+
+def test_a_picture_is_as_fine_as_it_may_be_where_none_is_quick_enough_for_the_rate():
+    # 40 ms for each picture, whatever its size: 25 a second at most.
+    simulation = Simulation(Machine(0.06, each_s=0.040))
+    simulation.fly(4.0)
+    sent = airway(simulation.fly(4.0))
+    rays_s = [simulation.machine.cost(order, 0.0)[1] for _, order in sent]
+    assert all(0.25 / 60 < seconds <= 0.4 / 60 for seconds in rays_s), "neither coarser for nothing, nor slower yet"
+    assert num_changes(sent) <= 1
 
 
 def test_a_level_between_two_does_not_make_the_picture_swing():

@@ -409,3 +409,20 @@ def test_still_pictures_keep_their_colours_to_a_grey_level_or_two():
     assert quality == 95
     # JPEG at q95 4:4:4: quantisation steps of up to 5 in the coarse coefficients, so a few grey levels at most.
     assert np.abs(simplejpeg.decode_jpeg(data).astype(int) - smooth).max() <= 6
+
+
+def test_what_the_rays_took_is_told_apart_from_what_the_clock_lost(screen):
+    screen.drain()
+    renderer = screen.bench.renderers[-1]
+
+    def width_of_a_flight(rays_s):
+        renderer.rays_s = rays_s
+        for _ in range(80):
+            screen.steer()
+            screen.drain()
+        return [h.width for h in screen.headers if h.view == "airway"][-1]
+
+    # Each picture takes 40 ms by the clock: nearly all of it rays, or nearly none.
+    renderer.on_render = lambda _view: screen.bench.clock.advance(0.040)
+    assert width_of_a_flight(0.038) < 0.5 * 320
+    assert width_of_a_flight(0.001) > 0.8 * 320

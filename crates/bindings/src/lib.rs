@@ -24,6 +24,7 @@ mod pool;
 mod raycast;
 mod scope;
 mod scope_drive;
+mod thread_clock;
 mod tracker;
 mod tree_edits;
 mod views;

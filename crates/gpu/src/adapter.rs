@@ -1,6 +1,6 @@
 //! Which graphics adapters this machine has.
 
-use std::sync::OnceLock;
+use std::{sync::OnceLock, time::Duration};
 
 /// What an adapter is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,6 +27,17 @@ impl AdapterKind {
             Self::Virtual => "virtual",
             Self::Software => "software",
             Self::Unknown => "unknown",
+        }
+    }
+
+    /// Longer than any picture takes on a device that is worth using; then the device counts as lost. One in software
+    /// works on the processor's cores, which other programs may have for minutes: it is slow and not dead.
+    pub(crate) const fn patience(self) -> Duration {
+        match self {
+            Self::Software => Duration::from_secs(600),
+            Self::Discrete | Self::Integrated | Self::Virtual | Self::Unknown => {
+                Duration::from_secs(20)
+            }
         }
     }
 }

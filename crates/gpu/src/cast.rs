@@ -8,7 +8,7 @@ use carina_raycast::{
 
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
-    device::{PATIENCE, Variant, lock},
+    device::{Variant, lock},
     resources::Slot,
     uniforms::Uniforms,
 };
@@ -207,7 +207,7 @@ impl Gpu {
             reason,
         };
         // The thread that hears of the end first calls back, and that may be another picture's.
-        told.recv_timeout(PATIENCE)
+        told.recv_timeout(self.facts.kind.patience())
             .map_err(|_| lost("the picture did not come back".to_owned()))?
             .map_err(|e| lost(e.to_string()))?;
         let num_missing = {

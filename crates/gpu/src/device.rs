@@ -6,7 +6,6 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
-    time::Duration,
 };
 
 use crate::{
@@ -14,9 +13,6 @@ use crate::{
     adapter::found,
     resources::{Directions, Slot, TableOnDevice},
 };
-
-/// Longer than any picture takes on a device that is worth using; then the device counts as lost.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
 
@@ -180,7 +176,7 @@ impl Gpu {
     pub(crate) fn wait(&self, index: wgpu::SubmissionIndex) {
         let done = self.device.poll(wgpu::PollType::Wait {
             submission_index: Some(index),
-            timeout: Some(PATIENCE),
+            timeout: Some(self.facts.kind.patience()),
         });
         if let Err(e) = done {
             lock(&self.trouble).get_or_insert_with(|| format!("no answer: {e}"));

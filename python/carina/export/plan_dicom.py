@@ -34,7 +34,8 @@ from carina.volume.dicom_checks import Clipping
 from carina.volume.dicom_headers import IDENTITY, SliceHeader, read_dataset
 from carina.volume.dicom_pixels import decode_slice
 from carina.volume.digest import Geometry
-from carina.volume.opening import find_in, guarded, place_name
+from carina.volume.guarding import guarded
+from carina.volume.opening import find_in, place_name
 from carina.volume.watch import Watch
 
 __all__ = [

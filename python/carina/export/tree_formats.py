@@ -14,7 +14,6 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +61,8 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
     CarinaError
         If it cannot be written; what was there before stays.
     """
+    from xml.sax.saxutils import quoteattr  # loads HTTP and mail libraries
+
     branches = tree.branches
     points = np.concatenate([branch.points for branch in branches])
     counts = np.array([len(branch.points) for branch in branches])

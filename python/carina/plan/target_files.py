@@ -16,7 +16,7 @@ from carina.plan.target import NAME_CHARS, PlanTarget, TargetSource
 from carina.plan.target_mask import nodule_from_mask, one_piece, target_of
 from carina.scopes import WallField
 from carina.volume import MaskLabel, MaskLabelError, Volume, open_mask
-from carina.volume.dicom_headers import looks_like_dicom
+from carina.volume.dicom_start import looks_like_dicom
 from carina.volume.dicom_structures import (
     References,
     Structure,
@@ -26,7 +26,7 @@ from carina.volume.dicom_structures import (
     read_structures,
     structures_refused,
 )
-from carina.volume.opening import guarded
+from carina.volume.guarding import guarded
 from carina.volume.watch import Watch
 
 __all__ = ["target_from_file"]

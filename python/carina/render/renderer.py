@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from carina import _core
 from carina._core import CancelToken
 from carina.errors import RenderError
 from carina.render.airway import AirwayCaster
@@ -202,7 +203,7 @@ class Renderer:
         CancelledError
             If ``stop`` was cancelled.
         """
-        started = time.perf_counter()
+        started, counted_s = time.perf_counter(), _core.picture_clock_s()
         scene = self._scenes.scene if scene is None else scene
         if rows is not None and not 0 <= rows[0] < rows[1] <= view.height:
             msg = (
@@ -221,9 +222,11 @@ class Renderer:
                 picture = cast_path_view(self._volume, view, rows=rows)
             case _:
                 picture = self._planes.render(view, rows=rows)
-        return dataclasses.replace(
-            picture, stats=dataclasses.replace(picture.stats, seconds=time.perf_counter() - started)
-        )
+        seconds = time.perf_counter() - started
+        # Of the other views, a part is made in the calling thread.
+        counts = picture.stats.method in {"leap", "leap-all", "brute"}
+        rays_s = _between(counted_s, _core.picture_clock_s(), seconds) if counts else None
+        return dataclasses.replace(picture, stats=dataclasses.replace(picture.stats, seconds=seconds, rays_s=rays_s))
 
     def surface(self, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
         """Depth, position and normal of the first wall at every pixel of an airway view, from the rays of its picture.
@@ -260,3 +263,11 @@ class Renderer:
                 "there is no tree to show, because the airways have not been segmented yet", code="render.no-lumen"
             )
         return cast_tree(tree, view, rows=rows, simd=self._simd, stop=stop)
+
+
+def _between(first_s: float | None, last_s: float | None, seconds: float) -> float | None:
+    """Processor time between two readings. None where one is missing, and where they cannot be of the same threads: a
+    force device took or gave back one meanwhile."""
+    if first_s is None or last_s is None or not 0.0 <= last_s - first_s <= 1.1 * seconds:
+        return None
+    return last_s - first_s

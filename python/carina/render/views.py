@@ -378,7 +378,8 @@ class RenderStats:
     ``lines``; ``gpu-leap`` and ``gpu-brute`` where a graphics device made the picture. ``num_loads`` counts the reads
     of volume and maps: four rows of two voxels for each sample (one voxel where sampling is ``nearest``), eight more
     for the gradient of each shaded one, one radius for each look-up, one label for each leap over all classes; 0 for
-    planes.
+    planes. ``rays_s`` is what the rays take while no other program wants a core: processor time of the picture threads
+    over their number. None where it is not counted: for planes, on a device, by a cluster, elsewhere than on Linux.
     """
 
     method: str
@@ -392,6 +393,7 @@ class RenderStats:
     num_shaded: int
     num_loads: int
     seconds: float
+    rays_s: float | None = None
 
 
 @one_line

@@ -11,12 +11,14 @@ import json
 import math
 import os
 import re
-import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from carina.errors import CarinaError, RenderError, VolumeImportError
 from carina.scopes.lens import Calibration, Lens
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 __all__ = ["lens_from_file", "lens_from_text"]
 
@@ -115,6 +117,8 @@ def _read_xml(text: str) -> Entries:
     # Entities can blow a small file up; OpenCV writes none.
     if "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL):
         raise _refused("expected OpenCV's XML, found a document type declaration or entities")
+    import xml.etree.ElementTree as ET  # slow to load, and few calibrations are XML
+
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -122,7 +126,7 @@ def _read_xml(text: str) -> Entries:
     return {child.tag: _xml_value(child) for child in root}
 
 
-def _xml_value(node: ET.Element) -> Any:
+def _xml_value(node: Element) -> Any:
     if len(node):
         return {child.tag: (child.text or "").strip() for child in node}
     return (node.text or "").strip()

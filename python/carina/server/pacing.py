@@ -195,8 +195,13 @@ class FrameScheduler:
         # Beyond their share, the others only take the time that would be waited anyway.
         return self._due_s if waits_s > 0.0 >= self._credit_s and expected_s > waits_s else now_s
 
-    def rendered(self, order: RenderOrder, frame_id: int, seconds: float, now_s: float) -> bool:
-        """A picture was rendered; False if it is not to be sent: a view that is gone, a probe."""
+    def rendered(
+        self, order: RenderOrder, frame_id: int, seconds: float, now_s: float, *, rays_s: float | None = None
+    ) -> bool:
+        """A picture was rendered; False if it is not to be sent: a view that is gone, a probe.
+
+        ``rays_s`` is what its rays take where nothing else wants a core; None where nobody counted it.
+        """
         view = self._views.get(order.view)
         self._account(order, seconds)
         if view is None:
@@ -205,10 +210,10 @@ class FrameScheduler:
         if order.purpose == "probe":
             # The scale that it really had: no picture is smaller than 16 pixels.
             scale = math.sqrt(order.width * order.height / pixels)
-            view.budget.learn_probe(scale, pixels, seconds, now_s)
+            view.budget.learn_probe(scale, pixels, seconds, now_s, rays_s)
             return False
         if order.purpose == "picture":
-            view.budget.learn(order.level, pixels, seconds)
+            view.budget.learn(order.level, pixels, seconds, rays_s)
         view.sent_key, view.sent_grade = order.key, order.grade
         view.in_flight[frame_id] = now_s
         return True

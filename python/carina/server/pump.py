@@ -270,7 +270,8 @@ class FramePump:
         self._last_words = None
         now_s = self._clock()
         with self._lock:
-            wanted = self._scheduler.rendered(order, frame_id, now_s - began_s, now_s)
+            rays_s = picture.stats.rays_s
+            wanted = self._scheduler.rendered(order, frame_id, now_s - began_s, now_s, rays_s=rays_s)
             if wanted and shows == LEAD_VIEW:
                 fine = scene.spec(shows, order.full_width, order.full_height, FULL_STEP_VOX)
                 self._shown[frame_id] = ShownPicture(scene.renderer, fine, header.width, header.height)

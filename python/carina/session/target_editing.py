@@ -15,7 +15,6 @@ from carina.plan import (
     proposed_aims,
     resized,
     sphere,
-    target_from_file,
     whereabouts,
 )
 from carina.session.case import OpenCase
@@ -84,6 +83,8 @@ class TargetEditing(Subject):
         named = int(structure) if structure is not None and structure.isdecimal() else structure
 
         def work(job: Job) -> None:
+            from carina.plan import target_from_file  # its readers are slow to load
+
             told = target_from_file(
                 command.path,
                 case.info.volume,

@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import importlib.metadata
 import logging
 import os
 import re
@@ -37,8 +36,8 @@ from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
 from carina.version import VERSION
 from carina.volume.digest import canonical_axes, ct_digest
+from carina.volume.guarding import guarded
 from carina.volume.model import Volume, VolumeSource
-from carina.volume.opening import guarded, open_volume
 from carina.volume.quality import Quality, quality_gate
 from carina.volume.source_files import CtSource, absolute
 from carina.volume.voxel_file import DamagedFileError, VoxelName, draft_voxel_file, read_voxel_file
@@ -215,6 +214,8 @@ class VolumeCache:
             volume = guarded(absolute(path), lambda _path: found.load(progress=progress, cancel=cancel))
             if volume is not None:
                 return OpenedCt(volume, found.source, from_cache=True)
+        from carina.volume.opening import open_volume  # its readers are slow to load, and a cached CT needs none
+
         source = CtSource.of(path, series=series) if self.is_on else None
         volume = open_volume(path, series=series, progress=progress, cancel=cancel)
         return OpenedCt(volume, source, from_cache=False)
@@ -548,6 +549,8 @@ class VolumeCache:
 @functools.cache
 def _made_by() -> str:
     """Of everything that has a say in what an opened volume holds: what another Carina made is not used."""
+    import importlib.metadata  # slow to load, and asked once
+
     found = hashlib.blake2b(VERSION.encode(), digest_size=16)
     for source in sorted(Path(__file__).parent.glob("*.py")):
         found.update(source.name.encode())

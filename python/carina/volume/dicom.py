@@ -24,13 +24,12 @@ from carina.volume.dicom_headers import SETTINGS, SliceHeader, acquisition_date
 from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
+from carina.volume.limits import MAX_VOXELS
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.watch import Watch
 
 __all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
 
-MAX_VOXELS = 1 << 31
-"""Of any volume that is opened: 4 GiB as int16, ten times a large chest CT."""
 
 _CHEST = re.compile(r"chest|thora|lung|pulmo|bronch", re.IGNORECASE)
 # Many exporters name files by their UID; a volume carries none, not even inside a sentence about another series.

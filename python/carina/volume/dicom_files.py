@@ -17,12 +17,13 @@ from pathlib import Path
 from pydicom.dataset import Dataset
 
 from carina.errors import VolumeImportError
-from carina.volume.dicom_headers import SliceHeader, read_header, starts_like_dicom
+from carina.volume.dicom_headers import SliceHeader, read_header
+from carina.volume.dicom_start import starts_like_dicom
+from carina.volume.limits import MAX_FILES
 from carina.volume.watch import Watch
 
 __all__ = ["FolderContent", "LostFiles", "UnusedFile", "name_files", "read_folder", "read_headers", "shown_name"]
 
-MAX_FILES = 200_000  # more is somebody's disk, not a scan
 _MAX_LOOKS = 1_000_000  # at lost files for all series together; the time must not grow with their product
 _MAX_SAID = 100
 

@@ -32,11 +32,9 @@ __all__ = [
     "SETTINGS",
     "SliceHeader",
     "acquisition_date",
-    "looks_like_dicom",
     "read_dataset",
     "read_header",
     "read_pixel_bytes",
-    "starts_like_dicom",
 ]
 
 # pydicom reports odd values with the value itself, which may be a name; nothing of a header may reach a log.
@@ -141,24 +139,6 @@ class SliceHeader:
     def has_rescale(self) -> bool:
         """True where slope and intercept are given."""
         return self.has_slope and self.has_intercept
-
-
-def looks_like_dicom(path: Path) -> bool:
-    """True where the first bytes are a DICOM preamble, or a bare data set as old archives write it."""
-    try:
-        with path.open("rb") as file:
-            return starts_like_dicom(file.read(132))
-    except OSError:
-        return False
-
-
-def starts_like_dicom(head: bytes) -> bool:
-    """The same for the first 132 bytes of a file."""
-    if head[128:132] == b"DICM":
-        return True
-    # Without preamble: the first element's group is 0002 or 0008 (little or big endian) and its element is small.
-    groups = {b"\x02\x00", b"\x08\x00", b"\x00\x02", b"\x00\x08"}
-    return len(head) == 132 and head[:2] in groups and 0 in head[2:4]
 
 
 def _check_inflated_size(path: Path) -> None:

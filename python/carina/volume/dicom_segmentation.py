@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
-from carina.volume.dicom import MAX_VOXELS
 from carina.volume.dicom_headers import read_dataset
+from carina.volume.limits import MAX_VOXELS
 from carina.volume.watch import Watch
 
 __all__ = ["read_segmentation"]

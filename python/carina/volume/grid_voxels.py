@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
-from carina.volume.dicom import MAX_VOXELS
 from carina.volume.grid_claim import GridHeader
+from carina.volume.limits import MAX_VOXELS
 from carina.volume.model import Note
 from carina.volume.unpacking import Unpacker
 from carina.volume.watch import Watch

@@ -16,8 +16,9 @@ from carina.display import one_line
 from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
 from carina.volume.grid_headers import read_grid_header
+from carina.volume.guarding import guarded
 from carina.volume.model import Note, SeriesInfo
-from carina.volume.opening import find_in, guarded, place_name, refuse_series
+from carina.volume.opening import find_in, place_name, refuse_series
 from carina.volume.watch import Watch
 
 __all__ = ["Inspection", "inspect_path"]

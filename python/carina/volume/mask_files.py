@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import VolumeImportError
-from carina.volume.dicom_headers import looks_like_dicom
-from carina.volume.dicom_segmentation import read_segmentation
+from carina.volume.dicom_start import looks_like_dicom
 from carina.volume.grid_files import read_grid_array
 from carina.volume.grid_headers import sniff_format
+from carina.volume.guarding import guarded
 from carina.volume.model import Note, Volume
-from carina.volume.opening import guarded
 from carina.volume.watch import Watch
 
 __all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
@@ -146,6 +145,8 @@ def _labels(
         msg = f"reading the segmentation {path.name}: there is no such file; check the path {path}"
         raise VolumeImportError(msg, code="import.not-found")
     if path.is_file() and looks_like_dicom(path):
+        from carina.volume.dicom_segmentation import read_segmentation  # its libraries are slow to load
+
         return *read_segmentation(path, watch), ()
     kind = sniff_format(path) if path.is_file() else None
     if kind not in ("nifti", "nrrd", "metaimage"):

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING
 
 from carina.display.progress import ProgressChoice, heard, shows_progress
-from carina.errors import CarinaError, GeometryError, UsageError, VolumeImportError, check_type
-from carina.volume.dicom import FoundSeries, choose_series, find_series, open_series
-from carina.volume.dicom_files import FolderContent, read_folder
-from carina.volume.dicom_headers import looks_like_dicom
+from carina.errors import UsageError, VolumeImportError, check_type
+from carina.volume.dicom_start import looks_like_dicom
 from carina.volume.grid_files import open_grid_file
 from carina.volume.grid_headers import sniff_format
+from carina.volume.guarding import guarded
 from carina.volume.model import Volume
 from carina.volume.watch import Watch
 
-__all__ = ["open_volume"]
+# The DICOM readers load on first use: a grid file, or the start page, waits for none of their libraries.
+if TYPE_CHECKING:
+    from carina.volume.dicom import FoundSeries
+    from carina.volume.dicom_files import FolderContent
 
-T = TypeVar("T")
+__all__ = ["open_volume"]
 
 _KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd) or MetaImage (.mha, .mhd)"
 _GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
@@ -75,37 +77,6 @@ def open_volume(
     return guarded(Path(path).expanduser(), lambda where: _open(where, series, watch))
 
 
-def guarded(path: Path, action: Callable[[Path], T]) -> T:
-    """Run an import; troubles of the disk and of memory become refusals in our words."""
-    try:
-        return action(path)
-    except CarinaError as error:
-        if isinstance(error, GeometryError):
-            msg = f"reading {path.name}: {error}; export it again"
-            code = "import.geometry.spacing" if error.code == "geometry.spacing" else "import.geometry"
-            raise VolumeImportError(msg, code=code) from None
-        raise
-    except PermissionError:
-        msg = (
-            f"reading {path.name}: you do not have permission to read it; change its permissions or copy it to a "
-            "folder of your own"
-        )
-        raise VolumeImportError(msg, code="import.unreadable") from None
-    except OSError as error:
-        msg = (
-            f"reading {path.name}: the disk reported an error ({error.strerror or type(error).__name__}); check "
-            "the disk "
-            "or copy the files"
-        )
-        raise VolumeImportError(msg, code="import.unreadable") from None
-    except MemoryError:
-        msg = (
-            f"reading {path.name}: this machine does not have enough memory for it; close other programs, or crop or "
-            "resample the volume"
-        )
-        raise VolumeImportError(msg, code="import.too-large") from None
-
-
 def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
     """The DICOM series at a path, best first, or the format of the grid file that it is.
 
@@ -118,6 +89,9 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
         msg = f"reading {path.name}: there is no such file or folder; expected {_KINDS}; check the path {path}"
         raise VolumeImportError(msg, code="import.not-found")
     if path.is_dir():
+        from carina.volume.dicom import find_series
+        from carina.volume.dicom_files import read_folder
+
         content = read_folder(path, recursive=True, watch=watch)
         if not content.headers:
             raise _no_images(path, content)
@@ -146,6 +120,8 @@ def _open(path: Path, series: str | None, watch: Watch) -> Volume:
     if isinstance(found, str):
         refuse_series(path, found, series)
         return open_grid_file(path, found, watch=watch)
+    from carina.volume.dicom import choose_series, open_series
+
     chosen, notes = choose_series(found, key=series, where=place_name(path))
     others = [item.info for item in found if item is not chosen]
     return open_series(chosen, others=others, notes=notes, watch=watch)
@@ -170,6 +146,9 @@ def place_name(path: Path) -> str:
 
 
 def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
+    from carina.volume.dicom import find_series
+    from carina.volume.dicom_files import read_folder
+
     content = read_folder(path.parent, recursive=False, watch=watch)
     own = next((header for header in content.headers if header.path.name == path.name), None)
     if own is None:

@@ -1,0 +1,44 @@
+"""Troubles of the disk and of memory while something is read, in our words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from carina.errors import CarinaError, GeometryError, VolumeImportError
+
+__all__ = ["guarded"]
+
+T = TypeVar("T")
+
+
+def guarded(path: Path, action: Callable[[Path], T]) -> T:
+    """Run an import; troubles of the disk and of memory become refusals in our words."""
+    try:
+        return action(path)
+    except CarinaError as error:
+        if isinstance(error, GeometryError):
+            msg = f"reading {path.name}: {error}; export it again"
+            code = "import.geometry.spacing" if error.code == "geometry.spacing" else "import.geometry"
+            raise VolumeImportError(msg, code=code) from None
+        raise
+    except PermissionError:
+        msg = (
+            f"reading {path.name}: you do not have permission to read it; change its permissions or copy it to a "
+            "folder of your own"
+        )
+        raise VolumeImportError(msg, code="import.unreadable") from None
+    except OSError as error:
+        msg = (
+            f"reading {path.name}: the disk reported an error ({error.strerror or type(error).__name__}); check "
+            "the disk "
+            "or copy the files"
+        )
+        raise VolumeImportError(msg, code="import.unreadable") from None
+    except MemoryError:
+        msg = (
+            f"reading {path.name}: this machine does not have enough memory for it; close other programs, or crop or "
+            "resample the volume"
+        )
+        raise VolumeImportError(msg, code="import.too-large") from None
