@@ -4,6 +4,8 @@
 //! the rays lie at fixed places in the pixel; so strips agree with the whole, leaps with brute force, and packets with
 //! the scalar casters. Depth and measures stay those of the ray through the pixel's middle.
 
+use std::ops::Range;
+
 use crate::{
     CastStats, Frame, InstructionSet, Method,
     composite::Gathered,
@@ -53,51 +55,69 @@ impl<'a> WallRows<'a> {
     }
 }
 
-/// Inverse of the depth in ray steps; 0 for a ray that meets no wall. A wall within the first step touches the lens.
-fn inverse(wall: &Gathered) -> f32 {
-    if wall.hit < 0.0 {
-        0.0
-    } else {
-        1.0 / wall.hit.max(1.0)
+/// Inverse depths of a row in ray steps; 0 for a ray that meets no wall. A wall within the first step touches the lens.
+/// Pixels outside the outline of a scope's picture have no ray and are no wall's edge: with NaN no comparison holds.
+fn inverses(frame: &Frame<'_>, pixels: &[Gathered], row: usize) -> Vec<f32> {
+    let mut inverse: Vec<f32> = pixels
+        .iter()
+        .map(|wall| {
+            let near = 1.0 / wall.hit.max(1.0);
+            if wall.hit < 0.0 { 0.0 } else { near }
+        })
+        .collect();
+    if let Some(rays) = frame.camera().lens_rays() {
+        for (column, inverse) in inverse.iter_mut().enumerate() {
+            if rays.direction(column, row) == [0.0; 3] {
+                *inverse = f32::NAN;
+            }
+        }
     }
+    inverse
 }
 
-/// The pixels of a row that lie on a silhouette.
-fn columns_of(frame: &Frame<'_>, light: &Lighting, rows: &WallRows<'_>, row: usize) -> Vec<usize> {
-    let Some(here) = rows.row(Some(row)) else {
-        return Vec::new();
+/// The pixels (column, row) of some rows that lie on a silhouette.
+fn pixels_of(
+    frame: &Frame<'_>,
+    light: &Lighting,
+    rows: &WallRows<'_>,
+    wanted: Range<usize>,
+) -> Vec<(usize, usize)> {
+    let known = |row: Option<usize>| {
+        rows.row(row)
+            .map(|pixels| inverses(frame, pixels, row.unwrap_or(0)))
     };
-    let (above, below) = (rows.row(row.checked_sub(1)), rows.row(Some(row + 1)));
     // Where the light that comes back, `exposure / depth^2`, is faint.
     let least = (FAINT / light.exposure.max(1e-9)).sqrt() * light.step_mm;
-    let rays = frame.camera().lens_rays();
-    // Pixels outside the outline of a scope's picture have no ray and are no wall's edge.
-    let at = |pixels: &[Gathered], column: usize, row: usize| {
-        let bare = rays.is_some_and(|rays| rays.direction(column, row) == [0.0; 3]);
-        (!bare).then(|| inverse(&pixels[column]))
-    };
-    let bends = |before: Option<f32>, middle: f32, after: Option<f32>| {
-        let (Some(before), Some(after)) = (before, after) else {
-            return false;
-        };
+    let bends = |before: f32, middle: f32, after: f32| {
         let nearest = before.max(middle).max(after);
         nearest > least && (before - 2.0 * middle + after).abs() > BEND * nearest
     };
-    let width = here.len();
-    (0..width)
-        .filter(|&column| {
-            let Some(middle) = at(here, column, row) else {
-                return false;
-            };
-            let left = column.checked_sub(1).and_then(|c| at(here, c, row));
-            let right = (column + 1 < width)
-                .then(|| at(here, column + 1, row))
-                .flatten();
-            let up = above.and_then(|pixels| at(pixels, column, row - 1));
-            let down = below.and_then(|pixels| at(pixels, column, row + 1));
-            bends(left, middle, right) || bends(up, middle, down)
-        })
-        .collect()
+    let mut found = Vec::new();
+    let mut above = known(wanted.start.checked_sub(1));
+    let mut here = known(Some(wanted.start));
+    for row in wanted {
+        let below = known(Some(row + 1));
+        let Some(middle) = here else {
+            break;
+        };
+        let mut on = vec![false; middle.len()];
+        for (on, three) in on.iter_mut().skip(1).zip(middle.windows(3)) {
+            *on = bends(three[0], three[1], three[2]);
+        }
+        if let (Some(above), Some(below)) = (&above, &below) {
+            let three = above.iter().zip(&middle).zip(below);
+            for (on, ((&above, &middle), &below)) in on.iter_mut().zip(three) {
+                *on |= bends(above, middle, below);
+            }
+        }
+        found.extend(
+            on.iter()
+                .enumerate()
+                .filter_map(|(column, &on)| on.then_some((column, row))),
+        );
+        (above, here) = (Some(middle), below);
+    }
+    found
 }
 
 /// Casts and lights the two rays of every pixel on a silhouette in the rows that `rgb` holds, from `first_row` on, and
@@ -112,12 +132,7 @@ pub(crate) fn smooth_silhouettes(
 ) -> CastStats {
     let width = rows.width;
     let num_rows = rgb.len() / (3 * width);
-    let pixels: Vec<(usize, usize)> = (first_row..first_row + num_rows)
-        .flat_map(|row| {
-            let columns = columns_of(frame, light, rows, row);
-            columns.into_iter().map(move |column| (column, row))
-        })
-        .collect();
+    let pixels = pixels_of(frame, light, rows, first_row..first_row + num_rows);
     if pixels.is_empty() {
         return CastStats::default();
     }

@@ -66,7 +66,7 @@ class Appearance:
     specks: float = 1.0
     """Highlights on droplets of mucus, at a distance as well; 0 for none. Decoration."""
     secretions: float = 0.0
-    """Glossy pools and bubbles of secretions on the posterior wall, the lowest one of a supine patient, 0..1. Decoration;
+    """Glossy pools and bubbles of secretions on the posterior wall (the lowest of a supine patient), 0..1. Decoration;
     no CT shows them."""
     fog: float = 0.0
     """Mist on the lens, 0..1; decoration."""

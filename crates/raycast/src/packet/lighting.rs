@@ -28,9 +28,9 @@ const PALE_RGB: [f32; 3] = [0.98, 0.79, 0.72];
 /// Linear colour of light that has met a wall before.
 const TINT_RGB: [f32; 3] = [1.0, 0.42, 0.32];
 /// Linear light that is shown as white.
-const WHITE: f32 = 3.0;
+const WHITE: f32 = 3.6;
 /// How far dark tones are pressed down, 0..1.
-const TOE: f32 = 0.8;
+const TOE: f32 = 0.65;
 
 /// Values of a volume at positions in voxels.
 pub(super) trait Values<L: Lanes>: Copy {
