@@ -20,7 +20,7 @@ ALL = ("texture", "vessels", "rings", "membrane", "hue", "spurs")
 
 
 def at(decoration: Decoration, point) -> dict[str, float]:
-    """The channels at a point, read between the cells as the kernel does."""
+    """The channels at a point, read between the eight cells round it."""
     place = (np.asarray(point, float) - decoration.origin_lps) / decoration.cell_mm
     low = np.floor(place).astype(int)
     part = place - low

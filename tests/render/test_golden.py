@@ -99,7 +99,7 @@ CASES = {
 }
 
 # Parts of the look that are drawn from the airway tree: where from, what of it, what a person must see.
-DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 52.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
+DOWN_THE_TRACHEA = Pose.looking((0.0, 0.5, 40.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 AT_THE_CARINA = Pose.looking((0.0, 0.0, 12.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 DECORATED = {
     "decorated-trachea": (

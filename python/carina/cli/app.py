@@ -308,8 +308,8 @@ def render(
     texture: Annotated[
         str | None,
         typer.Option(
-            help="Decoration of the airway wall (rings, vessels, fine texture; not from the CT): on or off (default: on, or "
-            "as in the case)."
+            help="Decoration of the airway wall (rings, vessels, fine texture; not from the CT): on or off "
+            "(default: on, or as in the case)."
         ),
     ] = None,
     orbit: Annotated[

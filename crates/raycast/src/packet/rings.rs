@@ -55,7 +55,7 @@ fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
     l.fma(t, l.sub(b, a), a)
 }
 
-/// Between the eight cells round patient points `lps`; strengths are 0 outside the grid. `None` where all are.
+/// Between the cells round patient points `lps`; strengths are 0 outside the grid. `None` where all are.
 #[inline(always)]
 fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place<L>> {
     let s = |v: f32| l.splat(v);
@@ -76,56 +76,56 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
     let row = l.add_i(l.mul_i(cell[2], l.splat_i(ny)), cell[1]);
     let base = l.add_i(l.mul_i(row, l.splat_i(nx)), cell[0]);
     let base = l.add_i(base, base);
-    let step = [2, 2 * nx as usize, 2 * (nx * ny) as usize];
-    // Rows along x, then y, then z; of the phase also the slopes.
+    let step = [2, 2 * nx, 2 * nx * ny].map(|n| l.splat_i(n));
+    // A cell is cut into six tetrahedra: from its first corner along the axis with the most to go, then the next, then the
+    // last. Four corners are read in place of eight, and slopes are differences along that way.
+    let [x, y, z] = t;
+    let (x_y, x_z, y_z) = (l.less(x, y), l.less(x, z), l.less(y, z));
+    let (y_first, z_first) = (l.without(x_y, y_z), l.and(x_z, y_z));
+    let (x_last, y_last) = (l.and(x_y, x_z), l.without(y_z, x_y));
+    let first = l.select_i(z_first, step[2], l.select_i(y_first, step[1], step[0]));
+    let last = l.select_i(x_last, step[0], l.select_i(y_last, step[1], step[2]));
+    let all = l.add_i(l.add_i(step[0], step[1]), step[2]);
+    let corners = [
+        base,
+        l.add_i(base, first),
+        l.add_i(base, l.sub_i(all, last)),
+        l.add_i(base, all),
+    ];
+    let (low, high) = (l.min(x, y), l.max(x, y));
+    let (most, least) = (l.max(high, z), l.min(low, z));
+    let middle = l.max(low, l.min(high, z));
+    let weights = [
+        l.sub(s(1.0), most),
+        l.sub(most, middle),
+        l.sub(middle, least),
+        least,
+    ];
     let mut read = [[s(0.0); 4]; 2];
-    let mut rise = [[s(0.0); 2]; 2];
-    let mut phase = rise;
+    let mut way = [s(0.0); 3];
     for half in 0..2 {
-        let mut planes = [[s(0.0); 4]; 2];
-        for k in 0..2 {
-            let mut rows = [[s(0.0); 4]; 2];
-            for j in 0..2 {
-                let offset = j * step[1] + k * step[2] + half;
-                // SAFETY: a cell's index is at most two below the shape along each axis, and so the next one lies in the
-                // grid; `Decoration::new` has compared shape and length. Benchmark:
-                // docs/decisions/0077-decoration-fixed-to-anatomy.md.
-                let (low, high) = unsafe {
-                    let table = field.cells.as_ptr().add(offset);
-                    (l.entries(table, base), l.entries(table.add(step[0]), base))
-                };
-                for c in 0..4 {
-                    rows[j][c] = lerp(l, t[0], low[c], high[c]);
-                }
-                if half == 0 {
-                    rise[k][j] = l.sub(high[0], low[0]);
-                    phase[k][j] = rows[j][0];
-                }
-            }
+        let mut before = s(0.0);
+        for n in 0..4 {
+            // SAFETY: a cell's index is at most two below the shape along each axis, and so its other corners lie in the
+            // grid; `Decoration::new` has compared shape and length. Benchmark:
+            // docs/decisions/0077-decoration-fixed-to-anatomy.md.
+            let entry = unsafe { l.entries(field.cells.as_ptr().add(half), corners[n]) };
             for c in 0..4 {
-                planes[k][c] = lerp(l, t[1], rows[0][c], rows[1][c]);
+                read[half][c] = l.fma(weights[n], entry[c], read[half][c]);
             }
-        }
-        for c in 0..4 {
-            read[half][c] = lerp(l, t[2], planes[0][c], planes[1][c]);
+            if half == 0 && n > 0 {
+                way[n - 1] = l.sub(entry[0], before);
+            }
+            before = entry[0];
         }
     }
-    let dx = lerp(
-        l,
-        t[2],
-        lerp(l, t[1], rise[0][0], rise[0][1]),
-        lerp(l, t[1], rise[1][0], rise[1][1]),
-    );
-    let dy = lerp(
-        l,
-        t[2],
-        l.sub(phase[0][1], phase[0][0]),
-        l.sub(phase[1][1], phase[1][0]),
-    );
-    let dz = l.sub(
-        lerp(l, t[1], phase[1][0], phase[1][1]),
-        lerp(l, t[1], phase[0][0], phase[0][1]),
-    );
+    let not_x = l.or(y_first, z_first);
+    let not_z = l.or(x_last, y_last);
+    let slope = [
+        l.select(x_last, way[2], l.select(not_x, way[1], way[0])),
+        l.select(y_first, way[0], l.select(y_last, way[2], way[1])),
+        l.select(z_first, way[0], l.select(not_z, way[1], way[2])),
+    ];
     let [
         [phase, left, back, rings],
         [proximal, spur, membrane, regular],
@@ -133,7 +133,7 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
     let none = s(0.0);
     Some(Place {
         phase,
-        growth: scaled(l, s(field.cells_per_mm), [dx, dy, dz]),
+        growth: scaled(l, s(field.cells_per_mm), slope),
         across: [left, back],
         rings: l.select(inside, rings, none),
         proximal: l.select(inside, proximal, none),
