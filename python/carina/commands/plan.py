@@ -54,6 +54,13 @@ class ChoosePlannedRoute(Command, frozen=True):
     """1 is the best."""
 
 
+class KeepDrive(Command, frozen=True):
+    """Keep the simulated drive of an instrument, on the route that is taken, as a flight of the case."""
+
+    scope: Identifier
+    """Whose verdict it belongs to."""
+
+
 class GrowTarget(Command, frozen=True):
     """What was clicked beside an airway is a nodule, not a place in the airway."""
 

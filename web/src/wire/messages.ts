@@ -585,6 +585,12 @@ export interface ChoosePlannedRouteMessage {
   readonly number?: number;
 }
 
+/** Keep the simulated drive of an instrument, on the route that is taken, as a flight of the case. */
+export interface KeepDriveMessage {
+  readonly type: "keep_drive";
+  readonly scope: string;
+}
+
 /** What was clicked beside an airway is a nodule, not a place in the airway. */
 export interface GrowTargetMessage {
   readonly type: "grow_target";
@@ -1477,6 +1483,7 @@ export interface ScopeVerdict {
   readonly share: number | null;
   readonly would: string | null;
   readonly checks: readonly ScopeCheck[];
+  readonly was_driven: boolean;
 }
 
 /** The plans, when they changed. */
@@ -1827,6 +1834,7 @@ export type ClientMessage =
   | SetPlanOptionsMessage
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
+  | KeepDriveMessage
   | GrowTargetMessage
   | ResizeTargetMessage
   | BrushTargetMessage
