@@ -77,6 +77,8 @@ class ScopeDrive:
         """Set the controls."""
     def place(self, path_lps: NDArray[np.float64], insertion_mm: float) -> dict[str, Any]:
         """Lay along a path."""
+    def copy(self) -> ScopeDrive:
+        """Another that lies as this one does."""
     def shaft_lps(self) -> NDArray[np.float64]:
         """(n, 3), a copy."""
     def wall_depths_mm(self) -> tuple[float, float]:

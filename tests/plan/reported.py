@@ -60,7 +60,7 @@ def turns(found: Airways, planned: Plan, *, ridge_mm: float | None = 9.0) -> Tur
     lineage = found.tree.lineage(route.branch_id)
     ends = [float(mm) for mm in np.cumsum([branch.length_mm for branch in lineage[:-1]])]
     moves = [Move(-40.0, 35.0, mm) for mm in np.diff([0.0, *ends]).tolist()]
-    return turn_list(found.tree, route, carina_ridge_mm=ridge_mm, moves=moves, insertion_mm=ends)
+    return turn_list(found.tree, route, carina_ridge_mm=ridge_mm, moves=moves, ends_along_mm=ends)
 
 
 def _key(one: Any) -> object:

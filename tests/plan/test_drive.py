@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import json
 import math
+import re
 from functools import cache
 from typing import Any
 
@@ -16,16 +17,19 @@ from reported import wall as chest_wall
 from test_verdict import plan_in, tube
 
 from carina.errors import CancelledError, UsageError
-from carina.plan import Move
+from carina.plan import Move, ScoreWeights, plan_route, turn_list
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
 from carina.plan.drive_aim import aim_drive
 from carina.plan.drive_search import condense_drive, place_at_start, search_drive
 from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
+from carina.plan.places import Ways
 from carina.plan.routes import PlannedRoute
+from carina.plan.score import Judge, Worst
+from carina.plan.verdict_checks import bend_check, diameter_check, length_check
 from carina.scopes import ScopeDrive, ScopePreset, WallField, scope_preset
+from carina.track import AirwayTree, wall_field
 from made import made_airways
-
 BRANCHES = (100, 24, 139)
 """Tips of the tree, 4 to 6 forks on the way."""
 
@@ -124,6 +128,49 @@ def test_the_moves_between_places_are_all_the_moves() -> None:
     for part, low, high in zip(parts, cuts[:-1], cuts[1:], strict=True):
         assert sum(move.advance_mm for move in part) == pytest.approx(high - low, abs=0.1 * len(part))
     assert parts[-1][-1].flexion_deg == driven.moves[-1].flexion_deg
+
+
+def test_all_that_is_told_counts_along_the_centrelines_as_the_plan_does() -> None:
+    """A place is told as one number: by the plan, its limits, the verdict's checks, the drive and the list of turns."""
+    made, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
+    tree, wall = airways.tree, wall_field(made.volume, airways)
+    tight = dataclasses.replace(thin(), flexion_deg=(60.0, 60.0))
+    plan = plan_route(made.volume, airways, made.truth["nodule"]["center_lps"], scope=tight, wall=wall)
+    planned = plan.routes[0]
+    way = DriveWay(tree, planned, wall)
+    # The measures differ, or nothing is shown here.
+    assert planned.along_mm - way.park_mm > 1.0
+    assert way.told_mm(way.park_mm) == pytest.approx(planned.along_mm)
+    ends = np.cumsum([branch.length_mm for branch in tree.lineage(planned.branch_id)])[:-1]
+    assert [way.told_mm(mm) for mm in way.forks_mm] == pytest.approx(ends)
+    length = length_check(way, tight, 150.0).words
+    assert length.startswith(f"needs a working length of {planned.along_mm + 150.0:.0f} mm")
+    judge = Judge(tight, 3.0, ScoreWeights(), 15.0, 1.1)
+    demands = Ways(tree, wall).asks(_place_of(tree, planned), 50.0)
+    _, _, limits = judge.outlook(dataclasses.replace(demands, room_mm=Worst(1.0, demands.room_mm.at_mm)))
+    where = f"{demands.room_mm.at_mm:.0f} mm along the route"
+    assert where in limits[0] and where in diameter_check(way, tight, 1.1, errors=True).words
+    told_mm = float(re.findall(r"the bend (\d+) mm", bend_check(way, tight, errors=True).words)[0])
+    assert told_mm == pytest.approx(demands.bend_deg.at_mm, abs=3.0)
+    driven = search_drive(way, wall, thin(), effort=30_000.0)
+    assert driven.arrived and driven.stopped_mm == pytest.approx(planned.along_mm, abs=1.5)
+    assert list(driven.ends_along_mm) == sorted(driven.ends_along_mm)
+    assert driven.ends_along_mm[-1] == pytest.approx(driven.stopped_mm, abs=0.5)
+    # Each move is told with the fork before which the tip stands.
+    turns = turn_list(tree, planned, moves=driven.moves, ends_along_mm=driven.ends_along_mm)
+    done, fork_mm = 0, 0.0
+    for turn in turns.turns:
+        fork_mm += turn.from_fork_mm
+        for _ in turn.moves or ():
+            assert done == 0 or driven.ends_along_mm[done - 1] < fork_mm
+            done += 1
+    assert done + len(turns.park_moves or ()) == len(driven.moves)
+
+
+def _place_of(tree: AirwayTree, planned: PlannedRoute) -> int:
+    ways = Ways(tree)
+    mine = np.flatnonzero(ways.branch == planned.branch_id)
+    return int(mine[np.argmin(np.abs(ways.along_mm[mine] - planned.along_mm))])
 
 
 def test_in_a_bent_tube_the_scope_arrives_and_is_pointed_at_what_lies_beside() -> None:

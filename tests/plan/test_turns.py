@@ -406,7 +406,7 @@ def test_each_move_of_a_drive_is_told_once_and_in_order(seed: int, advances: lis
     route = route_in(tree, tree.tips()[0].id)
     moves = [Move(float(n), 1.0, mm) for n, mm in enumerate(advances)]
     ends = list(np.cumsum(advances)) if advances else []
-    found = turn_list(tree, route, moves=moves, insertion_mm=ends)
+    found = turn_list(tree, route, moves=moves, ends_along_mm=ends)
     told = [move for turn in found.turns for move in turn.moves or ()]
     assert [*told, *(found.park_moves or ())] == moves
     # A move that begins before a fork belongs to it.
@@ -422,7 +422,9 @@ def test_a_move_that_begins_past_a_fork_belongs_to_the_next() -> None:
     tree = random_tree(4)
     route = route_in(tree, tree.tips()[0].id)
     num = int(route.along_mm)
-    found = turn_list(tree, route, moves=[Move(float(n), 0.0, 1.0) for n in range(num)], insertion_mm=range(1, num + 1))
+    found = turn_list(
+        tree, route, moves=[Move(float(n), 0.0, 1.0) for n in range(num)], ends_along_mm=range(1, num + 1)
+    )
     places = np.cumsum([turn.from_fork_mm for turn in found.turns])
     first = 0
     for turn, place in zip(found.turns, places, strict=True):
@@ -447,8 +449,8 @@ def test_moves_are_said_as_they_are_made() -> None:
         ({"carina_depth_mm": math.nan}, "plan.range"),
         ({"carina_ridge_mm": 100.0}, "plan.range"),
         ({"moves": [Move(0.0, 0.0, 1.0)]}, "plan.moves"),
-        ({"moves": [Move(0.0, 0.0, 1.0)], "insertion_mm": [1.0, 2.0]}, "plan.moves"),
-        ({"moves": [Move(0.0, 0.0, 1.0)], "insertion_mm": [math.inf]}, "plan.moves"),
+        ({"moves": [Move(0.0, 0.0, 1.0)], "ends_along_mm": [1.0, 2.0]}, "plan.moves"),
+        ({"moves": [Move(0.0, 0.0, 1.0)], "ends_along_mm": [math.inf]}, "plan.moves"),
     ],
 )
 def test_what_makes_no_list_is_refused(change: dict[str, Any], code: str) -> None:

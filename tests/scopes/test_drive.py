@@ -65,6 +65,20 @@ def test_the_same_samples_give_the_same_poses_bit_for_bit(chest: Phantom, field:
         assert all(np.array_equal(a, b) for a, b in zip(run(kind), run(kind), strict=True)), kind
 
 
+def test_a_copy_lies_as_the_scope_does_and_goes_its_own_way(chest: Phantom, field: WallField) -> None:
+    path = path_to(chest, 1)
+    one = ScopeDrive(field, "thin", path)
+    one.drive(60.0, 0.4, 0.3, 0.1)
+    other = one.copy()
+    assert np.array_equal(other.state.pose.lps_from_camera, one.state.pose.lps_from_camera)
+    before = one.state
+    moved = other.drive(80.0, 0.4, 0.9, 0.1)
+    assert one.state is before and len(one.shaft_lps()) < len(other.shaft_lps())
+    again = one.drive(80.0, 0.4, 0.9, 0.1)
+    assert np.array_equal(again.pose.lps_from_camera, moved.pose.lps_from_camera)
+    assert np.array_equal(one.shaft_lps(), other.shaft_lps())
+
+
 def test_a_scope_that_is_too_thick_stops_and_says_what_would_pass(chest: Phantom, field: WallField) -> None:
     by_name = {b["name"]: b for b in chest.truth["branches"]}
     path = path_to(chest, by_name["RB10"]["id"])

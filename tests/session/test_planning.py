@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -12,7 +13,7 @@ import pytest
 
 import carina
 import carina.plan
-from carina.case import CaseFileError
+from carina.case import CaseFile, CaseFileError
 from carina.case.document import Lesion
 from carina.case.lesions import lesion_facts, made_lesion
 from carina.commands import (
@@ -21,7 +22,9 @@ from carina.commands import (
     BrushTarget,
     ChoosePlannedRoute,
     DescribeTarget,
+    FlyFlight,
     GrowTarget,
+    KeepDrive,
     MarkSphere,
     PlanningOf,
     PlanOptions,
@@ -179,6 +182,58 @@ def test_the_case_file_keeps_targets_routes_and_what_was_said(chest: Phantom, tm
         # The plan is made anew, and is the same.
         again.do(SetMode("free"))
         assert json.dumps(again.ask(PlanToTakeAway(kept.target_id)).plan.to_json()) == json.dumps(said)
+
+
+def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(chest: Phantom, tmp_path: Path) -> None:
+    write_phantom(chest, tmp_path / "scan")
+    case = carina.Case.open(tmp_path / "scan" / "ct.nii.gz")
+    with pytest.raises(NoResultError, match="there is no verdict on 'thin'"):
+        case.do(KeepDrive("thin"))
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    case.do(ChoosePlannedRoute(target.target_id, 1))
+    verdicts = case.ask(PlanningOf()).verdicts
+    driven = next(one for one in verdicts if one.driven is not None)
+    before = case.pose.lps_from_camera.copy()
+    for name in (driven.scope.name, driven.scope.name):
+        case.do(KeepDrive(name))
+    assert np.array_equal(case.pose.lps_from_camera, before), "keeping a drive moves nothing"
+    first, second = case.state.flights
+    assert first.name == f"Simulated drive to {target.name}, {driven.scope.title}"
+    assert (first.state, first.words, first.length_s) == ("complete", driven.words, second.length_s)
+    assert first.length_s == pytest.approx(driven.driven.time_s[-1], abs=1e-5)
+    # Every place that the scope came to is among what is flown, the last at the end.
+    for number in (first.number, second.number):
+        case.do(FlyFlight(number, first.length_s))
+        assert np.array_equal(case.pose.lps_from_camera, driven.driven.lps_from_camera[-1])
+        middle = len(driven.driven.time_s) // 2
+        case.do(FlyFlight(number, float(driven.driven.time_s[middle]) + 1e-5))
+        assert np.allclose(case.pose.lps_from_camera, driven.driven.lps_from_camera[middle], atol=1e-9)
+    path = case.save(tmp_path / "plan.carina")
+    case.close()
+    with CaseFile.open(path, read_only=True) as file:
+        kept = file.recordings()
+        assert [(one.name, one.words, one.complete) for one in kept] == [(first.name, first.words, True)] * 2
+        replayed = list(file.recording(kept[0].recording_id).replay(chest.volume))
+    assert all(same for _, same in replayed)
+    assert np.array_equal(replayed[-1][0].pose.lps_from_camera, driven.driven.lps_from_camera[-1])
+    # 25 pictures a second also while the hand turns.
+    assert np.diff([moment.time_s for moment, _ in replayed]).max() <= 0.1
+
+
+def test_what_was_not_driven_cannot_be_kept(case: carina.Case, chest: Phantom, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = carina.plan.judge_scopes
+
+    def judge(*given: object, scopes: list, **options: object):
+        return whole(*given, scopes=[replace(scopes[0], tip_mm=14.0, tube_mm=None)], **options)
+
+    monkeypatch.setattr(carina.plan, "judge_scopes", judge)
+    case.do(AddTarget(centre_of(chest)))
+    (target,) = case.state.document.targets
+    case.do(ChoosePlannedRoute(target.target_id, 1))
+    with pytest.raises(NoResultError, match="was not driven along this route"):
+        case.do(KeepDrive("thin"))
+    assert case.state.flights == ()
 
 
 def test_a_damaged_boundary_is_refused(chest: Phantom) -> None:

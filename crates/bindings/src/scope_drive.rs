@@ -232,6 +232,10 @@ impl PyScopeDrive {
         state_dict(py, &state)
     }
 
+    fn copy(&self, py: Python<'_>) -> Self {
+        Self(Mutex::new(self.with(py, |drive| drive.clone())))
+    }
+
     fn shaft_lps<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         let shaft = self.with(py, |drive| drive.shaft_lps());
         Array2::from_shape_fn((shaft.len(), 3), |(n, a)| shaft[n][a]).into_pyarray(py)

@@ -61,6 +61,13 @@ class SeeTurn(Command, frozen=True):
     """In the list, from 1."""
 
 
+class KeepDrive(Command, frozen=True):
+    """Keep the simulated drive of an instrument, on the route that is taken, as a flight of the case."""
+
+    scope: Identifier
+    """Whose verdict it belongs to."""
+
+
 class GrowTarget(Command, frozen=True):
     """What was clicked beside an airway is a nodule, not a place in the airway."""
 

@@ -106,6 +106,10 @@ class FlightToTakeAway(Question[str], frozen=True):
     number: FlightNumber
 
 
+class FlightsToKeep(Question[Any], frozen=True):
+    """The flights that no file has yet, for whoever saves the case: :class:`carina.case.recordings.WholeRecording`."""
+
+
 class MomentToKeep(Question[Any], frozen=True):
     """All of the case that a file keeps, as it is now: a :class:`carina.case.Moment`."""
 

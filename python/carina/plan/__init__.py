@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from carina.plan.atlas import ReachAtlas, reach_atlas
 from carina.plan.drive import DrivenRoute, moves_between, replay_moves
+from carina.plan.drive_flight import drive_flight
 from carina.plan.drive_search import condense_drive, place_at_start, search_drive
 from carina.plan.ebus import EBUS_LIMITS, Landmark, clock_hours, ebus_landmarks
 from carina.plan.fissures import FissureBox
@@ -80,6 +81,7 @@ __all__ = [
     "brushed",
     "clock_hours",
     "condense_drive",
+    "drive_flight",
     "ebus_landmarks",
     "grow_nodule",
     "hit_share",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import UsageError
+from carina.plan.drive_way import DriveWay
 from carina.plan.moves import Move
 from carina.scopes import Pose, ScopeDrive, ScopeState
 
@@ -38,10 +40,12 @@ class DrivenRoute:
 
     scope_name: str
     start_mm: float
-    """Where the scope was placed, along the route (`carina.ScopeDrive.place`)."""
+    """The insertion at which the scope was placed (`carina.ScopeDrive.place`)."""
     moves: tuple[Move, ...]
     ends_mm: tuple[float, ...]
-    """The insertion at which each move ends."""
+    """The insertion at which each move ends: the length of the scope that is in."""
+    ends_along_mm: tuple[float, ...]
+    """How far along the route the tip has come when each move ends, from the root along the branches' centrelines."""
     samples: Points
     """(n, 3) insertion in mm, roll and flexion in radians that the scope had reached; the first as it was placed, then
     after each turn, each setting of the lever, and each millimetre."""
@@ -52,7 +56,7 @@ class DrivenRoute:
     arrived: bool
     """It stands where the route ends."""
     stopped_mm: float
-    """How far along the route the tip is in the end."""
+    """How far along the route the tip is in the end, in the measure of ``ends_along_mm``."""
     why: str | None
     """Why it did not get farther; None where it arrived."""
 
@@ -61,7 +65,10 @@ class DrivenRoute:
         short: dict[str, Any] = {
             "scope": self.scope_name,
             "start_mm": self.start_mm,
-            "moves": [{**move.to_json(), "ends_mm": end} for move, end in zip(self.moves, self.ends_mm, strict=True)],
+            "moves": [
+                {**move.to_json(), "ends_mm": end, "ends_along_mm": along}
+                for move, end, along in zip(self.moves, self.ends_mm, self.ends_along_mm, strict=True)
+            ],
             "arrived": self.arrived,
             "stopped_mm": self.stopped_mm,
             "why": self.why,
@@ -95,11 +102,21 @@ class MoveRecorder:
         self.flexion_deg = math.degrees(drive.state.flexion_rad)
         self.moves: list[Move] = []
         self._ends_mm: list[float] = []
+        self._end_states: list[int] = []
         self._start_mm = drive.state.insertion_mm
         self._states: list[ScopeState] = [drive.state]
         self._time_s = [0.0]
         self.effort = 0.0
         """Small steps of the model, about: what a search counts instead of seconds."""
+
+    def copy(self) -> MoveRecorder:
+        """Another of the same beginning; what is done with one does not move the other."""
+        other = copy(self)
+        other.drive = self.drive.copy()
+        other.moves, other._ends_mm = self.moves.copy(), self._ends_mm.copy()
+        other._end_states, other._states = self._end_states.copy(), self._states.copy()
+        other._time_s = self._time_s.copy()
+        return other
 
     @property
     def state(self) -> ScopeState:
@@ -119,6 +136,7 @@ class MoveRecorder:
         self.effort += 0.9 * (abs(turn_deg) + change)
         self.moves.append(Move(turn_deg, flexion_deg, 0.0))
         self._ends_mm.append(self.state.insertion_mm)
+        self._end_states.append(len(self._states) - 1)
 
     def advance(self, step_mm: float = ADVANCE_MM) -> float:
         """One step of the move that was begun, or one back; how far it got, mm."""
@@ -131,6 +149,7 @@ class MoveRecorder:
         self.effort += 1.0
         self.moves[-1] = replace(self.moves[-1], advance_mm=self.moves[-1].advance_mm + step_mm)
         self._ends_mm[-1] = self.state.insertion_mm
+        self._end_states[-1] = len(self._states) - 1
         return self.state.insertion_mm - before
 
     def seen_from_tip(self, place: Points) -> Points:
@@ -191,20 +210,25 @@ class MoveRecorder:
             for _ in range(abs(round(steps))):
                 self.advance(math.copysign(ADVANCE_MM, steps))
 
-    def driven(self, *, stopped_mm: float, why: str | None) -> DrivenRoute:
-        """All of it as a value; ``why`` is None where it arrived."""
+    def driven(self, way: DriveWay, *, stopped_mm: float, why: str | None) -> DrivenRoute:
+        """All of it as a value; ``stopped_mm`` along the smooth route, ``why`` None where it arrived."""
         scope = self.drive.scope
+        along_mm, farthest = self._start_mm, []
+        for state in self._states:
+            along_mm = way.nearest(state.pose.position_lps, along_mm)[0]
+            farthest.append(max(along_mm, farthest[-1] if farthest else 0.0))
         cameras = [scope.camera_pose(state.pose).lps_from_camera for state in self._states]
         return DrivenRoute(
             scope_name=scope.name,
             start_mm=self._start_mm,
             moves=tuple(self.moves),
             ends_mm=tuple(self._ends_mm),
+            ends_along_mm=tuple(way.told_mm(farthest[n]) for n in self._end_states),
             samples=np.array([[s.insertion_mm, s.roll_rad, s.flexion_rad] for s in self._states]),
             lps_from_camera=np.array(cameras),
             time_s=np.array(self._time_s),
             arrived=why is None,
-            stopped_mm=stopped_mm,
+            stopped_mm=way.told_mm(stopped_mm),
             why=why,
         )
 

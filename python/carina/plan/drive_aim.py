@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +65,8 @@ def aim_drive(way: DriveWay, wall: WallField, scope: ScopePreset, driven: Driven
             recorder = _repeated(way, wall, scope, (*driven.moves, hold))
             found.append((*_judged(recorder, way.aim, hit_share), tuple(recorder.moves)))
     share, off_deg, moves = max(found, key=_worth)
-    recorder = _repeated(way, wall, scope, moves)
-    return Aimed(recorder.driven(stopped_mm=driven.stopped_mm, why=None), share, off_deg)
+    aimed = _repeated(way, wall, scope, moves).driven(way, stopped_mm=way.park_mm, why=None)
+    return Aimed(replace(aimed, stopped_mm=driven.stopped_mm), share, off_deg)
 
 
 def _worth(one: tuple[float, float, tuple[Move, ...]]) -> tuple[float, float]:

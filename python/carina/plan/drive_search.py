@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +51,8 @@ PAST_FORK_MM = 6.0
 """So far beyond a fork it is still the next one."""
 CONDENSING = 60
 """Shorter drives that are tried."""
+STATION_MM = 2.0
+"""An attempt can be gone on with from so many millimetres of its way."""
 KEPT = 3
 """Attempts that others start from."""
 
@@ -115,7 +118,12 @@ class _Kept:
     """An attempt as far as it lay in the route."""
 
     along_mm: float
-    moves: tuple[Move, ...]
+    stations: tuple[_Attempt, ...]
+    """The same as it was on the way, from where it was placed: others go on from there."""
+
+    def before(self, along_mm: float) -> _Attempt:
+        """As it was before a place of the route."""
+        return next((one for one in reversed(self.stations) if one.along_mm <= along_mm), self.stations[0])
 
 
 def place_at_start(way: DriveWay, wall: WallField, scope: ScopePreset) -> ScopeDrive:
@@ -169,6 +177,7 @@ def search_drive(
     if not (math.isfinite(effort) and effort > 0.0):
         raise UsageError(f"effort: expected above 0; found {effort}", code="plan.range")
     rng = np.random.default_rng(seed)
+    start = _Attempt(way, place_at_start(way, wall, scope))
     kept: list[_Kept] = []
     in_vain, spent, num = 0, 0.0, 0
     farthest: _Attempt | None = None
@@ -176,28 +185,29 @@ def search_drive(
         if cancel is not None and cancel():
             raise CancelledError("the search for a drive was cancelled")
         rule = _Rule() if num == 0 else _Rule.drawn(rng)
-        attempt = _Attempt(way, place_at_start(way, wall, scope))
+        begin, known = start, ()
         if kept and num > 1:
             # The better ones more often; farther back the longer nothing has got any farther.
             from_one = kept[min(int(rng.integers(len(kept))), int(rng.integers(len(kept))))]
             back_mm = rng.uniform(2.0, 10.0 + 4.0 * min(in_vain, 15))
-            attempt.repeat(from_one.moves, from_one.along_mm - back_mm)
+            begin = from_one.before(from_one.along_mm - back_mm)
+            known = from_one.stations[: from_one.stations.index(begin)]
+        attempt = begin.copy()
         attempt.go(rule)
-        spent += attempt.recorder.effort
+        spent += attempt.recorder.effort - begin.recorder.effort
         num += 1
         if farthest is None or attempt.good_mm > farthest.good_mm or attempt.arrived:
             farthest = attempt
         if attempt.arrived:
             break
-        if attempt.good_moves:
-            best_mm = kept[0].along_mm if kept else 0.0
-            in_vain = 0 if attempt.good_mm > best_mm + 1.0 else in_vain + 1
-            kept.append(_Kept(attempt.good_mm, attempt.good_moves))
-            kept.sort(key=lambda one: -one.along_mm)
-            del kept[KEPT:]
+        best_mm = kept[0].along_mm if kept else 0.0
+        in_vain = 0 if attempt.good_mm > best_mm + 1.0 else in_vain + 1
+        kept.append(_Kept(attempt.good_mm, (*known, begin, *attempt.stations)))
+        kept.sort(key=lambda one: -one.along_mm)
+        del kept[KEPT:]
     assert farthest is not None
     stopped_mm = farthest.along_mm if farthest.arrived else farthest.good_mm
-    return farthest.recorder.driven(stopped_mm=stopped_mm, why=None if farthest.arrived else farthest.why())
+    return farthest.recorder.driven(way, stopped_mm=stopped_mm, why=None if farthest.arrived else farthest.why())
 
 
 def condense_drive(
@@ -224,7 +234,7 @@ def condense_drive(
             tries -= 1
             if attempt.arrives_by((*shorter, *rest)):
                 moves = [*shorter, *rest]
-                best = attempt.recorder.driven(stopped_mm=attempt.along_mm, why=None)
+                best = attempt.recorder.driven(way, stopped_mm=attempt.along_mm, why=None)
             n -= num
     return best
 
@@ -236,7 +246,8 @@ class _Attempt:
         self.way, self.recorder = way, MoveRecorder(drive)
         self.along_mm, self.off_mm = way.nearest(drive.state.pose.position_lps, drive.state.insertion_mm)
         self.good_mm = self.along_mm
-        self.good_moves: tuple[Move, ...] = ()
+        self.stations: list[_Attempt] = []
+        """As it was every few millimetres of the way, for others to go on from."""
         self.arrived = False
         self._blocked = 0
         self._changed_mm = 0.0
@@ -244,16 +255,11 @@ class _Attempt:
         self._done_fork: float | None = None
         self._hooked_deg = self._hook_towards_deg = 0.0
 
-    def repeat(self, moves: tuple[Move, ...], until_mm: float) -> None:
-        """The beginning of an attempt before, up to a place of the route."""
-        for move in moves:
-            if self.along_mm >= until_mm:
-                break
-            self.recorder.set(move.turn_deg, move.flexion_deg)
-            for _ in range(round(move.advance_mm)):
-                self._advance()
-                if self.along_mm >= until_mm:
-                    break
+    def copy(self) -> _Attempt:
+        """Another of the same beginning."""
+        other = copy(self)
+        other.recorder, other.stations = self.recorder.copy(), []
+        return other
 
     def arrives_by(self, moves: tuple[Move, ...]) -> bool:
         """Whether it stands where the route ends after these moves, and was never lost."""
@@ -267,16 +273,26 @@ class _Attempt:
 
     def go(self, rule: _Rule) -> None:
         """On by a rule until it arrives or is lost."""
+        self._forget()
         for _ in range(MOST_STEPS):
             self._steer(rule)
             self._advance()
             if self._is_lost():
                 return
             if self._is_on_course():
-                self.good_mm, self.good_moves = self.along_mm, tuple(self.recorder.moves)
+                self.good_mm = self.along_mm
+                last_mm = self.stations[-1].along_mm if self.stations else -math.inf
+                if self.along_mm >= last_mm + STATION_MM:
+                    self.stations.append(self.copy())
                 if self.along_mm >= self.way.park_mm - ARRIVED_MM:
                     self.arrived = True
                     return
+
+    def _forget(self) -> None:
+        """What another rule had in mind."""
+        self._changed_mm = 0.0
+        self._blocked = 0
+        self._hooked_fork = self._done_fork = None
 
     def why(self) -> str:
         """Why it got no farther."""

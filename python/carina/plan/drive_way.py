@@ -28,6 +28,9 @@ NUM_ON_LINE = 14
 class DriveWay:
     """A route as far as the tip goes.
 
+    A drive counts along the smooth route, which is a few millimetres shorter than the branches' centrelines. What is
+    told counts along the centrelines, as `PlannedRoute.along_mm` and the list of turns do: `told_mm`.
+
     Parameters
     ----------
     tree, planned
@@ -48,6 +51,13 @@ class DriveWay:
         self._fine_mm = np.arange(0.0, float(self.cumulative_mm[-1]) + 1e-9, FINE_MM)
         self._fine = self.at(self._fine_mm)
         self._fine_room_mm = wall.distance_mm(self._fine)
+        # Both measures, at the forks and where the tip stands.
+        ends = np.cumsum([branch.length_mm for branch in tree.lineage(planned.branch_id)])
+        knots = [(0.0, 0.0), *zip(self.forks_mm.tolist(), ends[:-1].tolist(), strict=True)]
+        whole = (self.length_mm, float(ends[-1]))
+        if knots[-1][0] < self.park_mm < whole[0] and knots[-1][1] < planned.along_mm < whole[1]:
+            knots.append((self.park_mm, planned.along_mm))
+        self._knots = np.array([*knots, whole])
         # The ball that fits at each point of the centrelines; at the trachea's upper end the CT may cut it.
         lineage = tree.lineage(planned.branch_id)
         points = np.concatenate([branch.points for branch in lineage])
@@ -69,6 +79,10 @@ class DriveWay:
     def length_mm(self) -> float:
         """Of the whole way, which may lead beyond where the scope stands."""
         return float(self.cumulative_mm[-1])
+
+    def told_mm(self, mm: float) -> float:
+        """A place along the smooth route, in the measure that is told: from the root along the centrelines."""
+        return float(np.interp(mm, self._knots[:, 0], self._knots[:, 1]))
 
     def at(self, mm: float | Points) -> Points:
         """Places along the route, (..., 3)."""

@@ -50,7 +50,7 @@ def turn_list(
     carina_ridge_mm: float | None = None,
     carina_depth_mm: float | None = None,
     moves: Sequence[Move] | None = None,
-    insertion_mm: Sequence[float] | None = None,
+    ends_along_mm: Sequence[float] | None = None,
 ) -> TurnList:
     """Fork by fork: where the opening is seen, how far it is, and what the hand does.
 
@@ -67,8 +67,9 @@ def turn_list(
     carina_depth_mm
         What the scope shows at nose or mouth when its tip is at the main carina; depths that follow from it are
         estimates.
-    moves, insertion_mm
-        A drive along the route, and the insertion at which each of its moves ends, mm from the tree's root.
+    moves, ends_along_mm
+        A drive along the route, and how far along it the tip is when each of its moves ends, mm from the tree's root
+        along the centrelines (`DrivenRoute.ends_along_mm`).
 
     Raises
     ------
@@ -99,7 +100,7 @@ def turn_list(
     groups = _forks(lineage)
     axes_mm = None if planned.from_carina_mm is None else planned.along_mm - planned.from_carina_mm
     zero_mm = None if axes_mm is None else axes_mm + (carina_ridge_mm or 0.0)
-    per_turn, parking = _moves_by_fork([group[-1].at_mm for group in groups], moves, insertion_mm)
+    per_turn, parking = _moves_by_fork([group[-1].at_mm for group in groups], moves, ends_along_mm)
     way = np.concatenate([branch.points for branch in lineage])
     turns: list[Turn] = []
     for n, (group, doing) in enumerate(zip(groups, per_turn, strict=True)):
@@ -235,7 +236,7 @@ def _angle_deg(one: Points, other: Points) -> float:
 
 
 def _moves_by_fork(
-    forks_mm: Sequence[float], moves: Sequence[Move] | None, insertion_mm: Sequence[float] | None
+    forks_mm: Sequence[float], moves: Sequence[Move] | None, ends_along_mm: Sequence[float] | None
 ) -> tuple[list[tuple[Move, ...] | None], tuple[Move, ...] | None]:
     """The moves of each turn, and those after the last: each move once, in order.
 
@@ -243,18 +244,18 @@ def _moves_by_fork(
     """
     if moves is None:
         return [None] * len(forks_mm), None
-    if insertion_mm is None or len(insertion_mm) != len(moves):
-        found = "none" if insertion_mm is None else str(len(insertion_mm))
+    if ends_along_mm is None or len(ends_along_mm) != len(moves):
+        found = "none" if ends_along_mm is None else str(len(ends_along_mm))
         raise UsageError(
-            f"insertion_mm: expected one number for each of {len(moves)} moves, where it ends; found {found}",
+            f"ends_along_mm: expected one number for each of {len(moves)} moves, where it ends; found {found}",
             code="plan.moves",
         )
-    if not all(math.isfinite(mm) for mm in insertion_mm):
-        raise UsageError("insertion_mm: expected finite numbers in mm from the tracheal entry", code="plan.moves")
+    if not all(math.isfinite(mm) for mm in ends_along_mm):
+        raise UsageError("ends_along_mm: expected finite numbers in mm from the tracheal entry", code="plan.moves")
     parts: list[list[Move]] = [[] for _ in range(len(forks_mm) + 1)]
     turn = 0
-    begins = insertion_mm[0] - moves[0].advance_mm if moves else 0.0
-    for move, ends in zip(moves, insertion_mm, strict=True):
+    begins = ends_along_mm[0] - moves[0].advance_mm if moves else 0.0
+    for move, ends in zip(moves, ends_along_mm, strict=True):
         while turn < len(forks_mm) and begins >= forks_mm[turn] - SAME_PLACE_MM:
             turn += 1
         parts[turn].append(move)

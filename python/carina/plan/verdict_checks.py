@@ -52,7 +52,7 @@ def diameter_check(way: DriveWay, scope: ScopePreset, spacing_mm: float, *, erro
     room, where = float(way.room_mm[n]), float(way.room_at_mm[n])
     needs = scope.fit_mm if errors else max(scope.tip_mm, scope.tube_mm or 0.0)
     sigma = math.hypot(ROOM_SHARE * spacing_mm, EXCESS_SIGMA_MM) if errors else 0.0
-    share = _passes(room - needs, sigma)
+    share = passes(room - needs, sigma)
     more = f" \u00b1 {1.645 * sigma:.1f}" if sigma > 0.0 else ""
     words = f"needs {needs:.1f} mm; the narrowest place, {where:.0f} mm along the route, is {room:.1f}{more} mm wide"
     margin = f", and {FIT_MARGIN_MM:g} mm measured excess (s)" if errors else ""
@@ -73,10 +73,10 @@ def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
         asked = math.degrees(math.acos(cosine))
         if asked > worst:
             worst, where = asked, float(mm)
-    share = _passes(most - worst, BEND_SIGMA_DEG if errors else 0.0)
+    share = passes(most - worst, BEND_SIGMA_DEG if errors else 0.0)
     radius = f" at a radius of {section / math.radians(worst):.0f} mm" if worst >= 10.0 else ""
     words = (
-        f"the bend {where:.0f} mm along the route requires {worst:.0f} degrees of flexion{radius}; "
+        f"the bend {way.told_mm(where):.0f} mm along the route requires {worst:.0f} degrees of flexion{radius}; "
         f"this scope has {most:.0f}"
     )
     basis = f"flexion {most:g} degrees, bending section {np.mean(scope.bending_mm):g} mm ({_basis(scope)})"
@@ -88,10 +88,11 @@ def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> C
     basis = f"working length ({_basis(scope)})"
     if scope.length_mm is None:
         return Check("length", "unknown", None, "its working length is not known", basis)
-    spare = scope.length_mm - way.park_mm
+    park_mm = way.told_mm(way.park_mm)
+    spare = scope.length_mm - park_mm
     if entry_mm is None:
         words = (
-            f"{way.park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
+            f"{park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
             f"leaves {spare:.0f} mm from nose or mouth to that point"
         )
         # From the nose to the carina there are some 320 mm at most in adults (k).
@@ -99,7 +100,7 @@ def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> C
             "length", "yes" if spare >= LONGEST_ENTRY_MM else "no" if spare < 0 else "perhaps", None, words, basis
         )
     left = spare - entry_mm
-    words = f"needs a working length of {way.park_mm + entry_mm:.0f} mm; this scope has {scope.length_mm:.0f}"
+    words = f"needs a working length of {park_mm + entry_mm:.0f} mm; this scope has {scope.length_mm:.0f}"
     return Check("length", "yes" if left >= 0.0 else "no", None, words, basis)
 
 
@@ -116,7 +117,7 @@ def answer_of(share: float) -> Answer:
     return "yes" if share >= SURE else "no" if share <= 1.0 - SURE else "perhaps"
 
 
-def _passes(spare: float, sigma: float) -> float:
+def passes(spare: float, sigma: float) -> float:
     """How likely it is that what is spare is above 0."""
     if sigma <= 0.0:
         return 1.0 if spare >= 0.0 else 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -288,6 +289,15 @@ class ScopeDrive:
         """
         self._state = self._seen(self._core.place(_points(path), float(insertion_mm)))
         return self._state
+
+    def copy(self) -> ScopeDrive:
+        """Another scope that lies as this one does; what is done with one does not move the other.
+
+        Both answer the same samples with the same states, bit for bit.
+        """
+        other = copy(self)
+        other._core = self._core.copy()
+        return other
 
     def shaft_lps(self) -> NDArray[np.float64]:
         """The scope's axis from the entry to the tip's face, (n, 3) LPS mm, a point every 2 mm."""

@@ -78,6 +78,8 @@ class ScopeVerdict(FrozenValue, frozen=True):
     would: Words | None
     """What would have to be different."""
     checks: tuple[ScopeCheck, ...]
+    was_driven: bool
+    """There is a simulated drive, which the case can keep as a flight."""
 
 
 class TargetPlan(FrozenValue, frozen=True):

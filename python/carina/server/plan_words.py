@@ -116,6 +116,7 @@ def _verdict(verdict: Verdict) -> wire.ScopeVerdict:
         share=verdict.share,
         would=verdict.would,
         checks=tuple(wire.ScopeCheck(c.name, c.answer, c.words, c.basis) for c in verdict.checks),
+        was_driven=verdict.driven is not None,
     )
 
 

@@ -99,9 +99,12 @@ class Flights(Subject):
                 self._fly(case, case.flights.flown, command.time_s)
                 return None
             before = case.last_move
+            # What no file has yet needs no disk.
+            waiting = [one.waiting() for one in case.flights.unwritten if one.number == number]
 
         def work(job: Job) -> None:
-            recording = read_recording(io.StringIO(self._text(number)), Path(f"flight {number}"))
+            text = waiting[0][1] if waiting and waiting[0][0] == 0 else self._text(number)
+            recording = read_recording(io.StringIO(text), Path(f"flight {number}"))
             job.check()
             flown = FlownFlight(number, *recording.recorded_poses())
             with self.core.lock:

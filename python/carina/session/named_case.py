@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from carina.case import CaseFile, CaseFileError, Moment, SourceFacts
+from carina.case.recordings import WholeRecording
 from carina.config import load_settings
 from carina.disk import ScratchFolder
 from carina.errors import UsageError
@@ -29,6 +31,8 @@ class NamedCase:
         self._lock: NamedLock | None = None
         self._ct_place: str | None = None
         self._saved: Moment | None = None
+        self._flights: set[int] = set()
+        """The numbers, as the session has them, of those that were put into the file here."""
 
     def open(self, path: Path, ct: str | Path | None) -> tuple[Volume, Moment | None]:
         """Take a case file, and find its CT.
@@ -73,8 +77,18 @@ class NamedCase:
         """Where the CT of a case lies that has no file yet."""
         self._ct_place = str(Path(place).expanduser().absolute())
 
-    def save(self, volume: Volume, moment: Moment, path: str | Path | None, *, replace: bool) -> Path:
+    def save(
+        self,
+        volume: Volume,
+        moment: Moment,
+        path: str | Path | None,
+        *,
+        replace: bool,
+        flights: Sequence[WholeRecording] = (),
+    ) -> Path:
         """Write one whole file; with a path the case belongs there from now on.
+
+        Beside the flights that the file has come those that are given.
 
         Raises
         ------
@@ -97,6 +111,7 @@ class NamedCase:
         try:
             file = self._needed_file(volume)
             file.save(moment)
+            self._keep_flights(file, flights)
             file.write_copy(target, ct_place=way_between(target, self._ct_place))
         except BaseException:
             if lock is not self._lock:
@@ -158,6 +173,20 @@ class NamedCase:
                 code="case.exists",
             )
         return target
+
+    def _keep_flights(self, file: CaseFile, flights: Sequence[WholeRecording]) -> None:
+        there = {one.recording_id for one in file.recordings()}
+        for flight in flights:
+            facts, writer = flight.facts, flight.writer()
+            if facts.recording_id in self._flights:
+                continue
+            if facts.recording_id in there:
+                # A file whose numbers were lost has another flight of this number: this one gets the next.
+                writer.number = None
+            file.keep_recording(writer)
+            if facts.words:
+                file.change_recording(writer.recording_id, words=facts.words)
+            self._flights.add(facts.recording_id)
 
     def _needed_file(self, volume: Volume) -> CaseFile:
         if self._file is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from carina.commands import Command, MomentToKeep, OpenPath, OpenVolume
+from carina.commands import Command, FlightsToKeep, MomentToKeep, OpenPath, OpenVolume
 from carina.session.case_scan import is_case_file
 from carina.session.errands import Errand
 from carina.session.named_case import NamedCase
@@ -80,7 +80,8 @@ class OwnCase:
         """By the way of a copy."""
         moment, case = self._session.ask(MomentToKeep()), self._session.snapshot().case
         assert case is not None
-        return self._named.save(case.volume, moment, path, replace=replace)
+        flights = self._session.ask(FlightsToKeep())
+        return self._named.save(case.volume, moment, path, replace=replace, flights=flights)
 
     def close(self) -> None:
         """Only what was changed is written."""

@@ -20,7 +20,7 @@ from carina.session.snapshot import Said, Trouble
 from carina.session.subject import Subject, does
 from carina.version import VERSION
 
-__all__ = ["FlightRecording"]
+__all__ = ["FlightRecording", "new_flight"]
 
 
 class FlightRecording(Subject):
@@ -82,7 +82,7 @@ class FlightRecording(Subject):
         if command.path is None:
             path = None
             with self.core.lock:
-                name, into = self._new_flight(case)
+                name, into = new_flight(case, self.core.clock())
                 file = cast(TextIO, into)
         else:
             path, name, into = Path(command.path), str(command.path), None
@@ -117,16 +117,6 @@ class FlightRecording(Subject):
                 # A replay begins with the scope laid anew, so that it can begin at all.
                 self._holding.lay(case, case.navigator.scope_state.insertion_mm)
             self.core.changed("state", "flights")
-
-    def _new_flight(self, case: OpenCase) -> tuple[str, RecordingWriter]:
-        """With the session locked."""
-        known = {one.recording_id for one in case.flights.listed}
-        number = case.next_number("flight")
-        while number in known:
-            # A file whose numbers were lost: it was salvaged, or another program wrote it.
-            number = case.next_number("flight")
-        name = f"Flight {number}"
-        return name, RecordingWriter(name, max(0.0, self.core.clock() - case.begun_s), number=number)
 
     @does(c.StopRecording)
     def stop_command(self, _command: c.StopRecording) -> None:
@@ -175,3 +165,14 @@ class FlightRecording(Subject):
         """After a change of document or sight, with the session locked."""
         if self._recorder is not None and self._recorded_case is case:
             self._recorder.note_view(view_words(case.document, case.sight), self.core.clock())
+
+
+def new_flight(case: OpenCase, now_s: float) -> tuple[str, RecordingWriter]:
+    """Name and file of one more flight of a case; with the session locked."""
+    known = {one.recording_id for one in case.flights.listed}
+    number = case.next_number("flight")
+    while number in known:
+        # A file whose numbers were lost: it was salvaged, or another program wrote it.
+        number = case.next_number("flight")
+    name = f"Flight {number}"
+    return name, RecordingWriter(name, max(0.0, now_s - case.begun_s), number=number)

@@ -23,6 +23,7 @@ from carina.session.flying import STRAIGHT_TO_THE_PILOT, Flying
 from carina.session.following import Following
 from carina.session.holding import ScopeHolding
 from carina.session.jobs import JobRunner
+from carina.session.kept_drives import KeptDrives
 from carina.session.key_framing import KeyFraming
 from carina.session.looking import Looking
 from carina.session.measuring import TreeMeasuring
@@ -105,7 +106,7 @@ class Session:
         subjects = (
             opening, Flying(core, holding), looking, Routing(core), planning, TargetEditing(core),
             finding, editing, keys, recording,
-            Flights(core, self._saving.flight_text),
+            Flights(core, self._saving.flight_text), KeptDrives(core),
             self._devices, holding, self._saving, self._cases, CaseQuestions(core),
             Following(core, finding, holding, self._saving),
         )  # fmt: skip

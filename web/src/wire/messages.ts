@@ -591,6 +591,12 @@ export interface SeeTurnMessage {
   readonly number: number;
 }
 
+/** Keep the simulated drive of an instrument, on the route that is taken, as a flight of the case. */
+export interface KeepDriveMessage {
+  readonly type: "keep_drive";
+  readonly scope: string;
+}
+
 /** What was clicked beside an airway is a nodule, not a place in the airway. */
 export interface GrowTargetMessage {
   readonly type: "grow_target";
@@ -1530,6 +1536,7 @@ export interface ScopeVerdict {
   readonly share: number | null;
   readonly would: string | null;
   readonly checks: readonly ScopeCheck[];
+  readonly was_driven: boolean;
 }
 
 /** A turn of the route that is chosen. */
@@ -1907,6 +1914,7 @@ export type ClientMessage =
   | DescribeTargetMessage
   | ChoosePlannedRouteMessage
   | SeeTurnMessage
+  | KeepDriveMessage
   | GrowTargetMessage
   | ResizeTargetMessage
   | BrushTargetMessage

@@ -90,7 +90,7 @@ def whole_sheet(
             made.airways.tree,
             route,
             moves=None if driven is None else driven.moves,
-            insertion_mm=None if driven is None else driven.ends_mm,
+            ends_along_mm=None if driven is None else driven.ends_along_mm,
             carina_ridge_mm=plan.carina_ridge_mm,
             carina_depth_mm=made.carina_depth_mm,
         )

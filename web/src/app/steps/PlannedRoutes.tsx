@@ -254,6 +254,7 @@ const MARKS: Readonly<Record<string, string>> = {
 };
 
 function VerdictRow({ verdict }: { verdict: ScopeVerdict }) {
+  const station = useStation();
   return (
     <details className={`verdict ${verdict.outcome.replaceAll(" ", "-")}`} data-testid="verdict">
       <summary>
@@ -274,6 +275,15 @@ function VerdictRow({ verdict }: { verdict: ScopeVerdict }) {
         ))}
       </ul>
       {verdict.would === null ? null : <p className="quiet">{sentence(verdict.would)}</p>}
+      {verdict.was_driven ? (
+        <Act
+          kind="quiet"
+          label="Keep the drive as a flight"
+          words="Add the camera view of this simulated drive to the recorded flights of the case"
+          testId={`keep-drive-${verdict.scope}`}
+          onPress={() => station.send({ type: "keep_drive", scope: verdict.scope })}
+        />
+      ) : null}
     </details>
   );
 }

@@ -1,0 +1,78 @@
+"""The drive of a verdict as a flight: times and camera poses, to be recorded, filmed or flown again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError, check_type
+from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_from_rotation
+from carina.plan.drive import DrivenRoute
+from carina.scopes import Pose
+
+__all__ = ["drive_flight"]
+
+RATES_HZ = (1.0, 120.0)
+
+
+def drive_flight(driven: DrivenRoute, *, rate_hz: float = 25.0) -> tuple[NDArray[np.float64], tuple[Pose, ...]]:
+    """What the scope's camera sees while a drive is carried out.
+
+    A drive keeps where the scope was after each turn, each setting of the lever and each millimetre. All of these are
+    among the poses as they are; between two of them the picture moves evenly, so that it can be followed.
+
+    Parameters
+    ----------
+    driven
+        Of a verdict.
+    rate_hz
+        Poses a second, at least; 1 to 120.
+
+    Returns
+    -------
+    times_s, poses
+        (n,) from 0, ascending, and as many cameras.
+
+    Raises
+    ------
+    UsageError
+        If the rate is out of range.
+
+    Examples
+    --------
+    >>> import carina
+    >>> from carina.plan import drive_flight, judge_scope, plan_route
+    >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
+    >>> airways = carina.find_airways(made.volume)
+    >>> plan = plan_route(made.volume, airways, made.truth["nodule"]["center_lps"])
+    >>> wall = carina.wall_field(made.volume, airways)
+    >>> verdict = judge_scope(airways.tree, plan, wall, carina.scope_preset("ultrathin"))
+    >>> times_s, poses = drive_flight(verdict.driven)
+    >>> len(times_s) == len(poses)
+    True
+    """
+    check_type("drive_flight", "driven", driven, DrivenRoute, "it is the drive of a verdict: Verdict.driven")
+    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+        raise UsageError(f"rate_hz: expected {RATES_HZ[0]:g} to {RATES_HZ[1]:g}; found {rate_hz}", code="plan.range")
+    times, poses = [0.0], [driven.lps_from_camera[0]]
+    for n in range(1, len(driven.time_s)):
+        before, after = driven.lps_from_camera[n - 1], driven.lps_from_camera[n]
+        took_s = float(driven.time_s[n] - driven.time_s[n - 1])
+        if took_s <= 0.0:
+            # Nothing was set: what the model still settled belongs to the moment before.
+            poses[-1] = after
+            continue
+        turned = vector_from_rotation(orthonormal(before[:3, :3].T @ after[:3, :3]))
+        num = max(math.ceil(took_s * rate_hz - 1e-9), 1)
+        for step in range(1, num):
+            share = step / num
+            between = np.eye(4)
+            between[:3, :3] = orthonormal(before[:3, :3] @ rotation_from_vector(share * turned))
+            between[:3, 3] = (1.0 - share) * before[:3, 3] + share * after[:3, 3]
+            times.append(float(driven.time_s[n - 1]) + share * took_s)
+            poses.append(between)
+        times.append(float(driven.time_s[n]))
+        poses.append(after)
+    return np.array(times), tuple(Pose(pose) for pose in poses)

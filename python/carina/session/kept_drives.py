@@ -1,0 +1,99 @@
+"""The drive of a verdict as one of the case's flights, to be flown again."""
+
+from __future__ import annotations
+
+from typing import TextIO, cast
+
+import numpy as np
+
+from carina import commands as c
+from carina.case.recordings import RecordingFacts, WholeRecording
+from carina.errors import NoResultError
+from carina.navigate import Navigator, Pilot, Recorder, case_key
+from carina.plan import Verdict, drive_flight
+from carina.session.case import FlownFlight, OpenCase
+from carina.session.flying import place_pose, view_words
+from carina.session.recording import new_flight
+from carina.session.snapshot import Said
+from carina.session.subject import Subject, answers, does
+from carina.version import VERSION
+
+__all__ = ["KeptDrives"]
+
+MAX_NAME = 200
+
+
+class KeptDrives(Subject):
+    """What a verdict was found by can be looked at: a recording like any other, whose moves place the tip."""
+
+    @does(c.KeepDrive)
+    def keep(self, command: c.KeepDrive) -> None:
+        """Beside the recorded flights, at the end of their list; the tip stays where it is.
+
+        A case that no file follows has it in memory, until it is saved.
+
+        Raises
+        ------
+        NoResultError
+            ``plan.no-verdict``: if the instrument has no verdict yet, or was not driven.
+        """
+        case = self.core.needed_case()
+        with self.core.lock:
+            verdict = _needed(case, command.scope)
+        assert verdict.driven is not None
+        times_s, poses = drive_flight(verdict.driven)
+        key = case_key(case.info.volume)
+        with self.core.lock:
+            document = case.document
+            target = next(
+                (t for t in document.targets if document.route is not None and t.target_id == document.route.target_id),
+                None,
+            )
+            name, into = new_flight(case, self.core.clock())
+            to = "" if target is None else f" to {target.name}"
+            name = into.name = f"Simulated drive{to}, {verdict.scope.title}"[:MAX_NAME]
+            pilot = Pilot(Navigator(poses[0], volume=case.info.volume))
+            view = {**view_words(document, case.sight), "scope": verdict.scope.name}
+            recorder = Recorder(pilot, cast(TextIO, into), case=key, carina=VERSION, now_s=0.0, view=view)
+            for time_s, pose in zip(times_s.tolist(), poses, strict=True):
+                recorder.tick(time_s)
+                pilot.apply(place_pose(pose))
+            recorder.close()
+            assert into.number is not None
+            facts = RecordingFacts(into.number, name, verdict.words, into.begun_s, recorder.length_s, complete=True)
+            case.flights.unwritten = (*case.flights.unwritten, into)
+            case.flights.listed = (*case.flights.listed, facts)
+            # It can be flown without being read.
+            case.flights.flown = FlownFlight(into.number, times_s, np.stack([one.lps_from_camera for one in poses]))
+            self.core.emit(Said(f"the drive was kept as a flight of {recorder.length_s:.0f} s: {name}"))
+            self.core.changed("flights")
+
+    @answers(c.FlightsToKeep)
+    def flights_to_keep(self, _question: c.FlightsToKeep) -> tuple[WholeRecording, ...]:
+        """Those that are in memory from the first line to the last."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            writers = {one.number: one for one in case.flights.unwritten if one.closed}
+            found = []
+            for facts in case.flights.listed:
+                num_kept, text = writers[facts.recording_id].waiting() if facts.recording_id in writers else (1, "")
+                if num_kept == 0:
+                    found.append(WholeRecording(facts, text))
+            return tuple(found)
+
+
+def _needed(case: OpenCase, scope: str) -> Verdict:
+    """The verdict of an instrument that was driven; with the session locked."""
+    verdict = next((one for one in case.planning.verdicts() if one.scope.name == scope), None)
+    if verdict is None:
+        raise NoResultError(
+            f"there is no verdict on {scope!r} for the route that is taken: take a planned route, and wait for the "
+            "verdicts",
+            code="plan.no-verdict",
+        )
+    if verdict.driven is None:
+        raise NoResultError(
+            f"{verdict.scope.title} was not driven along this route, so there is no drive to keep: {verdict.words}",
+            code="plan.no-verdict",
+        )
+    return verdict
