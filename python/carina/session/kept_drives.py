@@ -42,6 +42,8 @@ class KeptDrives(Subject):
             verdict = _needed(case, command.scope)
         assert verdict.driven is not None
         times_s, poses = drive_flight(verdict.driven)
+        # As a recording keeps them: else its end would lie beyond its length, or before.
+        times_s = np.round(times_s, 6)
         key = case_key(case.info.volume)
         with self.core.lock:
             document = case.document
@@ -60,7 +62,9 @@ class KeptDrives(Subject):
                 pilot.apply(place_pose(pose))
             recorder.close()
             assert into.number is not None
-            facts = RecordingFacts(into.number, name, verdict.words, into.begun_s, recorder.length_s, complete=True)
+            facts = RecordingFacts(
+                into.number, name, verdict.words, into.begun_s, round(recorder.length_s, 6), complete=True
+            )
             case.flights.unwritten = (*case.flights.unwritten, into)
             case.flights.listed = (*case.flights.listed, facts)
             # It can be flown without being read.
