@@ -94,10 +94,11 @@ def test_gloss_makes_few_and_small_highlights_that_the_relief_breaks_up():
     assert (glossy >= dull - 1 / 255).all(), "gloss adds light and takes none"
 
     def edges(mask):
-        return np.abs(np.diff(mask.astype(int), axis=1)).sum()
+        # Across both axes: the highlight of a smooth tube is a long column.
+        return sum(np.abs(np.diff(mask.astype(int), axis=axis)).sum() for axis in (0, 1))
 
     matt = look(volume, direction=direction, gloss=0.0, exposure=60.0, specks=0.0)
-    assert edges((broken - matt).max(axis=2) > 0.1) > 1.5 * edges(highlight)
+    assert edges((broken - matt).max(axis=2) > 0.1) > 2.0 * edges(highlight)
 
 
 # In a lumen narrower than the guides stand apart (3.8 mm) the light comes from within the wall.

@@ -13,9 +13,7 @@ from carina.errors import RenderError
 
 __all__ = ["DECORATIONS", "FROM_TREE", "Appearance", "DecorationName", "check_guides"]
 
-DecorationName = Literal[
-    "texture", "vessels", "rings", "membrane", "hue", "spurs", "specks", "secretions", "fog"
-]
+DecorationName = Literal["texture", "vessels", "rings", "membrane", "hue", "spurs", "specks", "secretions", "fog"]
 DECORATIONS: tuple[DecorationName, ...] = get_args(DecorationName)
 FROM_TREE: frozenset[DecorationName] = frozenset(("rings", "membrane", "hue", "spurs"))
 """Parts that need to know where on the airway a wall is."""

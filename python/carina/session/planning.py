@@ -198,7 +198,7 @@ def _airways_of(case: OpenCase) -> Airways:
     airways = case.document.airways
     if airways is None:
         raise NoResultError(
-            "what lies round the target is told from the airways: segment them first", code="plan.no-airways"
+            "what lies round the target is reported from the airways: segment them first", code="plan.no-airways"
         )
     return airways
 
