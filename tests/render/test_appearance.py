@@ -133,7 +133,7 @@ def test_droplets_glint_at_a_distance_where_a_smooth_film_does_not():
 
     plain, depth = render(12.0, specks=0.0)
     dull, _ = render(12.0, specks=0.0, gloss=0.0)
-    wet, _ = render(12.0)
+    wet, _ = render(12.0, specks=1.0)
     far = (depth > 20.0) & (depth < 40.0)
     glints = (wet - plain).max(axis=2) > 0.1
     assert (wet >= plain - 1 / 255).all(), "a glint adds light and takes none"
@@ -163,8 +163,8 @@ def test_fog_lies_on_the_lens_and_hides_the_lumen():
 
 
 def test_what_is_wet_and_shows_no_ct_is_named_and_off_where_texture_is_off(airway):
-    assert Appearance(texture=0.0).decorations == ("specks",)
-    every = Appearance(texture=0.0, secretions=0.3, fog=0.2)
+    assert ENDOSCOPIC.appearance.specks == 1.0 and Appearance().specks == 0.0
+    every = Appearance(texture=0.0, specks=1.0, secretions=0.3, fog=0.2)
     assert every.decorations == ("specks", "secretions", "fog")
     assert every.undecorated().decorations == ()
     view = AirwayView(airway.pose, texture=False, **SIZE)

@@ -16,7 +16,7 @@ from carina.scopes import Pose
 
 ENDOSCOPIC = transfer_preset("endoscopic")
 SIZE = {"width": 96, "height": 96}
-ALL = ("texture", "vessels", "rings", "membrane", "hue", "spurs")
+ALL = ("texture", "vessels", "rings", "membrane", "hue", "spurs", "specks")
 
 
 def at(decoration: Decoration, point) -> dict[str, float]:
@@ -178,7 +178,7 @@ def test_texture_off_ct_grey_and_no_tree_leave_it_out_and_the_picture_says_so(ai
     grey = shown(airway, forked(), transfer="ct-grey")
     assert grey.decorated == ()
     np.testing.assert_array_equal(grey.rgb, shown(airway, transfer="ct-grey").rgb)
-    assert shown(airway).decorated == ("texture", "vessels"), "what needs no tree"
+    assert shown(airway).decorated == ("texture", "vessels", "specks"), "what needs no tree"
     unlit = AirwayView(airway.pose, fov_deg=100.0, shading=False, **SIZE)
     assert shown(airway, forked(), view=unlit).decorated == ()
     for picture in (shown(airway, forked()), bare):
@@ -195,7 +195,7 @@ def test_the_front_shows_rings_and_the_back_folds_along_the_airway(airway):
     # From within the trachea, level: the picture's lower half is the back.
     pose = Pose.looking((0.0, 0.0, 48.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
     view = AirwayView(pose, fov_deg=110.0, width=160, height=160)
-    off = dict.fromkeys(("vessels", "hue", "spurs", "texture"), 0.0)
+    off = dict.fromkeys(("vessels", "hue", "spurs", "texture", "specks"), 0.0)
     none = shown(airway, forked(), view=view, rings=0.0, membrane=0.0, **off)
     rings = contrast(shown(airway, forked(), view=view, membrane=0.0, **off), none)
     folds = contrast(shown(airway, forked(), view=view, rings=0.0, **off), none)
@@ -211,7 +211,7 @@ def test_rings_fade_on_a_wall_that_the_tree_knows_nothing_of(airway):
     """A mass that narrows the airway: the tree's radius is that of the airway before it."""
     wide = forked()
     too_wide = dataclasses.replace(wide.branches[0], radius=np.full_like(wide.branches[0].radius, 7.0 / 0.55))
-    off = dict.fromkeys(("membrane", "vessels", "hue", "spurs", "texture"), 0.0)
+    off = dict.fromkeys(("membrane", "vessels", "hue", "spurs", "texture", "specks"), 0.0)
     none = shown(airway, wide, rings=0.0, **off)
     found = contrast(shown(airway, wide, **off), none)
     faded = contrast(shown(airway, Tree((too_wide,)), **off), none)

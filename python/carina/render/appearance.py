@@ -61,7 +61,7 @@ class Appearance:
     """Invented vessels in the mucosa; 0 for none. No CT shows them, and many of them would be a sign of disease."""
     silhouettes: bool = True
     """Two rays for a pixel where a near wall ends before a far one. No decoration: both rays show the CT."""
-    specks: float = 1.0
+    specks: float = 0.0
     """Highlights on droplets of mucus, at a distance as well; 0 for none. Decoration."""
     secretions: float = 0.0
     """Glossy pools and bubbles of secretions on the posterior wall (the lowest of a supine patient), 0..1. Decoration;

@@ -222,7 +222,7 @@ ENDOSCOPIC = TransferFunction(
     name="endoscopic",
     wall=True,
     light=Light(ambient=0.26, diffuse=0.98, specular=0.35, shininess_log2=5, reach_mm=26.0),
-    appearance=Appearance(vessels=0.5, rings=1.0, membrane=1.0, hue=1.0, spurs=1.0),
+    appearance=Appearance(vessels=0.5, rings=1.0, membrane=1.0, hue=1.0, spurs=1.0, specks=1.0),
 )
 
 CT_GREY = TransferFunction(

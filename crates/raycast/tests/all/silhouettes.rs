@@ -33,6 +33,10 @@ const MATT: Appearance = Appearance {
     specks: 0.0,
     secretions: 0.0,
     fog: 0.0,
+    rings: 0.0,
+    membrane: 0.0,
+    hue: 0.0,
+    spurs: 0.0,
 };
 
 struct Spur {
