@@ -295,6 +295,7 @@ class CancelToken:
     def cancelled(self) -> bool:
         """Whether it was cancelled."""
 
+@final
 class WallSlopes:
     """Slopes of walls of one array of values, which must not change; kept from picture to picture."""
 

@@ -47,7 +47,7 @@ def drawn(lines) -> np.ndarray:
 
 @pytest.mark.parametrize("place", [axial(1.0), axial(0.3, 40.0, -25.0), axial(5.0)])
 def test_a_mask_is_outlined_half_way_between_its_voxels_whatever_the_zoom(place):
-    lungs = LungMap(lobes=(("RUL", MappedMask(ball((10, 12, 10), 6.0), MATRIX)),))
+    lungs = LungMap(lobes=(("RUL", MappedMask.placed(ball((10, 12, 10), 6.0), MATRIX)),))
     (lines,) = ShownLayers(lungs, None).lines(place, ("lobes",))
     assert (lines.layer, lines.part, lines.complete) == ("lobes", "RUL", True)
     points = np.column_stack([drawn(lines), np.zeros(len(drawn(lines))), np.ones(len(drawn(lines)))]) @ place.T
@@ -60,7 +60,7 @@ def test_a_mask_is_outlined_half_way_between_its_voxels_whatever_the_zoom(place)
 
 
 def test_a_plane_beside_a_mask_carries_nothing_and_what_is_not_wanted_is_left_out():
-    shown = ShownLayers(LungMap(fissures=MappedMask(ball((10, 12, 10), 3.0), MATRIX)), None)
+    shown = ShownLayers(LungMap(fissures=MappedMask.placed(ball((10, 12, 10), 3.0), MATRIX)), None)
     assert shown.names == ("fissures",)
     assert shown.lines(axial(1.0, z=-100.0), ("fissures",)) == ()
     assert shown.lines(axial(1.0), ("vessels", "lobes")) == ()
@@ -68,7 +68,7 @@ def test_a_plane_beside_a_mask_carries_nothing_and_what_is_not_wanted_is_left_ou
 
 
 def test_a_target_is_not_drawn_as_a_vessel():
-    vessels = MappedMask(ball((6, 12, 10), 3.0) | ball((14, 12, 10), 3.0), MATRIX)
+    vessels = MappedMask.placed(ball((6, 12, 10), 3.0) | ball((14, 12, 10), 3.0), MATRIX)
     inside = np.ones((9, 9, 9), dtype=bool)
     matrix = np.diag([2.0, 2.0, 2.0, 1.0])
     matrix[:3, 3] = MATRIX[:3, 3] + 2.0 * np.array([10, 8, 6])
@@ -88,7 +88,7 @@ def bench_with(**parts):
     return made
 
 
-BALL = MappedMask(ball((10, 12, 10), 6.0), MATRIX)
+BALL = MappedMask.placed(ball((10, 12, 10), 6.0), MATRIX)
 
 
 def test_what_lies_round_is_made_when_it_is_asked_for_and_vessels_come_before_the_lobes():

@@ -26,6 +26,8 @@
 
 mod appearance;
 mod bricks;
+#[cfg(test)]
+mod bricks_tests;
 mod brute;
 mod composite;
 mod decoration;

@@ -238,11 +238,11 @@ def report(
     if at is None and airways is not None:
         at = airways.root_lps
     pose = left or Pose.looking(volume.centre_lps if at is None else at, direction, up)
-    lumen_zyx, tree = (None, None) if airways is None else (airways.lumen_zyx, airways.tree)
+    lumen_zyx, known = (None, None) if airways is None else (airways.lumen_zyx, airways.tree)
     backend = Backend(load_settings().backend)
     picture = interruptible(
         lambda: render_view(
-            volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, tree=tree, backend=backend, **options
+            volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, tree=known, backend=backend, **options
         )
     )
     if row.marks_tip and at is not None:

@@ -16,12 +16,17 @@ TargetNote = Annotated[str, Meta(max_length=2000, pattern=TEXT)]
 TargetRank = Annotated[int, Meta(ge=1, le=9)]
 
 
-class PlanOptions(FrozenValue, frozen=True):
-    """With what a target is to be reached, and what counts against a route."""
+class Instruments(FrozenValue, frozen=True):
+    """A scope, and what goes through its channel."""
 
     scope: Identifier = "thin"
     """Of the library of instruments."""
     tool: Identifier = "needle-21g"
+
+
+class PlanOptions(Instruments, frozen=True):
+    """With what a target is to be reached, and what counts against a route."""
+
     vessel_margin_mm: Annotated[float, Meta(ge=0.0, le=50.0)] = 3.0
     """A vessel nearer to the needle than this counts against a route."""
     moved_mm: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None
@@ -117,9 +122,5 @@ class MapLungs(Command, frozen=True):
     """Look for what lies round the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS."""
 
 
-class MapReach(Command, frozen=True):
+class MapReach(Instruments, Command, frozen=True):
     """Map where in the lungs an instrument's tip and tool get to."""
-
-    scope: Identifier = "thin"
-    """Of the library of instruments."""
-    tool: Identifier = "needle-21g"

@@ -213,7 +213,8 @@ class MoveRecorder:
     def driven(self, way: DriveWay, *, stopped_mm: float, why: str | None) -> DrivenRoute:
         """All of it as a value; ``stopped_mm`` along the smooth route, ``why`` None where it arrived."""
         scope = self.drive.scope
-        along_mm, farthest = self._start_mm, []
+        along_mm = self._start_mm
+        farthest: list[float] = []
         for state in self._states:
             along_mm = way.nearest(state.pose.position_lps, along_mm)[0]
             farthest.append(max(along_mm, farthest[-1] if farthest else 0.0))

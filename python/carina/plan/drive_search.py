@@ -185,7 +185,8 @@ def search_drive(
         if cancel is not None and cancel():
             raise CancelledError("the search for a drive was cancelled")
         rule = _Rule() if num == 0 else _Rule.drawn(rng)
-        begin, known = start, ()
+        begin = start
+        known: tuple[_Attempt, ...] = ()
         if kept and num > 1:
             # The better ones more often; farther back the longer nothing has got any farther.
             from_one = kept[min(int(rng.integers(len(kept))), int(rng.integers(len(kept))))]

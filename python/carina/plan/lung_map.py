@@ -35,12 +35,27 @@ class MappedMask:
     """One structure on a grid of cubic voxels along LPS."""
 
     inside_zyx: Mask
-    lps_from_ijk: NDArray[np.float64]
+    first_lps: tuple[float, float, float]
+    """The middle of its first voxel."""
+    spacing_mm: float
+
+    @classmethod
+    def placed(cls, inside_zyx: Mask, lps_from_ijk: NDArray[np.float64]) -> MappedMask:
+        """From the place of such a grid, (4, 4)."""
+        x, y, z = (float(v) for v in lps_from_ijk[:3, 3])
+        return cls(inside_zyx, (x, y, z), float(lps_from_ijk[0, 0]))
+
+    @property
+    def lps_from_ijk(self) -> NDArray[np.float64]:
+        """(4, 4)."""
+        place = np.diag([self.spacing_mm] * 3 + [1.0])
+        place[:3, 3] = self.first_lps
+        return place
 
     @property
     def ml(self) -> float:
         """Its volume."""
-        return float(np.count_nonzero(self.inside_zyx) * np.prod(np.diag(self.lps_from_ijk)[:3])) / 1000.0
+        return float(np.count_nonzero(self.inside_zyx)) * self.spacing_mm**3 / 1000.0
 
 
 @one_line
@@ -147,11 +162,11 @@ def _with_lobes(made: LungMap, told: Lobes) -> LungMap:
     return replace(
         made,
         fissures=None if told.fissure is None else _cropped(told.fissure.mask, told.fissure.box),
-        lobes=tuple((name, MappedMask(mask, told.lps_from_ijk)) for name, mask in named if mask.any()),
+        lobes=tuple((name, MappedMask.placed(mask, told.lps_from_ijk)) for name, mask in named if mask.any()),
         missing_lobes=told.missing,
     )
 
 
 def _cropped(mask: Mask, box: Box) -> MappedMask:
     """Without the box's values, which are large."""
-    return MappedMask(mask, np.array(box.lps_from_ijk, dtype=np.float64))
+    return MappedMask.placed(mask, np.array(box.lps_from_ijk, dtype=np.float64))

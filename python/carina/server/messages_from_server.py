@@ -492,7 +492,7 @@ class PictureOutline(FrozenValue, frozen=True):
     """False where the lumen is so ragged that it is left out."""
 
 
-class PictureLayer(FrozenValue, frozen=True):
+class PictureLayer(PictureOutline, frozen=True):
     """The outline of one part of what was mapped round the targets, in this picture.
 
     Its bytes stand between the picture's and the outline's, in the order of the list, and have the outline's form; but
@@ -502,11 +502,8 @@ class PictureLayer(FrozenValue, frozen=True):
     layer: LayerName
     part: Identifier
     """*sure* or *unsure* of vessels and of reach, where *unsure* encloses *sure*; *seen*; or the name of a lobe."""
-    num_bytes: Annotated[int, Meta(ge=0, le=MAX_OUTLINE_BYTES)]
     pixel_from_line: Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
     """From these units to columns and rows of this picture, in the order of a canvas's ``transform``."""
-    complete: bool
-    """False where it is so ragged that it is left out."""
 
 
 class PictureHeader(FrozenValue, frozen=True):

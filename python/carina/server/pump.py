@@ -334,7 +334,7 @@ def _lens(optics: Optics | None) -> PictureLens | None:
 
 
 def _layer(lines: LayerLines) -> PictureLayer:
-    return PictureLayer(lines.layer, lines.part, len(lines.data), lines.pixel_from_line, lines.complete)
+    return PictureLayer(len(lines.data), lines.complete, lines.layer, lines.part, lines.pixel_from_line)
 
 
 def _matrix(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:

@@ -112,8 +112,8 @@ class SharedTexts:
             # No case is open, or it has just been closed.
             return wire.encode_message(wire.Plans((), "unwanted", (), "unwanted", ()))
         planned = (value for one in info.targets for value in (one.target, one.planned))
-        state = (info.document.route, info.standing, info.verdicts_standing, info.verdicts, info.turns)
-        state = (*state, info.dicom_problem)
+        shown = (info.document.route, info.standing, info.verdicts_standing, info.verdicts, info.turns)
+        state = (*shown, info.dicom_problem)
         return self._cached("plan", lambda: plans_message(info), *state, *planned)
 
     def lungs(self) -> str:

@@ -40,7 +40,6 @@ from carina.volume import Volume
 
 if TYPE_CHECKING:
     from carina.track import Airways, AirwayTree, Branch, TreeMeasures
-    from carina.volume.dicom_structures import References
 
 __all__ = [
     "HISTOGRAM_PRESET",
@@ -155,7 +154,6 @@ class OpenCase:
     pilot: Pilot
     history: History[Document]
     planning: CasePlanning
-    lungs: CaseLungs
     wall: Derived[Airways, LumenWall]
     """Of airways that a scope was to be held in."""
     measures: Derived[Airways, TreeMeasures]
@@ -176,10 +174,6 @@ class OpenCase:
     asked_mask: AskedMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
     """What the pen's button marks."""
-    place: str | None = None
-    """The file or folder of this machine that the CT was opened from; None where it was dropped, or made."""
-    references: References | None = None
-    """Of a dropped CT in DICOM, what its files say of themselves; never kept."""
     begun_s: float = 0.0
     """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
     numbers: dict[str, int] = field(default_factory=dict)
@@ -210,7 +204,7 @@ class OpenCase:
 
     def discard(self) -> None:
         """Make nothing more for it, and keep nothing large: another case is open, or none."""
-        for derived in (self.content, self.wall, self.measures, self.planning, self.lungs):
+        for derived in (self.content, self.wall, self.measures, self.planning, self.planning.lungs):
             derived.discard()
 
     @property
@@ -267,6 +261,9 @@ def new_case(
     measured = MeasuredAirways(() if kept is None else kept.measures)
     transfer = history.current.transfer
     planning = CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan"))
+    planning.lungs = CaseLungs(
+        volume, parts, jobs=jobs, lock=lock, wall=planning.wall_of, changed=partial(changed, "lungs", "views")
+    )
     case = OpenCase(
         number=number,
         info=CaseSnapshot(volume, parts.quality_words(volume), scale, volume.value_range),
@@ -276,14 +273,6 @@ def new_case(
         pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
         history=history,
         planning=planning,
-        lungs=CaseLungs(
-            volume,
-            parts,
-            jobs=jobs,
-            lock=lock,
-            wall=planning.wall_of,
-            changed=partial(changed, "lungs", "views"),
-        ),
         wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
         measures=derived_measures(
             volume,

@@ -395,7 +395,7 @@ class SessionCore:
                 path_mm=case.navigator.path_mm,
                 picture_turned=case.navigator.picture_turned,
                 lumen=case.outline,
-                layers=case.lungs.shown(),
+                layers=case.planning.lungs.shown(),
             )
 
 

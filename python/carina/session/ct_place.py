@@ -17,17 +17,17 @@ DROPPED = (
 
 def ct_of(case: OpenCase) -> Path | References | None:
     """What a target's file is compared with: the CT's place, else what was read when it was dropped."""
-    if case.place is not None and Path(case.place).exists():
-        return Path(case.place)
-    return case.references
+    if case.planning.origin.place is not None and Path(case.planning.origin.place).exists():
+        return Path(case.planning.origin.place)
+    return case.planning.origin.references
 
 
 def dicom_problem(case: OpenCase) -> str | None:
     """Why no DICOM file can refer to the CT, in words; None where one can."""
     if case.info.volume.source.format != "dicom":
         return "the CT was not opened from DICOM files, which a DICOM object has to refer to"
-    if case.place is None:
+    if case.planning.origin.place is None:
         return DROPPED
-    if not Path(case.place).exists():
+    if not Path(case.planning.origin.place).exists():
         return "the folder that the CT was opened from is no longer there: connect it, or open the CT again"
     return None

@@ -18,7 +18,7 @@ from carina.track import MaskOutline
 if TYPE_CHECKING:
     from carina.plan import Nodule, ReachAtlas
 
-__all__ = ["LAYERS", "LayerLines", "LayerName", "ShownLayers"]
+__all__ = ["LAYERS", "LayerLines", "LayerName", "OutlineLines", "ShownLayers"]
 
 LayerName = Literal["vessels", "fissures", "lobes", "reach"]
 LAYERS: tuple[LayerName, ...] = get_args(LayerName)
@@ -32,18 +32,25 @@ MOST_KEPT = 24
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class LayerLines:
-    """The outline of one part of a layer in one picture."""
+class OutlineLines:
+    """The outline of a mask in one picture."""
+
+    data: bytes
+    """As :meth:`carina.track.LumenOutline.encoded` gives it."""
+    complete: bool
+    """False where the mask is too ragged for an outline."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class LayerLines(OutlineLines):
+    """The outline of one part of a layer in one picture; its numbers are sixteenths of the lines' own unit."""
 
     layer: LayerName
     part: str
     """*sure* and *unsure* of vessels and of reach, *seen* of fissures, the name of a lobe."""
-    data: bytes
-    """As :meth:`carina.track.LumenOutline.encoded` has it, but in sixteenths of the lines' own unit."""
     pixel_from_line: tuple[float, float, float, float, float, float]
-    """From there to columns and rows of the picture, in the order of a canvas's ``transform``."""
-    complete: bool
-    """False where it is too ragged to be shown."""
+    """From the unit to columns and rows of the picture, in the order of a canvas's ``transform``."""
 
 
 class _Part:
@@ -77,7 +84,7 @@ class _Part:
         to = np.linalg.inv(lps_from_pixel) @ lps_from_line
         place = (to[0, 0], to[1, 0], to[0, 1], to[1, 1], to[0, 3], to[1, 3])
         a, b, c, d, e, f = (float(v) for v in place)
-        return LayerLines(self.layer, self.part, data or b"", (a, b, c, d, e, f), data is not None)
+        return LayerLines(data or b"", data is not None, self.layer, self.part, (a, b, c, d, e, f))
 
     def _cut(self, lps_from_line: NDArray[np.float64], width: int, height: int) -> bytes | None:
         # Hundredths of a millimetre: far below a voxel of any mask.
@@ -166,5 +173,5 @@ def _lung_parts(lungs: LungMap | None, nodules: tuple[Nodule, ...]) -> Iterator[
 def _reach_parts(reach: ReachAtlas | None) -> Iterator[_Part]:
     if reach is None:
         return
-    yield _Part("reach", "unsure", MappedMask(reach.reach_zyx > 0, reach.lps_from_ijk))
-    yield _Part("reach", "sure", MappedMask(reach.reach_zyx > 1, reach.lps_from_ijk))
+    yield _Part("reach", "unsure", MappedMask.placed(reach.reach_zyx > 0, reach.lps_from_ijk))
+    yield _Part("reach", "sure", MappedMask.placed(reach.reach_zyx > 1, reach.lps_from_ijk))

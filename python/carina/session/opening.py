@@ -16,6 +16,7 @@ from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.finding import AirwayFinding
 from carina.session.holding import ScopeHolding
 from carina.session.jobs import Job
+from carina.session.plan_values import CtOrigin
 from carina.session.recording import FlightRecording
 from carina.session.records import CaseRecord
 from carina.session.saving import Saving
@@ -327,8 +328,10 @@ class Opening(Subject):
                     say=lambda words: self.core.emit(Said(words)),
                     kept=kept,
                 )
-                case.place = None if found_place is None or found_place.startswith("demo:") else found_place
-                case.references = None if dropped is None else dropped.references
+                case.planning.origin = CtOrigin(
+                    None if found_place is None or found_place.startswith("demo:") else found_place,
+                    None if dropped is None else dropped.references,
+                )
                 if path is not None and self.core.store is not None:
                     self.core.store.remember(path, volume.source.title, self.core.today())
                 with self.core.lock:

@@ -21,8 +21,10 @@ from carina.track import Mesh, mask_mesh
 if TYPE_CHECKING:
     from carina.plan import Nodule, Plan, TurnList, Verdict
     from carina.scopes import WallField
+    from carina.session.lung_values import CaseLungs
     from carina.track import Airways
     from carina.volume import Volume
+    from carina.volume.dicom_structures import References
 
 __all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "shown_surface"]
 
@@ -94,6 +96,17 @@ VerdictInputs = tuple[Any, ...]
 """A plan, the number of a route in it, the airways' wall, and the options."""
 
 
+@one_line
+@dataclass(frozen=True, slots=True)
+class CtOrigin:
+    """Where a case's CT came from."""
+
+    place: str | None = None
+    """The file or folder of this machine that it was opened from; None where it was dropped, or made."""
+    references: References | None = None
+    """Of a dropped CT in DICOM, what its files say of themselves; never kept."""
+
+
 class CasePlanning:
     """The plans of a case's targets, and the verdicts on the route that is chosen.
 
@@ -104,6 +117,9 @@ class CasePlanning:
     changed
         Told when a plan or a verdict is news.
     """
+
+    lungs: CaseLungs
+    """What was mapped of the lungs round the targets."""
 
     def __init__(
         self,
@@ -139,6 +155,7 @@ class CasePlanning:
         self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
         """Verdicts that are there already while others are being made."""
         self._document: Document | None = None
+        self.origin = CtOrigin()
         self._turns: Cached[tuple[Any, ...], TurnList] = Cached(_turns, same=_same_turns)
 
     # ------------------------------------------------------------ what is asked
@@ -314,7 +331,7 @@ def _turns(inputs: tuple[Any, ...]) -> TurnList:
         tree,
         plan.routes[number - 1],
         moves=None if driven is None else driven.moves,
-        insertion_mm=None if driven is None else driven.ends_mm,
+        ends_along_mm=None if driven is None else driven.ends_along_mm,
         carina_ridge_mm=plan.carina_ridge_mm,
     )
 

@@ -33,7 +33,7 @@ class Planning(Subject):
     def follow(self, case: OpenCase) -> None:
         """Plan for what the document has now, with the session locked."""
         case.planning.follow(case.document)
-        case.lungs.follow(case.document)
+        case.planning.lungs.follow(case.document)
         self.core.changed("plan", "lungs")
 
     @does(c.MapLungs)
@@ -41,7 +41,7 @@ class Planning(Subject):
         """In the background; what was stopped or failed is tried again."""
         case = self.core.needed_case()
         with self.core.lock:
-            case.lungs.map_lungs(_airways_of(case))
+            case.planning.lungs.map_lungs(_airways_of(case))
 
     @does(c.MapReach)
     def map_reach(self, command: c.MapReach) -> None:
@@ -50,13 +50,13 @@ class Planning(Subject):
         tool(command.tool)
         case = self.core.needed_case()
         with self.core.lock:
-            case.lungs.map_reach(_airways_of(case), command.scope, command.tool)
+            case.planning.lungs.map_reach(_airways_of(case), command.scope, command.tool)
 
     @answers(c.LungsOf)
     def lungs_of(self, _question: c.LungsOf) -> LungsInfo:
         """As far as it is made."""
         with self.core.lock:
-            return self.core.needed_case().lungs.info()
+            return self.core.needed_case().planning.lungs.info()
 
     @does(c.SetPlanOptions)
     def set_plan_options(self, command: c.SetPlanOptions) -> None:
@@ -145,9 +145,9 @@ class Planning(Subject):
         with self.core.lock:
             case = self.core.needed_case()
             problem = dicom_problem(case)
-            if problem is not None or case.place is None:
+            if problem is not None or case.planning.origin.place is None:
                 raise UsageError(str(problem), code="plan.not-dicom")
-            return Path(case.place)
+            return Path(case.planning.origin.place)
 
     @answers(c.PlanningOf)
     def planning_of(self, _question: c.PlanningOf) -> PlanningInfo:

@@ -15,7 +15,7 @@ from carina.display import one_line
 from carina.render import VIEWS, Sight
 from carina.render.sight import THIN
 from carina.scopes import ImageField, PathFrames, Pose, scope_preset
-from carina.session.layers import LAYERS, LayerLines, LayerName, ShownLayers
+from carina.session.layers import LAYERS, LayerLines, LayerName, OutlineLines, ShownLayers
 from carina.value import PointLps
 
 if TYPE_CHECKING:
@@ -48,17 +48,6 @@ class Renderer(Protocol):
         cancel: Callable[[], bool] | None = None,
     ) -> None:
         """Build what makes pictures fast; until then they are slow and the same."""
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
-class LumenLines:
-    """The lumen's outline in one picture."""
-
-    data: bytes
-    """As :meth:`carina.track.LumenOutline.encoded` gives it."""
-    complete: bool
-    """False where the lumen is too ragged for an outline."""
 
 
 @one_line
@@ -121,7 +110,7 @@ class ShownCase:
         there = {"airways": self.has_lumen, "route": self.frames is not None}
         return all(there[need] for need in needs)
 
-    def outline_of(self, view: str, picture: Picture) -> LumenLines | None:
+    def outline_of(self, view: str, picture: Picture) -> OutlineLines | None:
         """The outline of the lumen in a picture of this scene; None where the view has none, or no lumen is known."""
         if not VIEWS[view].outlined or self.lumen is None or picture.lps_from_pixel is None:
             return None
@@ -130,7 +119,7 @@ class ShownCase:
             return None
         height, width = picture.rgb.shape[:2]
         data = self.lumen.encoded(picture.lps_from_pixel, width, height)
-        return LumenLines(b"", complete=False) if data is None else LumenLines(data, complete=True)
+        return OutlineLines(b"", complete=False) if data is None else OutlineLines(data, complete=True)
 
     def layers_of(self, view: str, picture: Picture) -> tuple[LayerLines, ...]:
         """What lies round the targets in a picture of this scene, as far as it was asked for and is wanted."""

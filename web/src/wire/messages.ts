@@ -1755,11 +1755,11 @@ export interface PictureOutline {
     Its bytes stand between the picture's and the outline's, in the order of the list, and have the outline's form; but
     their numbers are sixteenths of a unit of its own, so that every line is closed, however far the picture is zoomed. */
 export interface PictureLayer {
+  readonly num_bytes: number;
+  readonly complete: boolean;
   readonly layer: "fissures" | "lobes" | "reach" | "vessels";
   readonly part: string;
-  readonly num_bytes: number;
   readonly pixel_from_line: readonly number[];
-  readonly complete: boolean;
 }
 
 /** Header of a binary message; the payload follows. */

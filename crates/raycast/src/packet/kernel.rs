@@ -98,7 +98,7 @@ impl Scene<'_> {
             // Rays come and go several at a time: a change costs about as much as a look-up.
             if L::N - active.count_ones() as usize >= L::N / 4 {
                 if visible != 0 {
-                    band.shading.take_from::<L, O>(l, &mut packet, visible);
+                    band.shading.take_from(l, &mut packet, visible, O::HITS);
                     visible = 0;
                 }
                 let ended = packet.occupied & !active;
@@ -113,7 +113,7 @@ impl Scene<'_> {
                         .set_up(self.frame, self.start, &mut band.searching);
                 }
                 if !band.searching.is_empty() {
-                    band.searching.give_to::<L, O>(l, &mut packet);
+                    band.searching.give_to(l, &mut packet, O::HITS);
                     if LEAP != BRUTE {
                         pace = Pace::of(l, &packet.delta);
                     }
@@ -183,14 +183,14 @@ impl Scene<'_> {
         loop {
             if L::N - active.count_ones() as usize >= L::N / 8 {
                 if clear != 0 {
-                    band.searching.take_from::<L, O>(l, &mut packet, clear);
+                    band.searching.take_from(l, &mut packet, clear, O::HITS);
                     clear = 0;
                 }
                 let ended = packet.occupied & !active;
                 if ended != 0 {
                     band.finish(l, &mut packet, ended);
                 }
-                band.shading.give_to::<L, O>(l, &mut packet);
+                band.shading.give_to(l, &mut packet, O::HITS);
                 k = packet.k;
                 active = packet.occupied;
                 let least = if band.may_search() { L::N * 3 / 4 } else { 1 };

@@ -2,7 +2,6 @@
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES, each_lane},
-    out::Out,
     setup::rays_of,
 };
 use crate::{Frame, composite::NO_HIT, leap::Start};
@@ -123,16 +122,22 @@ impl Pool {
         self.len == 0
     }
 
-    /// Takes rays out of some lanes, which are free then.
+    /// Takes rays out of some lanes, which are free then; with `hits` their first walls, too.
     #[inline(always)]
-    pub(super) fn take_from<L: Lanes, O: Out>(&mut self, l: L, packet: &mut Packet<L>, lanes: u32) {
+    pub(super) fn take_from<L: Lanes>(
+        &mut self,
+        l: L,
+        packet: &mut Packet<L>,
+        lanes: u32,
+        hits: bool,
+    ) {
         let at = self.len;
         for a in 0..3 {
             l.put(packet.delta[a], lanes, &mut self.delta[a][at..]);
             l.put(packet.rgb[a], lanes, &mut self.rgb[a][at..]);
         }
         l.put(packet.transparency, lanes, &mut self.transparency[at..]);
-        if O::HITS {
+        if hits {
             l.put(packet.hit, lanes, &mut self.hit[at..]);
         }
         l.put_i(packet.k, lanes, &mut self.k[at..]);
@@ -146,7 +151,7 @@ impl Pool {
 
     /// Puts rays into free lanes, as many as there are.
     #[inline(always)]
-    pub(super) fn give_to<L: Lanes, O: Out>(&mut self, l: L, packet: &mut Packet<L>) {
+    pub(super) fn give_to<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>, hits: bool) {
         let mut lanes = packet.free();
         // The lowest lanes take the rays that are left.
         while lanes.count_ones() as usize > self.len {
@@ -159,7 +164,7 @@ impl Pool {
             packet.rgb[a] = l.fill(packet.rgb[a], lanes, &self.rgb[a][at..]);
         }
         packet.transparency = l.fill(packet.transparency, lanes, &self.transparency[at..]);
-        if O::HITS {
+        if hits {
             packet.hit = l.fill(packet.hit, lanes, &self.hit[at..]);
         }
         packet.k = l.fill_i(packet.k, lanes, &self.k[at..]);
