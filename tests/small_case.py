@@ -220,6 +220,7 @@ class SmallRenderer:
             lps_from_camera=None if planar else view.pose.lps_from_camera,
             fov_deg=None if planar else 90.0,
             optics=None,
+            decorated=(),
             stats=SimpleNamespace(method="brute", rays_s=self.rays_s),
         )
 

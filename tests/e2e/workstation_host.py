@@ -81,10 +81,11 @@ class SteadyBudget(pacing.FrameBudget):
             return seconds
         return min(seconds, PER_PIXEL_S / 8.0 * rays)
 
-    def learn(self, level: int, pixels: int, seconds: float) -> None:
+    # By the clock: what makes the view slow here is a wait, which no count of the rays' time sees.
+    def learn(self, level: int, pixels: int, seconds: float, rays_s: float | None = None) -> None:
         super().learn(level, pixels, self._at_most(seconds, self.levels[level].scale ** 2 * pixels))
 
-    def learn_probe(self, scale: float, pixels: int, seconds: float, now_s: float) -> None:
+    def learn_probe(self, scale: float, pixels: int, seconds: float, now_s: float, rays_s: float | None = None) -> None:
         super().learn_probe(scale, pixels, self._at_most(seconds, scale**2 * pixels), now_s)
 
 
