@@ -57,7 +57,7 @@ fn load<L: Lanes>(l: L, values: &Array<f32>) -> L::F {
     l.fill(l.splat(0.0), ((1u64 << L::N) - 1) as u32, values)
 }
 
-/// Gradient of the volume round `p` in LPS, as in `Normals::at`.
+/// Gradient of the volume round `p` in LPS, from its slopes in bricks (docs/decisions/0080).
 #[inline(always)]
 fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> [L::F; 3] {
     turn(l, &light.normals.rows, rise(l, &light.bricks, field, p))

@@ -17,7 +17,7 @@ const CORNERS: [i32; 8] = {
     corners
 };
 
-/// Slopes of a volume round positions in voxels, as in `Normals::rise`: per voxel axis, in HU over the reach.
+/// Slopes of a volume round positions in voxels, interpolated from those at voxels: per voxel axis, in HU over the reach.
 #[inline(always)]
 pub(crate) fn rise<L: Lanes>(
     l: L,

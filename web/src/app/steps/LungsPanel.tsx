@@ -34,7 +34,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       {lungs?.standing === "had" ? null : (
         <Act
           label={mapping ? "Looking\u2026" : "Show what lies round the target"}
-          words="Find vessels, fissures and lobes of both lungs, and place the EBUS stations (about 30 s)"
+          words="Find vessels, fissures and lobes of both lungs, and place the EBUS stations (about a minute)"
           disabled={mapping}
           testId="map-lungs"
           onPress={() => station.send({ type: "map_lungs" })}
