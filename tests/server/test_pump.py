@@ -211,6 +211,29 @@ def test_a_fault_in_the_renderer_does_not_end_the_pump(screen, caplog):
     assert {h.view for h in screen.headers} == {"airway", "axial"}
 
 
+def test_a_fault_after_rendering_is_told_once_and_the_picture_is_not_made_again_and_again(screen, monkeypatch):
+    made = []
+    screen.bench.renderers[-1].on_render = made.append
+    scheduler = screen.pump._scheduler
+    whole = scheduler.rendered
+
+    def broken(order, *more, **others):
+        if order.view == "airway":
+            raise TypeError("no such field")
+        return whole(order, *more, **others)
+
+    monkeypatch.setattr(scheduler, "rendered", broken)
+    for _ in range(3):
+        screen.steer()
+        # A pump that renders for ever fails here instead of waiting.
+        assert sum(screen.pump.step() for _ in range(20)) < 20
+    assert len([view for view in made if isinstance(view, AirwayView)]) == 3
+    told = [t for t in screen.told if isinstance(t, tuple)]
+    assert [code for code, _ in told] == ["carina.fault"]
+    assert "airway view" in told[0][1] and "TypeError" in told[0][1]
+    assert {h.view for h in screen.headers} == {"axial"}
+
+
 def test_a_full_picture_under_way_is_given_up_when_the_tip_moves_on(screen):
     screen.bench.session.subscribe(lambda _event: screen.pump.content_changed())
     screen.drain()

@@ -117,7 +117,8 @@ class FramePump:
         self._told_all = True
         self._status_s = float("-inf")
         self._status_pose_id = -1
-        self._last_words: str | None = None
+        self._last_words: dict[str, str] = {}
+        """What was told of each view that could not be rendered last."""
 
     def set_layout(self, views: Mapping[str, tuple[int, int]]) -> None:
         """The visible views and their sizes in pixels."""
@@ -214,6 +215,12 @@ class FramePump:
             if order.grade > MOVING and self._is_old(order):
                 return True
             self._render(scene, order, stop, began_s)
+        except BaseException as trouble:
+            # BaseException: a panic of the compiled module is no Exception. Also what happens after rendering: a picture
+            # that was not sent would be made again and again.
+            log_fault(logger, f"rendering failed: {order.view}", trouble)
+            words = f"the {order.view} view could not be rendered: internal error in Carina ({type(trouble).__name__})"
+            self._failed(order, "carina.fault", words)
         finally:
             with self._lock:
                 self._under_way = None
@@ -261,13 +268,6 @@ class FramePump:
             else:
                 self._failed(order, trouble.code, str(trouble))
             return
-        except BaseException as trouble:
-            # BaseException: a panic of the compiled module is no Exception.
-            log_fault(logger, f"rendering failed: {order.view}", trouble)
-            words = f"the {order.view} view could not be rendered: internal error in Carina ({type(trouble).__name__})"
-            self._failed(order, "carina.fault", words)
-            return
-        self._last_words = None
         now_s = self._clock()
         with self._lock:
             rays_s = picture.stats.rays_s
@@ -281,13 +281,14 @@ class FramePump:
             self._deliver(data)
             if shows == LEAD_VIEW:
                 self._note_status(now_s, scene, header)
+        self._last_words.pop(order.view, None)
 
     def _failed(self, order: RenderOrder, code: str, words: str) -> None:
         with self._lock:
             self._scheduler.failed(order)
-        if words != self._last_words:
+        if words != self._last_words.get(order.view):
             # Once, not for every frame of a flight.
-            self._last_words = words
+            self._last_words[order.view] = words
             self._tell((code, words))
 
     def _note_status(self, now_s: float, scene: ShownCase, header: PictureHeader) -> None:
