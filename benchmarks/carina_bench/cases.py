@@ -19,6 +19,7 @@ from carina.errors import NoResultError
 from carina.navigate import FlightPath
 from carina.phantom import GENERATOR_VERSION, generate_phantom
 from carina.scopes import Pose
+from carina.track import AirwayTree
 from carina.volume import Volume, VolumeSource
 
 __all__ = ["PHANTOMS", "Case", "open_case", "open_phantom"]
@@ -43,6 +44,8 @@ class Case:
     flight: tuple[Pose, ...]
     lumen_zyx: NDArray[np.uint8] | None = None
     """Where the airways were found in a CT."""
+    tree: AirwayTree | None = None
+    """Those airways."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,20 +67,20 @@ def open_case(name: str, *, poses: int, progress: Progress | None = None) -> Cas
     NoResultError
         If no airway is found in it.
     """
-    lumen = None
+    lumen = tree = None
     if name in PHANTOMS:
         volume, branches = _phantom(name, progress)
     else:
         volume = carina.demo_patient() if name == "patient" else carina.open_volume(Path(name), progress=progress)
         airways = carina.find_airways(volume, progress=progress)
-        lumen = airways.lumen_zyx
+        lumen, tree = airways.lumen_zyx, airways.tree
         branches = [
             _Branch(b.id, b.parent, b.generation, np.asarray(b.points), float(np.median(b.radius)))
             for b in airways.tree.branches
         ]
         name = name if name == "patient" else _name_of(Path(name).resolve())
     trachea, flight = _poses(branches, poses)
-    return Case(name, volume, trachea, flight, lumen)
+    return Case(name, volume, trachea, flight, lumen, tree)
 
 
 def open_phantom(name: str, progress: Progress | None = None) -> tuple[Volume, list[NDArray[np.float64]]]:

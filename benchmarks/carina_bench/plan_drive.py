@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.plan import DriveWay, place_at_start, replay_moves, search_drive
+from carina.plan import place_at_start, replay_moves, search_drive
+from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
 from carina.plan.routes import PlannedRoute
 from carina.plan.verdict_checks import BEND_SIGMA_DEG, EXCESS_SIGMA_MM, ROOM_SHARE, bend_check, diameter_check
+from carina.plan.verdict_lever import lever_check
 from carina.scopes import FIT_MARGIN_MM, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree, Branch, wall_field
 
@@ -44,29 +46,46 @@ class TubeDrive:
     passed: bool
 
 
-def _tube(radius_mm: float, bend_deg: float, bend_radius_mm: float) -> tuple[AirwayTree, WallField, Points]:
-    """Straight down, wide, then narrow, and from where it is narrow along a circle and straight again."""
+def _tube(
+    radius_mm: float, bend_deg: float, bend_radius_mm: float, *, forks: bool = False
+) -> tuple[AirwayTree, WallField, Points]:
+    """Straight down, wide, then narrow, and from where it is narrow along a circle and straight again.
+
+    Where it ``forks``, another tube of the same width goes straight on there.
+    """
     at = np.arange(0.0, LENGTH_MM + 0.25, 0.5)
     turned = np.clip((at - NARROW_FROM_MM) / bend_radius_mm, 0.0, math.radians(bend_deg))
-    steps = 0.5 * np.stack([np.sin(turned), np.zeros_like(turned), -np.cos(turned)], axis=1)
-    points = np.cumsum(steps, axis=0) - steps[0]
+    points = _line(turned)
     radius = np.interp(at, [NARROW_FROM_MM - 10.0, NARROW_FROM_MM], [WIDE_MM, radius_mm])
-    lo, hi = points.min(axis=0) - 6.0, points.max(axis=0) + 6.0
+    lines = [points, _line(np.zeros_like(at))] if forks else [points]
+    lo = np.min([line.min(axis=0) for line in lines], axis=0) - 6.0
+    hi = np.max([line.max(axis=0) for line in lines], axis=0) + 6.0
     num = np.ceil((hi - lo) / STEP_MM).astype(int) + 1
     values = np.full(num[::-1], -9.0, dtype=np.float32)
-    for point, r in zip(points, radius, strict=True):
-        first = np.maximum(((point - lo - r - 2.6) / STEP_MM).astype(int), 0)
-        last = np.minimum(((point - lo + r + 2.6) / STEP_MM).astype(int) + 2, num)
-        x, y, z = (lo[a] + STEP_MM * np.arange(first[a], last[a]) - point[a] for a in range(3))
-        off = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
-        part = values[first[2] : last[2], first[1] : last[1], first[0] : last[0]]
-        np.maximum(part, (r - off).astype(np.float32), out=part)
+    for line in lines:
+        for point, r in zip(line, radius, strict=True):
+            first = np.maximum(((point - lo - r - 2.6) / STEP_MM).astype(int), 0)
+            last = np.minimum(((point - lo + r + 2.6) / STEP_MM).astype(int) + 2, num)
+            x, y, z = (lo[a] + STEP_MM * np.arange(first[a], last[a]) - point[a] for a in range(3))
+            off = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
+            part = values[first[2] : last[2], first[1] : last[1], first[0] : last[0]]
+            np.maximum(part, (r - off).astype(np.float32), out=part)
     place = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     place[:3, 3] = lo
-    half = len(points) // 3
-    trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", points[: half + 1], radius[: half + 1])
-    rest = Branch(1, 0, (), 1, None, "tracked", points[half:], radius[half:])
-    return AirwayTree((trunk, rest)), WallField.from_distances(values, place), points
+    half = round(2.0 * NARROW_FROM_MM) if forks else len(points) // 3
+    ways = [line[half:] for line in lines]
+    trunk = Branch(
+        0, None, tuple(range(1, 1 + len(ways))), 0, "Trachea", "tracked", points[: half + 1], radius[: half + 1]
+    )
+    rest = [Branch(1 + n, 0, (), 1, None, "tracked", way, radius[half:]) for n, way in enumerate(ways)]
+    return AirwayTree((trunk, *rest)), WallField.from_distances(values, place), points
+
+
+def _line(turned: Points) -> Points:
+    """A line down that is turned by so much at each half millimetre."""
+    steps = 0.5 * np.stack([np.sin(turned), np.zeros_like(turned), -np.cos(turned)], axis=1)
+    points: Points = np.cumsum(steps, axis=0) - steps[0]
+    return points
 
 
 def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
@@ -76,16 +95,19 @@ def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
 
 
 def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
-    """Judge by measures, drive in a truth that is off by their errors; ``kind`` is ``diameter`` or ``bend``."""
+    """Judge by measures, drive in a truth that is off by their errors; ``kind`` is ``diameter``, ``bend`` or ``fork``."""
     scope = scope_preset("ultrathin")
     sigma = math.hypot(ROOM_SHARE * SPACING_MM, EXCESS_SIGMA_MM)
     bend_deg, bend_radius_mm = (8.0, 90.0) if kind == "diameter" else (rng.uniform(50.0, 110.0), 22.0)
-    room_mm = scope.fit_mm + (sigma * rng.uniform(-1.8, 1.8) if kind == "diameter" else 1.6)
-    if kind == "bend":
+    if kind == "fork":
+        bend_deg, bend_radius_mm = rng.uniform(40.0, 80.0), 12.0
+    spare_mm = {"diameter": sigma * rng.uniform(-1.8, 1.8), "bend": 1.6, "fork": 3.0}[kind]
+    room_mm = scope.fit_mm + spare_mm
+    if kind != "diameter":
         asked = min(bend_deg, math.degrees(50.0 / bend_radius_mm))
         lever = asked + BEND_SIGMA_DEG * rng.uniform(-1.8, 1.8)
         scope = replace(scope, flexion_deg=(lever, lever))
-    tree, field, points = _tube(0.5 * room_mm, bend_deg, bend_radius_mm)
+    tree, field, points = _tube(0.5 * room_mm, bend_deg, bend_radius_mm, forks=kind == "fork")
     way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
     if kind == "diameter":
         told = diameter_check(way, scope, SPACING_MM, errors=True).share
@@ -99,7 +121,9 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
             way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
             radius_mm += 0.5 * (true_room_mm - way.wall_room_mm)
     else:
-        told = bend_check(way, scope, errors=True).share
+        figures = bend_check(way, scope, errors=True)
+        found = search_drive(way, field, scope, effort=TUBE_EFFORT)
+        told = lever_check(way, field, scope, figures, found, effort=TUBE_EFFORT).share
         lever = max((scope.flexion_deg or (0.0, 0.0))[0] + rng.normal(0.0, BEND_SIGMA_DEG), 1.0)
         driven = replace(scope, flexion_deg=(lever, lever))
     assert told is not None
@@ -161,7 +185,7 @@ def main() -> None:
     start = process_time()
     if options.what == "tubes":
         rng = np.random.default_rng(66)
-        for kind, share in (("diameter", 0.75), ("bend", 0.25)):
+        for kind, share in (("diameter", 0.6), ("bend", 0.2), ("fork", 0.2)):
             drives = [drive_in_a_tube(rng, kind) for _ in range(round(share * options.drives))]
             print(f"{kind}: {len(drives)} drives\n{calibration_table(drives)}", flush=True)
     else:

@@ -15,7 +15,7 @@ def frames(rows: Rows) -> list[str]:
         "  512x512, step 0.5 voxel, shaded, one thread; all stop at VTK's 1/128 (leap/VTK also at Carina's 1/512)",
         "  CPU time, median over rounds (least); VTK without its window",
         f"  {'case':14} {'view':8} {'leap/VTK':>15} {'AVX2 leap/VTK':>15} {'brute/VTK':>15} {'leap/brute':>15} "
-        f"{'at 1/512':>10} {'shipped/VTK':>15} {'VTK ms':>7} {'brute':>6} {'leap':>6} {'shipped':>7}  off baseline",
+        f"{'at 1/512':>10} {'shipped/VTK':>15} {'VTK ms':>7} {'brute':>6} {'leap':>6} {'shipped':>7} {'decorated':>9}  off baseline",
     ]
     for row in rows:
         ratio, cpu = row["ratio"], row["cpu_ms"]
@@ -30,7 +30,7 @@ def frames(rows: Rows) -> list[str]:
             f"{both('brute_over_vtk'):>15} {both('leap_over_brute'):>15} "
             f"{ratio['leap_with_own_stop_over_vtk']['median']:10.2f} {both('shipped_over_vtk'):>15} "
             f"{cpu['vtk']['median']:7.1f} {cpu[f'brute-{best}']['median']:6.1f} {cpu[f'leap-{best}']['median']:6.1f} "
-            f"{cpu[f'shipped-leap-{best}']['median']:7.1f}  "
+            f"{cpu[f'shipped-leap-{best}']['median']:7.1f} {cpu[f'decorated-leap-{best}']['median']:9.1f}  "
             f"max {off['max']}, {100 * off['share_of_pixels']:.3f} % of pixels"
         )
     return lines

@@ -23,7 +23,7 @@ from carina.plan.drive_way import DriveWay
 from carina.plan.moves import Move
 from carina.scopes import ScopeDrive, ScopePreset, WallField
 
-__all__ = ["condense_drive", "place_at_start", "search_drive"]
+__all__ = ["arrives_by", "condense_drive", "place_at_start", "search_drive"]
 
 Points = NDArray[np.float64]
 
@@ -238,6 +238,11 @@ def condense_drive(
                 best = attempt.recorder.driven(way, stopped_mm=attempt.along_mm, why=None)
             n -= num
     return best
+
+
+def arrives_by(way: DriveWay, wall: WallField, scope: ScopePreset, moves: tuple[Move, ...]) -> bool:
+    """Whether a scope stands where the route ends after these moves. Its lever stops where it ends."""
+    return _Attempt(way, place_at_start(way, wall, scope)).arrives_by(moves)
 
 
 class _Attempt:

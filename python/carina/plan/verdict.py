@@ -32,6 +32,7 @@ from carina.plan.verdict_checks import (
     diameter_check,
     length_check,
 )
+from carina.plan.verdict_lever import lever_check
 from carina.scopes import ScopeDrive, ScopeHold, ScopePreset, WallField, scope_presets
 from carina.track import AirwayTree
 
@@ -50,6 +51,8 @@ UNFOUND = 0.5
 """Told where a scope lies along the route but no drive was found: the search may have missed one (k)."""
 EFFORT_A_TRY = 1000.0
 """One shorter drive is tried for so much of the effort that a search may take."""
+LEVER_EFFORT = 0.3
+"""Of the effort for a drive, each search with less lever: it begins with the moves of a drive that arrived."""
 NUM_THREADS = 2
 MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
 
@@ -255,6 +258,8 @@ class _Drive:
 
     route: DrivenRoute | None
     checks: tuple[Check, ...]
+    bend: Check | None = None
+    """What takes the place of the bend's figures, where these leave it open and drives do not."""
 
 
 class _Bench:
@@ -326,7 +331,9 @@ class _Bench:
             )
         route = None if drive.route is None else replace(drive.route, scope_name=scope.name)
         reached_mm = 0.0 if route is None else route.stopped_mm
-        return _verdict(scope, (*figures.checks, *checks), reached_mm, route, driven=True)
+        diameter, bend, *others = figures.checks
+        told = (diameter, bend if drive.bend is None else drive.bend, *others)
+        return _verdict(scope, (*told, *checks), reached_mm, route, driven=True)
 
     def drive(self, scope: ScopePreset) -> _Drive:
         """Drive it, and point it at the target where it arrives."""
@@ -345,6 +352,15 @@ class _Bench:
         tries = round(self._effort / EFFORT_A_TRY)
         route = condense_drive(self._way, self._wall, scope, route, tries=tries)
         self.stop_if_cancelled()
+        bend = lever_check(
+            self._way,
+            self._wall,
+            scope,
+            bend_check(self._way, scope, errors=self._errors),
+            route,
+            effort=LEVER_EFFORT * self._effort,
+            cancel=self._is_cancelled,
+        )
         aimed = aim_drive(self._way, self._wall, scope, route, self._hit_share)
         words = f"arrives at the standing place by {len(route.moves)} moves"
         arrives = Check("drive", "yes", 1.0, words, MECHANICS)
@@ -358,7 +374,7 @@ class _Bench:
         words = (
             f"points {aimed.off_deg:.0f} degrees from the target centre; {100 * aimed.share:.0f} % of needle passes hit"
         )
-        return _Drive(aimed.driven, (arrives, Check("pointing", answer, aimed.share, words, basis)))
+        return _Drive(aimed.driven, (arrives, Check("pointing", answer, aimed.share, words, basis)), bend)
 
     @staticmethod
     def _flexes_with_tool(scope: ScopePreset, driven: DrivenRoute, loss_deg: float) -> bool:
