@@ -130,7 +130,8 @@ def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(car
     assert len(pictures) == int(flight.duration_s * 10 + 0.5)
     assert seconds == pytest.approx(flight.duration_s, abs=0.11)
     renderer = api.Renderer(volume)
-    renderer.set_lumen(api.find_airways(volume).lumen_zyx)
+    airways = api.find_airways(volume)
+    renderer.set_lumen(airways.lumen_zyx, airways.tree)
     first = AirwayView(poses[0], fov_deg=70.0, field=ImageField("none"), width=64, height=64, step_vox=1.0)
     assert differs(pictures[0], renderer.render(first).rgb) < 4
     # An instrument that the command names has its own picture.

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from carina import plan
 from carina.commands import CtFolder, OpenFiles, OpenPath, PlanningOf, TakeTarget
 from carina.errors import UsageError, VolumeImportError
-from carina.session import Trouble, opening, target_editing
+from carina.session import Trouble, opening
 from carina.volume.dicom_structures import References
 from small_case import small_bench, small_volume
 
@@ -30,7 +31,7 @@ def taken(monkeypatch):
         found.append(ct)
         raise VolumeImportError(f"reading {Path(path).name}: it was drawn on another CT", code="import.other-ct")
 
-    monkeypatch.setattr(target_editing, "target_from_file", refuse)
+    monkeypatch.setattr(plan, "target_from_file", refuse)
     return found
 
 

@@ -59,6 +59,8 @@ class ShownContent:
         self._lock = lock
         self._changed = changed
         self._decided = self._given = Decided(0, transfer, None, None)
+        self._prepared: Decided | None = None
+        """What it was made fast for."""
         self._come_to = 0
         """The number of the decision that the renderer shows, or will not come closer to."""
         self._ready: Derived[Decided, bool] = Derived(
@@ -104,7 +106,11 @@ class ShownContent:
         with self._lock:
             self._given = decided
             self._comes_to(decided)
-        self.renderer.prepare(attempt.progress, attempt.cancel)
+        fast = self._prepared
+        if fast is None or decided.transfer is not fast.transfer or decided.lumen_zyx is not fast.lumen_zyx:
+            # A tree with other names has other rings, and nothing that leaps depends on it.
+            self.renderer.prepare(attempt.progress, attempt.cancel)
+            self._prepared = decided
         return True
 
     def _settled(self) -> None:
