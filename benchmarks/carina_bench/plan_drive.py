@@ -95,7 +95,7 @@ def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
 
 
 def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
-    """Judge by measures, drive in a truth that is off by their errors; ``kind`` is ``diameter``, ``bend`` or ``fork``."""
+    """Judge by measures, drive in a truth off by their errors; ``kind`` is ``diameter``, ``bend`` or ``fork``."""
     scope = scope_preset("ultrathin")
     sigma = math.hypot(ROOM_SHARE * SPACING_MM, EXCESS_SIGMA_MM)
     bend_deg, bend_radius_mm = (8.0, 90.0) if kind == "diameter" else (rng.uniform(50.0, 110.0), 22.0)

@@ -59,7 +59,7 @@ def _shown(pose: Pose, method: Literal["leap", "brute"]) -> AirwayView:
 def shipped(case: Case, simd: str | None = None) -> tuple[Renderer, Renderer]:
     """What a person gets who opens the case: the volume's own look, with the wall and the tree that are found.
 
-    The first without what is drawn by the tree, droplets and second rays on silhouettes, which have a gate of their own.
+    The first without what is drawn by the tree, droplets and second rays on silhouettes: these have their own gate.
     """
     lumen, tree = case.lumen_zyx, case.tree
     if lumen is None or tree is None:

@@ -15,7 +15,8 @@ def frames(rows: Rows) -> list[str]:
         "  512x512, step 0.5 voxel, shaded, one thread; all stop at VTK's 1/128 (leap/VTK also at Carina's 1/512)",
         "  CPU time, median over rounds (least); VTK without its window",
         f"  {'case':14} {'view':8} {'leap/VTK':>15} {'AVX2 leap/VTK':>15} {'brute/VTK':>15} {'leap/brute':>15} "
-        f"{'at 1/512':>10} {'shipped/VTK':>15} {'VTK ms':>7} {'brute':>6} {'leap':>6} {'shipped':>7} {'decorated':>9}  off baseline",
+        f"{'at 1/512':>10} {'shipped/VTK':>15} {'VTK ms':>7} {'brute':>6} {'leap':>6} {'shipped':>7} "
+        f"{'decorated':>9}  off baseline",
     ]
     for row in rows:
         ratio, cpu = row["ratio"], row["cpu_ms"]

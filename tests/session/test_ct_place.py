@@ -10,8 +10,9 @@ import pytest
 from carina import plan
 from carina.commands import CtFolder, OpenFiles, OpenPath, PlanningOf, TakeTarget
 from carina.errors import UsageError, VolumeImportError
-from carina.session import Trouble, opening
-from carina.volume.dicom_structures import References
+from carina.session import Trouble
+from carina.volume import dicom_structures
+from carina.volume.dicom_references import References
 from small_case import small_bench, small_volume
 
 OURS = References(frozenset({"1.2.3"}), frozenset({"4.5"}), frozenset({"6"}), frozenset({"7"}))
@@ -59,7 +60,7 @@ def test_of_a_dropped_ct_its_own_words_are_kept_as_long_as_it_is_open(monkeypatc
         read.append(path)
         return OURS
 
-    monkeypatch.setattr(opening, "ct_references", references)
+    monkeypatch.setattr(dicom_structures, "ct_references", references)
     bench = small_bench(open_volume=dicom_volume)
     bench.session.do(OpenFiles(str(tmp_path)))
     bench.background.run_all()

@@ -16,9 +16,9 @@ from carina.plan.target import NAME_CHARS, PlanTarget, TargetSource
 from carina.plan.target_mask import nodule_from_mask, one_piece, target_of
 from carina.scopes import WallField
 from carina.volume import MaskLabel, MaskLabelError, Volume, open_mask
+from carina.volume.dicom_references import References
 from carina.volume.dicom_start import looks_like_dicom
 from carina.volume.dicom_structures import (
-    References,
     Structure,
     ct_references,
     is_structure_set,

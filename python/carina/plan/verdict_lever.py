@@ -1,8 +1,8 @@
 """How surely a scope bends round what figures leave open: its drive, once more with less lever.
 
-The angle that a route asks is compared with the lever's by figures (`bend_check`). Where the errors leave that open, the
-figures are stricter than the airway: its wall bends a scope as well. So the drive is asked, with a lever shorter by what
-the error may come to. What arrives with the shorter one arrives with the longer, for all that a search can tell.
+The angle that a route asks is compared with the lever's by figures (`bend_check`). Where the errors leave that open,
+the figures are stricter than the airway: its wall bends a scope as well. So the drive is asked, with a lever shorter by
+what the error may come to. What arrives with the shorter one arrives with the longer, as far as a search can tell.
 """
 
 from __future__ import annotations

@@ -216,8 +216,8 @@ class FramePump:
                 return True
             self._render(scene, order, stop, began_s)
         except BaseException as trouble:
-            # BaseException: a panic of the compiled module is no Exception. Also what happens after rendering: a picture
-            # that was not sent would be made again and again.
+            # BaseException: a panic of the compiled module is no Exception. Also of what comes after rendering: a
+            # picture that was not sent would be made again and again.
             log_fault(logger, f"rendering failed: {order.view}", trouble)
             words = f"the {order.view} view could not be rendered: internal error in Carina ({type(trouble).__name__})"
             self._failed(order, "carina.fault", words)

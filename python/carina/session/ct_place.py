@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from carina.session.case import OpenCase
-from carina.volume.dicom_structures import References
+from carina.volume.dicom_references import References
 
 __all__ = ["ct_of", "dicom_problem"]
 

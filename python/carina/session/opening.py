@@ -23,7 +23,7 @@ from carina.session.saving import Saving
 from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
 from carina.volume import Volume
-from carina.volume.dicom_structures import References, ct_references
+from carina.volume.dicom_references import References
 from carina.volume.watch import Watch
 
 __all__ = ["Opening"]
@@ -81,6 +81,8 @@ class Opening(Subject):
         def read(job: Job) -> Volume:
             volume = self.core.parts.open_volume(command.path, job.progress, job.cancel)
             if volume.source.format == "dicom":
+                from carina.volume.dicom_structures import ct_references  # the readers of DICOM are slow to load
+
                 # The files go once they have been read: a target's file is compared with this later.
                 watch = Watch(job.progress, job.cancel)
                 dropped.references = ct_references(Path(command.path), volume, watch)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from carina.session.lung_values import CaseLungs
     from carina.track import Airways
     from carina.volume import Volume
-    from carina.volume.dicom_structures import References
+    from carina.volume.dicom_references import References
 
 __all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "shown_surface"]
 

@@ -5,7 +5,7 @@ Nothing is put on a grid here, and no UID leaves these values for a message or a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,12 @@ from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.volume.dicom_files import read_headers
 from carina.volume.dicom_headers import IDENTITY, read_dataset
+from carina.volume.dicom_references import References
 from carina.volume.model import Volume
 from carina.volume.watch import Watch
 
 __all__ = [
     "Contour",
-    "References",
     "Structure",
     "StructureSet",
     "ct_references",
@@ -38,18 +38,6 @@ _MOST_POINTS = 5_000_000
 _LARGEST_LPS = 1e5
 # Of a voxel: the first pixel of a slice lies on a voxel's centre of its own CT.
 _ON_GRID = 0.05
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
-class References:
-    """Which images something belongs to; empty where its file does not say. Never printed: UIDs."""
-
-    frames: frozenset[str] = field(default=frozenset(), repr=False)
-    """Frames of reference: what has one in common lies in one coordinate system."""
-    studies: frozenset[str] = field(default=frozenset(), repr=False)
-    series: frozenset[str] = field(default=frozenset(), repr=False)
-    images: frozenset[str] = field(default=frozenset(), repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
