@@ -92,7 +92,8 @@ def shown(page: Any, path: Path) -> Iterator[None]:
         "pageerror": lambda error: troubles.append(str(error)),
     }
     page.set_viewport_size({"width": 1280, "height": 800})
-    page.emulate_media(media="screen", reduced_motion="no-preference")
+    # On paper as paper: what is emulated holds in print, too.
+    page.emulate_media(media="null", reduced_motion="no-preference")
     for name, hear in heard.items():
         page.on(name, hear)
     page.goto(path.as_uri())
@@ -197,7 +198,7 @@ def test_on_paper_every_page_has_its_head_and_foot_and_nothing_is_cut(opened, pa
     mm = {"A4": 210.0, "Letter": 215.9}[paper] - 24.0
     opened.set_viewport_size({"width": round(mm / 25.4 * 96), "height": 1000})
     assert opened.evaluate("document.documentElement.scrollWidth") <= round(mm / 25.4 * 96) + 1
-    opened.emulate_media(media="screen")
+    opened.emulate_media(media="null")
 
 
 # How the first clip stands: the grey that its canvas shows, to tens (a JPEG rounds it); None where the still is seen.
