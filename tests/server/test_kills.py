@@ -49,7 +49,8 @@ def killed_again_and_again(folder: Path, rounds: int) -> list[float]:
             pid, window = stations.start()
             window.wait_open()
             if n:
-                if before:
+                # A window that was killed before anything was on the disk has left nothing to wait for.
+                if any(at_s <= saved_s - ROUNDED_S for _, at_s in before):
                     window.until(lambda told=window: told.history["steps"])
                 found = steps_of(window)
                 # The oldest of a thousand steps go in time.
@@ -68,8 +69,8 @@ def killed_again_and_again(folder: Path, rounds: int) -> list[float]:
     return lost_s
 
 
-def test_a_dozen_kills_lose_nothing_that_was_said_to_be_saved(tmp_path):
-    killed_again_and_again(tmp_path, 12)
+def test_half_a_dozen_kills_lose_nothing_that_was_said_to_be_saved(tmp_path):
+    killed_again_and_again(tmp_path, 6)
 
 
 @pytest.mark.soak
