@@ -55,6 +55,9 @@ def desk(tmp_path, monkeypatch):
 
     # Watchers here read why they are sent away, however busy the machine is.
     monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
+    # Both ends are in this process: while a case is opened, its own request may come late.
+    monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 60.0)
+    monkeypatch.setattr("carina.server.lan_server.HANDSHAKE_WITHIN_S", 60.0)
 
     web = tmp_path / "web"
     web.mkdir()
