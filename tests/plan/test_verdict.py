@@ -14,9 +14,12 @@ import reported
 from nodules import ellipsoid
 
 from carina.errors import CancelledError, UsageError
-from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool
+from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool, verdict_lever
+from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
 from carina.plan.routes import PlannedRoute
+from carina.plan.verdict_checks import bend_check
+from carina.plan.verdict_lever import lever_check
 from carina.scopes import ScopePreset, WallField, scope_preset, scope_presets
 from carina.track import AirwayTree, Branch
 
@@ -145,6 +148,32 @@ def test_a_scope_that_fits_and_bends_reaches_and_points_at_what_lies_ahead() -> 
     assert found.hold.flexion_rad == found.driven.samples[-1][2]
     assert found.to_json()["drive"]["moves"][0]["ends_mm"] == found.driven.ends_mm[0]
     assert json.loads(json.dumps(found.to_json())) == found.to_json()
+
+
+def test_a_bend_that_figures_leave_open_is_settled_by_drives_with_less_lever(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree, field, points = tube(60.0)
+    near = dataclasses.replace(scope(flexion_deg=(62.0, 62.0)), tip_mm=1.8)
+    plan = plan_in(points)
+    way = DriveWay(tree, plan.routes[0], field)
+    figures = bend_check(way, near, errors=True)
+    assert figures.answer == "perhaps" and 0.5 < figures.share < 0.7
+    found = judge_scope(tree, plan, field, near, spacing_mm=0.6)
+    told = check(found, "bend")
+    assert (told.answer, told.share) == ("yes", 0.95) and found.driven is not None
+    assert told.words == f"{figures.words}; with 13 degrees less a drive arrives"
+
+    # Where the lever is needed: a drive arrives with so much of it and no less.
+    for needs_deg, share, words in ((62.0, 0.62, "5 degrees less no drive"), (56.5, 0.85, "5 degrees less a drive")):
+
+        def arrives(_way, _wall, preset, *_moves, needs_deg=needs_deg, **_options):
+            return dataclasses.replace(found.driven, arrived=max(preset.flexion_deg) >= needs_deg)
+
+        monkeypatch.setattr(verdict_lever, "arrives_by", lambda *given, arrives=arrives: arrives(*given).arrived)
+        monkeypatch.setattr(verdict_lever, "search_drive", arrives)
+        told = lever_check(way, field, near, figures, found.driven, effort=1.0)
+        assert (told.answer, told.share) == ("perhaps", share) and words in told.words
+    held_up = dataclasses.replace(found.driven, arrived=False)
+    assert lever_check(way, field, near, figures, held_up, effort=1.0) is figures
 
 
 def test_what_is_unknown_cannot_be_said() -> None:

@@ -155,6 +155,12 @@ export class BrowserDevices {
     return this.#mouse !== null;
   }
 
+  /** There is a device whose newest state is wanted at every refresh. */
+  get mustBeRead(): boolean {
+    const ports = [this.#mouse, this.#handle].some((port) => port !== null && port.name !== null);
+    return ports || this.#pads.names.length > 0 || this.#headset?.inside === true || this.#armed.tool !== null;
+  }
+
   tick(): void {
     this.#pads.tick();
     this.#mouse?.tick();

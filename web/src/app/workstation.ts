@@ -42,6 +42,7 @@ import type {
 } from "../wire/messages";
 import { type CellName, LEAD_VIEW } from "../wire/views";
 import { BrowserDevices } from "./devices";
+import { Heartbeat, wakeByHand } from "./heartbeat";
 import { Pointing } from "./pointing";
 import { Previewing } from "./previewing";
 import { atNextRefresh } from "./refresh";
@@ -75,6 +76,18 @@ export class Workstation implements Station {
   #pickForgotten = 0;
   readonly #pace = new PaceMeter();
   readonly #speed = new SpeedMeter();
+  readonly #heart = new Heartbeat((elapsedS) => this.#tick(elapsedS), {
+    nowMs: () => performance.now(),
+    nextRefresh: (call) => {
+      const refresh = requestAnimationFrame(call);
+      return () => cancelAnimationFrame(refresh);
+    },
+    after: (ms, call) => {
+      const timer = setTimeout(call, ms);
+      return () => clearTimeout(timer);
+    },
+    goesOn: () => this.#goesOn(),
+  });
 
   constructor(connect: () => WebSocket, token: string | null) {
     this.#board = new PictureBoard<ImageBitmap>({
@@ -188,14 +201,8 @@ export class Workstation implements Station {
     const stopTouch = this.store.subscribe(() => this.wall.touch());
     const seenOrNot = (): void => this.wall.tellLayout(false);
     document.addEventListener("visibilitychange", seenOrNot);
-    let last = performance.now();
-    let refresh = requestAnimationFrame(
-      function tick(this: Workstation, now: number) {
-        this.#tick((now - last) / 1000);
-        last = now;
-        refresh = requestAnimationFrame(tick.bind(this));
-      }.bind(this),
-    );
+    this.#heart.start();
+    const stopWaking = wakeByHand(window, this.#heart.wake);
     const counter = setInterval(() => {
       this.store.dispatch({ kind: "pace", pace: this.#pace.read(performance.now()) });
     }, PACE_MS);
@@ -209,7 +216,8 @@ export class Workstation implements Station {
       stopTouch();
       document.removeEventListener("visibilitychange", seenOrNot);
       this.devices.stop();
-      cancelAnimationFrame(refresh);
+      stopWaking();
+      this.#heart.stop();
       clearInterval(counter);
       clearInterval(speed);
       this.#stream.close();
@@ -231,6 +239,7 @@ export class Workstation implements Station {
     if (this.state.watches && !mayWatcherSend(message)) return;
     const kind = "view" in message ? `${message.type} ${message.view}` : message.type;
     this.#soon.set(kind, message);
+    this.#heart.wake();
     this.store.dispatch({ kind: "sent", message, number: NOT_SENT });
   }
 
@@ -711,6 +720,13 @@ export class Workstation implements Station {
     if (fork === null) this.notice("There is no fork ahead on this route.");
     else if (way === null) this.notice(`There is no branch further ${step < 0 ? "left" : "right"}.`);
     else this.chooseBranch(mainLeaf(way.node).branch.id);
+  }
+
+  /** Whether anything moves by itself, is held, waits to be sent, or has to be read at every refresh. */
+  #goesOn(): boolean {
+    const { playing, replaying } = this.state;
+    const waits = this.#soon.size > 0 || this.#autoWanted;
+    return waits || playing.on || replaying.on || this.flight.isMoving || this.devices.mustBeRead;
   }
 
   #tick(elapsedS: number): void {

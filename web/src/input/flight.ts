@@ -61,6 +61,12 @@ export class Flight {
     this.#pending.roll_rad += move.roll_rad ?? 0;
   }
 
+  /** Something is held, waits to be sent, or flies by itself. */
+  get isMoving(): boolean {
+    const isHeld = Object.values(this.#held).some((signs) => signs.size > 0);
+    return isHeld || this.#auto !== null || Object.values(this.#pending).some((amount) => amount !== 0);
+  }
+
   get isAuto(): boolean {
     return this.#auto !== null;
   }
