@@ -40,5 +40,6 @@ export default defineConfig({
     },
   },
   // One environment for all files: they share no state, and a new one for each took ten times as long as the tests.
-  test: { environment: "node", include: ["src/**/*.test.{ts,tsx}"], isolate: false },
+  // Tests wait for nothing: the limit is for what hangs, however little of the processor others leave.
+  test: { environment: "node", include: ["src/**/*.test.{ts,tsx}"], isolate: false, testTimeout: 120_000 },
 });
