@@ -7,8 +7,8 @@ import pytest
 from edit_case import assert_same, edit_case, in_plain_lung, open_ended_volume
 
 from carina.case.history import History
-from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf
-from carina.errors import NoEvidenceError, NoResultError, UsageError
+from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf, Undo
+from carina.errors import CancelledError, NoEvidenceError, NoResultError, UsageError
 from carina.session import JobEnded, NotEvident, Said, Trouble
 from carina.session.editing import NUM_EDITS_WHOLE
 from carina.track import (
@@ -136,6 +136,22 @@ def test_an_edit_that_leaves_the_lumen_alone_does_not_prepare_the_pictures_again
     assert bench.session.pose_info() is not None
     edit(bench, CutBranch(5))
     assert bench.renderers[-1].prepared > prepared
+
+
+def test_what_is_taken_back_while_it_is_prepared_is_prepared_again(bench):
+    renderer = bench.renderers[-1]
+    prepared = renderer.prepared
+
+    def stopped():
+        renderer.on_prepare = lambda: None
+        raise CancelledError("stopped")
+
+    renderer.on_prepare = stopped
+    edit(bench, CutBranch(5))
+    assert renderer.prepared == prepared
+    bench.session.do(Undo())
+    bench.background.run_all()
+    assert renderer.prepared > prepared, "the maps of before went when the renderer was given another lumen"
 
 
 def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):

@@ -59,8 +59,8 @@ class ShownContent:
         self._lock = lock
         self._changed = changed
         self._decided = self._given = Decided(0, transfer, None, None)
-        self._prepared: Decided | None = None
-        """What it was made fast for."""
+        self._is_fast = False
+        """It has been prepared with the transfer function and the lumen that it was given last."""
         self._come_to = 0
         """The number of the decision that the renderer shows, or will not come closer to."""
         self._ready: Derived[Decided, bool] = Derived(
@@ -99,6 +99,9 @@ class ShownContent:
 
     def _make_ready(self, decided: Decided, attempt: Attempt[bool]) -> bool:
         given = self._given
+        # A tree with other names has other rings, and nothing that leaps depends on it.
+        if decided.transfer is not given.transfer or decided.lumen_zyx is not given.lumen_zyx:
+            self._is_fast = False
         if decided.transfer is not given.transfer:
             self.renderer.set_transfer(decided.transfer)
         if decided.lumen_zyx is not given.lumen_zyx or decided.tree is not given.tree:
@@ -106,11 +109,9 @@ class ShownContent:
         with self._lock:
             self._given = decided
             self._comes_to(decided)
-        fast = self._prepared
-        if fast is None or decided.transfer is not fast.transfer or decided.lumen_zyx is not fast.lumen_zyx:
-            # A tree with other names has other rings, and nothing that leaps depends on it.
+        if not self._is_fast:
             self.renderer.prepare(attempt.progress, attempt.cancel)
-            self._prepared = decided
+            self._is_fast = True
         return True
 
     def _settled(self) -> None:

@@ -1,6 +1,6 @@
 /**
  * Calls once per refresh of the screen while something goes on, and a few times a second while nothing does. A browser
- * that is asked for every refresh composes every one: an open window at rest took a tenth of a processor for nothing.
+ * that is asked for every refresh composes every one: an open window at rest took a fifth of a processor for nothing.
  */
 
 /** So long after the last sign of a hand every refresh is still asked for. */
