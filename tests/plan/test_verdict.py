@@ -160,10 +160,13 @@ def test_a_bend_that_figures_leave_open_is_settled_by_drives_with_less_lever(mon
     found = judge_scope(tree, plan, field, near, spacing_mm=0.6)
     told = check(found, "bend")
     assert (told.answer, told.share) == ("yes", 0.95) and found.driven is not None
-    assert told.words == f"{figures.words}; with 13 degrees less a drive arrives"
+    assert told.words == f"{figures.words}; with 13 degrees less flexion, the drive still arrives"
 
     # Where the lever is needed: a drive arrives with so much of it and no less.
-    for needs_deg, share, words in ((62.0, 0.62, "5 degrees less no drive"), (56.5, 0.85, "5 degrees less a drive")):
+    for needs_deg, share, words in (
+        (62.0, 0.62, "5 degrees less flexion, no drive"),
+        (56.5, 0.85, "5 degrees less flexion, the drive"),
+    ):
 
         def arrives(_way, _wall, preset, *_moves, needs_deg=needs_deg, **_options):
             return dataclasses.replace(found.driven, arrived=max(preset.flexion_deg) >= needs_deg)

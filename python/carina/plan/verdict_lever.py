@@ -64,8 +64,8 @@ def lever_check(
         if arrives_by(way, wall, shorter, driven.moves) or (
             search_drive(way, wall, shorter, effort=effort, cancel=cancel).arrived
         ):
-            share, found, less_deg = told, "a drive arrives", shorter_deg
+            share, found, less_deg = told, "the drive still arrives", shorter_deg
             break
-    words = f"{figures.words}; with {less_deg:.0f} degrees less {found}"
+    words = f"{figures.words}; with {less_deg:.0f} degrees less flexion, {found}"
     basis = f"{figures.basis}; the scope's mechanics in the airways' wall (k)"
     return replace(figures, answer=answer_of(share), share=share, words=words, basis=basis)

@@ -41,6 +41,19 @@ function flight(route: RouteInfo | null = ROUTE) {
 }
 
 describe("the flight", () => {
+  it("is moving while a key is held or a wheel has turned, and else at rest", () => {
+    const { made } = flight();
+    expect(made.isMoving).toBe(false);
+    made.hold("yaw", 1, true);
+    expect(made.isMoving).toBe(true);
+    made.hold("yaw", 1, false);
+    expect(made.isMoving).toBe(false);
+    made.nudge({ advance_mm: 2 });
+    expect(made.isMoving).toBe(true);
+    made.tick(1 / 60);
+    expect(made.isMoving).toBe(false);
+  });
+
   it("steers once per refresh while a key is held, and stands still without one", () => {
     const { made, sent } = flight();
     made.tick(0.016);
