@@ -102,9 +102,11 @@ impl Gpu {
         if all == *rows {
             return Ok((walls, stats));
         }
-        let beside = |rows: Range<usize>| match rows.is_empty() {
-            true => Ok(Vec::new()),
-            false => Ok::<_, GpuError>(self.cast_walls(frame, volume, map, rows)?.0),
+        let beside = |rows: Range<usize>| {
+            if rows.is_empty() {
+                return Ok(Vec::new());
+            }
+            Ok::<_, GpuError>(self.cast_walls(frame, volume, map, rows)?.0)
         };
         let (before, after) = (beside(all.start..rows.start)?, beside(rows.end..all.end)?);
         Ok(([before, walls, after].concat(), stats))
