@@ -90,7 +90,7 @@ soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against t
 	cargo test $(ALL_CRATES) -- --include-ignored
 	$(PY) -m pytest -m soak -ra
 
-check: check-rust check-python check-web ## formatting, lints, types, layers, lock file, spelling, licences, advisories
+check: check-rust check-python check-web ## formatting, lints, types, layers, kernels, lock file, spelling, licences, advisories
 
 # One profile for all crates: a second one would compile every dependency again, and find nothing else. GPU support is
 # in the wheel alone: linted here, since no other build would notice that it is broken.
@@ -112,6 +112,7 @@ check-python: $(STAMP)
 	.venv/bin/typos
 	$(PY) tools/check_layers.py
 	$(PY) tools/count_house.py --check
+	$(PY) tools/check_kernels.py
 	$(PY) tools/check_repository.py
 	$(PY) tools/collect_words.py --check
 	$(PY) tools/audit.py

@@ -88,6 +88,17 @@ impl Scene<'_> {
         packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
     }
 
+    /// Segments of `n` samples in the rows of the step table that begin at `row`. No closure: it would be compiled without
+    /// the instruction set.
+    #[inline(always)]
+    fn segments_at<L: Lanes>(&self, l: L, row: L::I, n: L::I) -> [L::F; 4] {
+        let segments = self.segments.entries();
+        let last = l.splat_i(segments.len() as i32 - 1);
+        let at = l.max_i(l.min_i(l.add_i(row, n), last), l.splat_i(0));
+        // SAFETY: held within the table, which has entries, in all lanes. Benchmark: docs/decisions/0005-loads.md.
+        unsafe { l.entries(segments.as_ptr(), at) }
+    }
+
     /// Asks the map of all classes in some lanes, and adds segments where it knows something; as in `leap::cast_classes`.
     /// Gives the lanes that have leaped and those whose ray is opaque now.
     #[inline(always)]
@@ -114,21 +125,12 @@ impl Scene<'_> {
         let left = l.sub_i(packet.end, packet.k);
         let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
         let mut n = l.min_i(n, l.splat_i(MAX_SEGMENT_SAMPLES as i32));
-        let segments = self.segments.entries();
         let row = l.mul_i(
             l.sub_i(label, l.splat_i(1)),
             l.splat_i(MAX_SEGMENT_SAMPLES as i32 + 1),
         );
-        let read = |n: L::I| {
-            let at = l.max_i(
-                l.min_i(l.add_i(row, n), l.splat_i(segments.len() as i32 - 1)),
-                zero,
-            );
-            // SAFETY: held within the table, which has entries, in all lanes. Benchmark: docs/decisions/0005-loads.md.
-            unsafe { l.entries(segments.as_ptr(), at) }
-        };
         let limit = l.splat(self.frame.stop);
-        let mut segment = read(n);
+        let mut segment = self.segments_at(l, row, n);
         let faint = l.less(l.mul(packet.transparency, segment[3]), limit);
         let crossing = l.bits(l.and(leaps, faint));
         if crossing != 0 {
@@ -144,7 +146,7 @@ impl Scene<'_> {
                 ) as i32;
             });
             n = l.load_i(&cut);
-            segment = read(n);
+            segment = self.segments_at(l, row, n);
         }
         for c in 0..3 {
             let sum = l.fma(packet.transparency, segment[c], packet.rgb[c]);

@@ -61,6 +61,13 @@ fn bump<L: Lanes>(
     (above, unit(l, tilted).0)
 }
 
+/// 1 while a cell of the noise has two pixels or more, 0 when it has hardly one.
+#[inline(always)]
+fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
+    let cells = l.mul(footprint_mm, l.splat(per_mm));
+    smooth(l, l.fma(cells, l.splat(-3.0), l.splat(1.6)))
+}
+
 /// The wet surface at patient points `lps` with normals `n` on the scope's side. Droplets finer than two pixels, whose
 /// width there is `footprint_mm`, fade out.
 #[inline(always)]
@@ -73,22 +80,16 @@ pub(super) fn film<L: Lanes>(
 ) -> Film<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);
-    let fades = |per_mm: f32| {
-        let cells = l.mul(footprint_mm, s(per_mm));
-        smooth(l, l.fma(cells, s(-3.0), s(1.6)))
-    };
     let mut film = Film {
         glint: s(0.0),
         drop: n,
         pool: s(0.0),
     };
-    if look.specks > 0.0 {
+    let near = fades(l, footprint_mm, DROPS_PER_MM);
+    if look.specks > 0.0 && l.bits(l.less(s(0.0), near)) != 0 {
         let (above, drop) = bump(l, q, (DROPS_PER_MM, 53, 0.3), n);
         film.drop = drop;
-        film.glint = l.mul(
-            l.mul(above, fades(DROPS_PER_MM)),
-            s(DROP_GLINT * look.specks),
-        );
+        film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * look.specks));
     }
     if look.secretions > 0.0 {
         // The floor of an airway in a supine patient: the wall that looks to the front, LPS -y.
@@ -101,7 +102,10 @@ pub(super) fn film<L: Lanes>(
         let filled = l.add(level, s(look.secretions.mul_add(1.2, -0.8)));
         film.pool = l.mul(floor, smooth(l, l.mul(filled, s(5.0))));
         let (above, bubble) = bump(l, q, (BUBBLES_PER_MM, 67, 0.25), n);
-        let here = l.mul(l.mul(above, fades(BUBBLES_PER_MM)), film.pool);
+        let here = l.mul(
+            l.mul(above, fades(l, footprint_mm, BUBBLES_PER_MM)),
+            film.pool,
+        );
         let inside = l.less(s(0.0), here);
         film.glint = l.select(inside, l.mul(here, s(BUBBLE_GLINT)), film.glint);
         for a in 0..3 {

@@ -1,0 +1,61 @@
+"""Finds vector kernels of the compiled module that have lost their instruction set.
+
+A closure inside a kernel may be compiled as a function of its own, and then without the kernel's instruction set: each
+vector operation in it becomes a call. The result is right and several times slower, so that no test notices. Here the
+calls are looked for in the disassembled module.
+"""
+
+from __future__ import annotations
+
+import platform
+import re
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+MODULE = Path(__file__).parents[1] / "python" / "carina" / "_core.abi3.so"
+FUNCTION = re.compile(r"^[0-9a-f]+ <(?P<name>.*)>:$")
+OPERATION = re.compile(r"\bcall\b.*<core::core_arch::")
+# Ask the processor what it can do, once.
+ALLOWED = ("compiler_builtins::", "std_detect::", "blake3::")
+
+
+def lost_kernels(disassembly: str) -> Counter[str]:
+    """Functions that call vector operations, and how many calls stand in each."""
+    lost: Counter[str] = Counter()
+    function = ""
+    for line in disassembly.splitlines():
+        if found := FUNCTION.match(line):
+            function = found["name"]
+        elif OPERATION.search(line) and not function.startswith(ALLOWED):
+            lost[function] += 1
+    return lost
+
+
+def main() -> int:
+    """Print what was found; 1 if there is anything."""
+    if platform.system() != "Linux" or platform.machine() != "x86_64":
+        print("kernels: looked at on Linux with x86-64 alone")
+        return 0
+    command = ["objdump", "--disassemble", "--demangle", "--no-show-raw-insn", str(MODULE)]
+    try:
+        disassembly = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    except FileNotFoundError:
+        print("kernels: needs objdump (Debian: binutils)", file=sys.stderr)
+        return 1
+    if "carina_raycast::packet" not in disassembly:
+        print(f"kernels: {MODULE.name} has no names of functions to go by", file=sys.stderr)
+        return 1
+    lost = lost_kernels(disassembly)
+    for function, calls in lost.most_common():
+        print(f"{function}: {calls} vector operations are calls", file=sys.stderr)
+    if lost:
+        print("Make the closure a function with #[inline(always)], or write it out.", file=sys.stderr)
+        return 1
+    print("kernels: every vector operation is an instruction")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
