@@ -296,10 +296,10 @@ class CancelToken:
         """Whether it was cancelled."""
 
 @final
-class WallSlopes:
-    """Slopes of walls of one array of values, which must not change; kept from picture to picture."""
+class Bricks:
+    """What pictures of one array of values share, which must not change: slopes of walls, lit samples."""
 
-    def __new__(cls) -> WallSlopes: ...
+    def __new__(cls) -> Bricks: ...
     def __len__(self) -> int:
         """Bricks kept."""
 
@@ -326,7 +326,7 @@ def cast(
     appearance: Appearance | None = None,
     decoration: Decoration | None = None,
     always_leap: bool = False,
-    slopes: WallSlopes | None = None,
+    bricks: Bricks | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 

@@ -13,8 +13,8 @@ use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
     Appearance, ClassMap, DECORATION_CHANNELS, Decoration, Frame, FrameOptions, InstructionSet,
-    Interpolation, Light, Method, NormalBricks, RaycastError, Transfer, TriPlane, WallHeights,
-    Window, cast_rows, cast_rows_until, cast_tri_plane, maximum_projections_by, pick,
+    Interpolation, Light, Method, NormalBricks, RaycastError, SampleBricks, Transfer, TriPlane,
+    WallHeights, Window, cast_rows, cast_rows_until, cast_tri_plane, maximum_projections_by, pick,
     sample_plane_by, smoothed_mask,
 };
 use numpy::{
@@ -151,30 +151,45 @@ impl CancelToken {
     }
 }
 
-/// Slopes of walls of one volume, kept from picture to picture.
+/// Bricks of one volume, kept from picture to picture: slopes of walls, and values with their gradients.
 ///
 /// For one array of values, which must not change: the owner takes another object for another array.
 #[pyclass(frozen, module = "carina._core")]
 #[derive(Default)]
-struct WallSlopes {
-    kept: Mutex<Option<Arc<NormalBricks>>>,
+struct Bricks {
+    slopes: Mutex<Option<Arc<NormalBricks>>>,
+    samples: Mutex<Option<Arc<SampleBricks>>>,
 }
 
-impl WallSlopes {
-    /// Those of a frame's transfer function; from the beginning where it has changed, or where no more can be kept.
-    fn of(&self, frame: &Frame<'_>) -> Arc<NormalBricks> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(bricks) = kept.as_ref().filter(|b| b.fit(frame) && !b.is_full()) {
-            return Arc::clone(bricks);
+/// What is kept, or anew where it does not fit any more.
+fn kept<T>(kept: &Mutex<Option<Arc<T>>>, fits: impl Fn(&T) -> bool, new: impl Fn() -> T) -> Arc<T> {
+    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(bricks) = kept.as_ref().filter(|bricks| fits(bricks)) {
+        return Arc::clone(bricks);
+    }
+    Arc::clone(kept.insert(Arc::new(new())))
+}
+
+impl Bricks {
+    /// A frame that reads what earlier ones have filled; from the beginning where the transfer function has changed that
+    /// slopes depend on, or where no more can be kept.
+    fn given_to<'a>(&self, frame: Frame<'a>) -> Result<Frame<'a>, RaycastError> {
+        if frame.lights_walls() {
+            let fits = |bricks: &NormalBricks| bricks.fit(&frame) && !bricks.is_full();
+            let bricks = kept(&self.slopes, fits, || NormalBricks::of(&frame));
+            return frame.with_normals(bricks);
         }
-        let bricks = Arc::new(NormalBricks::of(frame));
-        *kept = Some(Arc::clone(&bricks));
-        bricks
+        if frame.lights_samples() {
+            let fits = |bricks: &SampleBricks| bricks.fit(&frame) && !bricks.is_full();
+            let bricks = kept(&self.samples, fits, || SampleBricks::of(&frame));
+            return frame.with_samples(bricks);
+        }
+        Ok(frame)
     }
 }
 
 #[pymethods]
-impl WallSlopes {
+impl Bricks {
     #[new]
     fn new() -> Self {
         Self::default()
@@ -182,12 +197,14 @@ impl WallSlopes {
 
     /// Bricks kept.
     fn __len__(&self) -> usize {
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.as_ref().map_or(0, |bricks| bricks.len())
+        let slopes = self.slopes.lock().unwrap_or_else(PoisonError::into_inner);
+        let samples = self.samples.lock().unwrap_or_else(PoisonError::into_inner);
+        slopes.as_ref().map_or(0, |bricks| bricks.len())
+            + samples.as_ref().map_or(0, |bricks| bricks.len())
     }
 
     fn __repr__(&self) -> String {
-        format!("WallSlopes({} bricks)", self.__len__())
+        format!("Bricks({} kept)", self.__len__())
     }
 }
 
@@ -321,7 +338,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None, appearance=None, always_leap=false, slopes=None, decoration=None
+    stop_transparency=None, appearance=None, always_leap=false, bricks=None, decoration=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -345,7 +362,7 @@ fn cast<'py>(
     stop_transparency: Option<f32>,
     appearance: Option<PyAppearance>,
     always_leap: bool,
-    slopes: Option<Bound<'py, WallSlopes>>,
+    bricks: Option<Bound<'py, Bricks>>,
     decoration: Option<PyDecoration<'py>>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
@@ -378,9 +395,8 @@ fn cast<'py>(
     if always_leap {
         frame = frame.leaping_always();
     }
-    if let Some(slopes) = slopes.filter(|_| frame.lights_walls()) {
-        let bricks = slopes.get().of(&frame);
-        frame = frame.with_normals(bricks).map_err(IntoPy::into_py)?;
+    if let Some(bricks) = bricks {
+        frame = bricks.get().given_to(frame).map_err(IntoPy::into_py)?;
     }
     let simd = instruction_set(simd)?;
     let (start, end) = rows.unwrap_or((0, height));
@@ -679,7 +695,7 @@ pub(crate) fn best_instruction_set() -> PyResult<&'static str> {
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<TransferTable>()?;
     module.add_class::<CancelToken>()?;
-    module.add_class::<WallSlopes>()?;
+    module.add_class::<Bricks>()?;
     module.add_function(wrap_pyfunction!(cast, module)?)?;
     module.add_function(wrap_pyfunction!(cast_surface, module)?)?;
     module.add_function(wrap_pyfunction!(cut_plane, module)?)?;

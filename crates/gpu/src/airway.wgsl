@@ -128,14 +128,24 @@ fn value_in(cell: Cell) -> f32 {
     return lerp(cell.t.z, lerp(cell.t.y, r00, r10), lerp(cell.t.y, r01, r11));
 }
 
-// Difference along x of one row, between its two corners.
+// Differences between two voxels at both corners of one row: along x, along y, along z.
 fn slope_x(t: f32, i: vec4<i32>, j: i32, k: i32) -> f32 {
     let low = voxel(i.y, j, k);
     let high = voxel(i.z, j, k);
     return lerp_ints(t, high - voxel(i.x, j, k), voxel(i.w, j, k) - low);
 }
 
-// Central differences per voxel, interpolated between the eight corners; a missing neighbour is the edge voxel itself.
+fn slope_y(t: f32, i: vec2<i32>, before: i32, after: i32, k: i32) -> f32 {
+    let low = voxel(i.x, after, k) - voxel(i.x, before, k);
+    return lerp_ints(t, low, voxel(i.y, after, k) - voxel(i.y, before, k));
+}
+
+fn slope_z(t: f32, i: vec2<i32>, j: i32, before: i32, after: i32) -> f32 {
+    let low = voxel(i.x, j, after) - voxel(i.x, j, before);
+    return lerp_ints(t, low, voxel(i.y, j, after) - voxel(i.y, j, before));
+}
+
+// Central differences per voxel at the eight corners, interpolated like values; a missing neighbour is the edge voxel itself.
 fn gradient_in(cell: Cell) -> vec3<f32> {
     let t = cell.t;
     let a = cell.ijk;
@@ -143,25 +153,22 @@ fn gradient_in(cell: Cell) -> vec3<f32> {
     let before = max(a - 1, vec3<i32>(0));
     let after = min(a + 2, frame.last.xyz);
     let i = vec4<i32>(before.x, a.x, b.x, after.x);
+    let ends = vec2<i32>(a.x, b.x);
     let dx = lerp(
         t.z,
         lerp(t.y, slope_x(t.x, i, a.y, a.z), slope_x(t.x, i, b.y, a.z)),
         lerp(t.y, slope_x(t.x, i, a.y, b.z), slope_x(t.x, i, b.y, b.z)),
     );
-    let r00 = row(t.x, a.x, b.x, a.y, a.z);
-    let r10 = row(t.x, a.x, b.x, b.y, a.z);
-    let r01 = row(t.x, a.x, b.x, a.y, b.z);
-    let r11 = row(t.x, a.x, b.x, b.y, b.z);
-    let y00 = row(t.x, a.x, b.x, before.y, a.z);
-    let y10 = row(t.x, a.x, b.x, after.y, a.z);
-    let y01 = row(t.x, a.x, b.x, before.y, b.z);
-    let y11 = row(t.x, a.x, b.x, after.y, b.z);
-    let z00 = row(t.x, a.x, b.x, a.y, before.z);
-    let z01 = row(t.x, a.x, b.x, a.y, after.z);
-    let z10 = row(t.x, a.x, b.x, b.y, before.z);
-    let z11 = row(t.x, a.x, b.x, b.y, after.z);
-    let dy = lerp(t.z, lerp(t.y, r10 - y00, y10 - r00), lerp(t.y, r11 - y01, y11 - r01));
-    let dz = lerp(t.y, lerp(t.z, r01 - z00, z01 - r00), lerp(t.z, r11 - z10, z11 - r10));
+    let dy = lerp(
+        t.z,
+        lerp(t.y, slope_y(t.x, ends, before.y, b.y, a.z), slope_y(t.x, ends, a.y, after.y, a.z)),
+        lerp(t.y, slope_y(t.x, ends, before.y, b.y, b.z), slope_y(t.x, ends, a.y, after.y, b.z)),
+    );
+    let dz = lerp(
+        t.z,
+        lerp(t.y, slope_z(t.x, ends, a.y, before.z, b.z), slope_z(t.x, ends, b.y, before.z, b.z)),
+        lerp(t.y, slope_z(t.x, ends, a.y, a.z, after.z), slope_z(t.x, ends, b.y, a.z, after.z)),
+    );
     return vec3<f32>(dx, dy, dz) * 0.5;
 }
 

@@ -231,6 +231,13 @@ impl LensRays {
         [self.dirs[0][n], self.dirs[1][n], self.dirs[2][n]]
     }
 
+    /// The directions of a row's pixels, each axis by itself.
+    #[must_use]
+    pub fn directions_of(&self, row: usize) -> [&[f32]; 3] {
+        let columns = row * self.width()..(row + 1) * self.width();
+        [0, 1, 2].map(|a| &self.dirs[a][columns.clone()])
+    }
+
     /// Darkens rows of a picture (RGB, from `first_row` on) by their gains. Per pixel, so strips agree with the whole.
     pub fn shade_rows(&self, first_row: usize, rgb: &mut [u8]) {
         let Some(gains) = &self.gains else {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use carina_grid::{Affine, Camera, Grid, VolumeView, clip_line_to_box, dot, length};
 
 use crate::{
-    Appearance, Decoration, Field, Light, NormalBricks, RaycastError, TransferTable,
+    Appearance, Decoration, Field, Light, NormalBricks, RaycastError, SampleBricks, TransferTable,
     composite::Gathered, sampling::Lanes,
 };
 
@@ -58,6 +58,8 @@ pub struct Frame<'a> {
     pub(crate) always_leap: bool,
     /// Slopes of walls that earlier pictures have worked out.
     pub(crate) bricks: Option<Arc<NormalBricks>>,
+    /// Values and gradients that earlier pictures have read.
+    pub(crate) samples: Option<Arc<SampleBricks>>,
 }
 
 /// One ray: samples `first..end` at `origin + (k + 1/2) delta`.
@@ -142,6 +144,7 @@ impl<'a> Frame<'a> {
             stop: STOP_TRANSPARENCY,
             always_leap: false,
             bricks: None,
+            samples: None,
         })
     }
 
@@ -166,6 +169,22 @@ impl<'a> Frame<'a> {
         self
     }
 
+    /// The same with bricks of values and gradients that earlier pictures of this volume have filled: light at every sample
+    /// is read from them.
+    ///
+    /// `samples` must have been filled from the same values, which is the caller's word.
+    pub fn with_samples(mut self, samples: Arc<SampleBricks>) -> Result<Self, RaycastError> {
+        if !samples.fit(&self) {
+            return Err(RaycastError::Setting {
+                what: "bricks of values",
+                expected: "those of this volume's shape".to_owned(),
+                found: "others".to_owned(),
+            });
+        }
+        self.samples = Some(samples);
+        Ok(self)
+    }
+
     /// The same with leaps also where a trial says that brute force is quicker: to measure what they do there.
     #[must_use]
     pub const fn leaping_always(mut self) -> Self {
@@ -177,6 +196,12 @@ impl<'a> Frame<'a> {
     #[must_use]
     pub const fn lights_walls(&self) -> bool {
         self.options.appearance.is_some()
+    }
+
+    /// True if samples are lit while rays are cast.
+    #[must_use]
+    pub const fn lights_samples(&self) -> bool {
+        self.options.light.is_some()
     }
 
     /// The camera.

@@ -26,8 +26,6 @@
 
 mod appearance;
 mod bricks;
-#[cfg(test)]
-mod bricks_tests;
 mod brute;
 mod composite;
 mod decoration;
@@ -63,7 +61,7 @@ mod window;
 mod worth;
 
 pub use appearance::Appearance;
-pub use bricks::NormalBricks;
+pub use bricks::{NormalBricks, SampleBricks};
 pub use carina_grid::InstructionSet;
 pub use composite::Gathered;
 pub use decoration::{CHANNELS as DECORATION_CHANNELS, Decoration};

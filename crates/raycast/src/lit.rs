@@ -90,22 +90,16 @@ pub(crate) fn light_walls(
     stop: Option<&AtomicBool>,
 ) -> (Vec<u8>, CastStats) {
     let width = walls.width;
-    share(rows, (0u8, 3 * width), BAND_ROWS, stop, |first, out| {
+    let (mut rgb, stats) = share(rows, (0u8, 3 * width), BAND_ROWS, stop, |first, out| {
         let at = (first - rows.start) * width;
         let here = &walls.walls[at..at + out.len() / 3];
         light_rows(frame, light, simd, first, here, out);
-        let lit = CastStats::default().lit(here);
-        if !light.look.silhouettes {
-            return lit;
-        }
-        let how = (in_packets, simd);
-        lit.plus(smooth_silhouettes(
-            frame,
-            method,
-            light,
-            how,
-            walls,
-            (first, out),
-        ))
-    })
+        CastStats::default().lit(here)
+    });
+    if !light.look.silhouettes {
+        return (rgb, stats);
+    }
+    let how = (in_packets, simd);
+    let smoothed = smooth_silhouettes(frame, method, light, how, walls, &mut rgb, stop);
+    (rgb, stats.plus(smoothed))
 }

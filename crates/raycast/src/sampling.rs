@@ -154,65 +154,35 @@ impl<'a> Field<'a> {
         self.value_in(&self.cell([x, y, z, 0.0]))
     }
 
-    /// Central differences per voxel, interpolated between the eight corners.
+    /// Central differences per voxel at the eight corners, interpolated like values.
     ///
     /// At the edge the missing neighbour is the edge voxel itself, so a difference there is half the one-sided one.
     #[inline(always)]
     pub(crate) fn gradient_in(&self, cell: &Cell) -> [f32; 3] {
-        let [_, sy, sz] = self.stride;
-        // Memory steps from the lower corner to the voxels before it and two after it, held at the edge.
-        let step = |a: usize| {
-            let s = self.stride[a];
-            let before = if cell.ijk[a] > 0 { s } else { 0 };
-            let after = if cell.ijk[a] < self.last_cell[a] {
-                2 * s
-            } else {
-                s
-            };
-            (before, after)
-        };
         let [tx, ty, tz, _] = cell.t;
-        let (b00, b10) = (cell.base, cell.base + sy);
-        let (b01, b11) = (b00 + sz, b10 + sz);
-        let corners = [b00, b10, b01, b11];
-        // d/dx at both ends of the four rows: two pairs hold the four voxels, except at the edge.
-        let (before, after) = step(0);
-        let dx: [f32; 4] = if before == 1 && after == 2 {
-            let first = corners.map(|c| self.pair(c - 1));
-            let second = corners.map(|c| self.pair(c + 1));
-            std::array::from_fn(|n| {
-                lerp_ints(
-                    tx,
-                    low(second[n]) - low(first[n]),
-                    high(second[n]) - high(first[n]),
-                )
-            })
-        } else {
-            corners.map(|c| {
-                let near = self.at(c + self.stride[0]) - self.at(c - before);
-                lerp_ints(tx, near, self.at(c + after) - self.at(c))
-            })
-        };
-        let dx = lerp(tz, lerp(ty, dx[0], dx[1]), lerp(ty, dx[2], dx[3]));
-        // The four rows themselves, and the rows before and after them along y and along z.
-        let [r00, r10, r01, r11] = self.rows(tx, corners);
-        let (before, after) = step(1);
-        let [y00, y10, y01, y11] =
-            self.rows(tx, [b00 - before, b00 + after, b01 - before, b01 + after]);
-        let (before, after) = step(2);
-        let [z00, z01, z10, z11] =
-            self.rows(tx, [b00 - before, b00 + after, b10 - before, b10 + after]);
-        let dy = lerp(
-            tz,
-            lerp(ty, r10 - y00, y10 - r00),
-            lerp(ty, r11 - y01, y11 - r01),
-        );
-        let dz = lerp(
-            ty,
-            lerp(tz, r01 - z00, z01 - r00),
-            lerp(tz, r11 - z10, z11 - r10),
-        );
-        [dx * 0.5, dy * 0.5, dz * 0.5]
+        std::array::from_fn(|a| {
+            let stride = self.stride[a];
+            // Memory steps to the voxel before the lower corners and to the one after the upper ones, held at the edge.
+            let before = if cell.ijk[a] > 0 { stride } else { 0 };
+            let after = if cell.ijk[a] < self.last_cell[a] {
+                stride
+            } else {
+                0
+            };
+            let rise = |corner: usize| {
+                let steps: usize = (0..3).map(|b| (corner >> b & 1) * self.stride[b]).sum();
+                let at = cell.base + steps;
+                if corner >> a & 1 == 0 {
+                    self.at(at + stride) - self.at(at - before)
+                } else {
+                    self.at(at + after) - self.at(at - stride)
+                }
+            };
+            let row = |n: usize| lerp_ints(tx, rise(2 * n), rise(2 * n + 1));
+            let low = lerp(ty, row(0), row(1));
+            let high = lerp(ty, row(2), row(3));
+            lerp(tz, low, high) * 0.5
+        })
     }
 
     /// The voxel nearest to a point, clamped to the volume: its place in memory and its coordinates.

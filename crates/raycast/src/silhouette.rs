@@ -4,7 +4,12 @@
 //! the rays lie at fixed places in the pixel; so strips agree with the whole, leaps with brute force, and packets with
 //! the scalar casters. Depth and measures stay those of the ray through the pixel's middle.
 
-use std::ops::Range;
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use rayon::prelude::*;
 
 use crate::{
     CastStats, Frame, InstructionSet, Method,
@@ -26,6 +31,10 @@ const FAINT: f32 = 0.02;
 /// How far light creeps round a silhouette, at least: an edge that is thin and wet is not the dark line that matt stone has
 /// where it turns away.
 const EDGE_WRAP: f32 = 0.6;
+
+/// Rows that are searched together, and pixels that are cast together.
+const ROWS_AT_A_TIME: usize = 16;
+const PIXELS_AT_A_TIME: usize = 256;
 
 /// What the rays of some rows have gathered, with the rows before and after them where the picture has these.
 #[derive(Clone, Copy)]
@@ -58,18 +67,18 @@ impl<'a> WallRows<'a> {
 /// Inverse depths of a row in ray steps; 0 for a ray that meets no wall. A wall within the first step touches the lens.
 /// Pixels outside the outline of a scope's picture have no ray and are no wall's edge: with NaN no comparison holds.
 fn inverses(frame: &Frame<'_>, pixels: &[Gathered], row: usize) -> Vec<f32> {
-    let mut inverse: Vec<f32> = pixels
-        .iter()
-        .map(|wall| {
-            let near = 1.0 / wall.hit.max(1.0);
-            if wall.hit < 0.0 { 0.0 } else { near }
-        })
-        .collect();
+    let mut inverse: Vec<f32> = pixels.iter().map(|wall| wall.hit).collect();
+    // Without a branch: several pixels at a time.
+    for v in &mut inverse {
+        let near = 1.0 / if *v > 1.0 { *v } else { 1.0 };
+        *v = if *v < 0.0 { 0.0 } else { near };
+    }
     if let Some(rays) = frame.camera().lens_rays() {
-        for (column, inverse) in inverse.iter_mut().enumerate() {
-            if rays.direction(column, row) == [0.0; 3] {
-                *inverse = f32::NAN;
-            }
+        let [x, y, z] = rays.directions_of(row);
+        for (((v, x), y), z) in inverse.iter_mut().zip(x).zip(y).zip(z) {
+            // Unit directions, or none.
+            let has_ray = x * x + y * y + z * z > 0.5;
+            *v = if has_ray { *v } else { f32::NAN };
         }
     }
     inverse
@@ -88,54 +97,91 @@ fn pixels_of(
     };
     // Where the light that comes back, `exposure / depth^2`, is faint.
     let least = (FAINT / light.exposure.max(1e-9)).sqrt() * light.step_mm;
-    let bends = |before: f32, middle: f32, after: f32| {
-        let nearest = before.max(middle).max(after);
-        nearest > least && (before - 2.0 * middle + after).abs() > BEND * nearest
-    };
     let mut found = Vec::new();
     let mut above = known(wanted.start.checked_sub(1));
     let mut here = known(Some(wanted.start));
+    let mut on = vec![false; rows.width];
     for row in wanted {
         let below = known(Some(row + 1));
         let Some(middle) = here else {
             break;
         };
-        let mut on = vec![false; middle.len()];
-        for (on, three) in on.iter_mut().skip(1).zip(middle.windows(3)) {
-            *on = bends(three[0], three[1], three[2]);
+        on.fill(false);
+        if let [_, between @ .., _] = &mut on[..] {
+            mark_bends([&middle, &middle[1..], &middle[2..]], least, between);
         }
         if let (Some(above), Some(below)) = (&above, &below) {
-            let three = above.iter().zip(&middle).zip(below);
-            for (on, ((&above, &middle), &below)) in on.iter_mut().zip(three) {
-                *on |= bends(above, middle, below);
-            }
+            mark_bends([above, &middle, below], least, &mut on);
         }
-        found.extend(
-            on.iter()
-                .enumerate()
-                .filter_map(|(column, &on)| on.then_some((column, row))),
-        );
+        let columns = on.iter().enumerate();
+        found.extend(columns.filter_map(|(column, &on)| on.then_some((column, row))));
         (above, here) = (Some(middle), below);
     }
     found
 }
 
-/// Casts and lights the two rays of every pixel on a silhouette in the rows that `rgb` holds, from `first_row` on, and
-/// shows their mean there. Without packets the scalar casters do so.
+/// Marks where the inverse depth bends from the first over the second to the third.
+fn mark_bends(three: [&[f32]; 3], least: f32, on: &mut [bool]) {
+    let [before, middle, after] = three.map(|row| &row[..on.len()]);
+    let larger = |a: f32, b: f32| if a > b { a } else { b };
+    for n in 0..on.len() {
+        let nearest = larger(larger(before[n], middle[n]), after[n]);
+        let bend = (before[n] - 2.0 * middle[n] + after[n]).abs();
+        on[n] |= nearest > least && bend > BEND * nearest;
+    }
+}
+
+/// Casts and lights the two rays of every pixel on a silhouette in the rows that `rgb` holds, and shows their mean there.
+/// Without packets the scalar casters do so. Once `stop` is set, what is left stays as it is.
 pub(crate) fn smooth_silhouettes(
     frame: &Frame<'_>,
     method: Method<'_>,
     light: &Lighting,
     (leaps, simd): (bool, InstructionSet),
     rows: &WallRows<'_>,
-    (first_row, rgb): (usize, &mut [u8]),
+    rgb: &mut [u8],
+    stop: Option<&AtomicBool>,
 ) -> CastStats {
-    let width = rows.width;
+    let (width, first) = (rows.width, rows.first_row);
     let num_rows = rgb.len() / (3 * width);
-    let pixels = pixels_of(frame, light, rows, first_row..first_row + num_rows);
-    if pixels.is_empty() {
-        return CastStats::default();
+    // A picture has few such pixels: collected from all rows, their rays fill whole packets.
+    let pixels: Vec<(usize, usize)> = (0..num_rows.div_ceil(ROWS_AT_A_TIME))
+        .into_par_iter()
+        .flat_map_iter(|n| {
+            let from = n * ROWS_AT_A_TIME;
+            let to = (from + ROWS_AT_A_TIME).min(num_rows);
+            pixels_of(frame, light, rows, first + from..first + to)
+        })
+        .collect();
+    let mut round = light.clone();
+    round.look.wrap = round.look.wrap.max(EDGE_WRAP);
+    let smoothed: Vec<(CastStats, Vec<[u8; 3]>)> = pixels
+        .par_chunks(PIXELS_AT_A_TIME)
+        .map(|pixels| {
+            if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {
+                return (CastStats::default(), vec![]);
+            }
+            smoothed_pixels(frame, method, &round, (leaps, simd), pixels)
+        })
+        .collect();
+    let mut stats = CastStats::default();
+    for (pixels, (counts, shown)) in pixels.chunks(PIXELS_AT_A_TIME).zip(smoothed) {
+        stats = stats.plus(counts);
+        for (&(column, row), shown) in pixels.iter().zip(shown) {
+            let at = 3 * ((row - first) * width + column);
+            rgb[at..at + 3].copy_from_slice(&shown);
+        }
     }
+    stats
+}
+
+fn smoothed_pixels(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    light: &Lighting,
+    (leaps, simd): (bool, InstructionSet),
+    pixels: &[(usize, usize)],
+) -> (CastStats, Vec<[u8; 3]>) {
     let directions: Vec<[f32; 3]> = pixels
         .iter()
         .flat_map(|&(column, row)| {
@@ -153,18 +199,16 @@ pub(crate) fn smooth_silhouettes(
         None => cast_walls_row(&listed, method, 0, &mut walls),
     };
     let mut shown = vec![0u8; 3 * walls.len()];
-    let mut round = light.clone();
-    round.look.wrap = round.look.wrap.max(EDGE_WRAP);
-    light_rows(&listed, &round, simd, 0, &walls, &mut shown);
-    for (&(column, row), two) in pixels.iter().zip(shown.chunks_exact(6)) {
-        let at = 3 * ((row - first_row) * width + column);
-        for c in 0..3 {
-            rgb[at + c] = u16::midpoint(u16::from(two[c]), u16::from(two[3 + c]) + 1) as u8;
-        }
-    }
+    light_rows(&listed, light, simd, 0, &walls, &mut shown);
+    let (pairs, _) = shown.as_chunks::<6>();
+    let mean = |a: u8, b: u8| u16::midpoint(u16::from(a), u16::from(b) + 1) as u8;
+    let shown = pairs
+        .iter()
+        .map(|two| [0, 1, 2].map(|c| mean(two[c], two[3 + c])));
     // Rays are counted by pixel.
-    CastStats {
+    let stats = CastStats {
         num_rays: 0,
         ..stats.with_loads(frame, method).lit(&walls)
-    }
+    };
+    (stats, shown.collect())
 }

@@ -37,7 +37,7 @@ class AirwayCaster:
             Backend() if backend is None else backend, lambda scene, view, gpu: self._cast(scene, view, gpu=gpu)
         )
         self._swap = threading.Lock()
-        self._slopes: tuple[NDArray[np.int16], _core.WallSlopes] | None = None
+        self._bricks: tuple[NDArray[np.int16], _core.Bricks] | None = None
         self._tables: dict[tuple[int, int, float], tuple[TransferFunction, _core.TransferTable]] = {}
 
     def cast(
@@ -103,7 +103,7 @@ class AirwayCaster:
             gpu=gpu,
             stop_transparency=view.stop_transparency,
             always_leap=view.method == "leap-always",
-            slopes=None if appearance is None else self._slopes_of(scene),
+            bricks=self._bricks_of(scene),
         )
         method = method if gpu is None else f"gpu-{method}"
         if view.depth_of_field is not None:
@@ -163,13 +163,13 @@ class AirwayCaster:
             lens=_rays(view),
         )
 
-    def _slopes_of(self, scene: Scene) -> _core.WallSlopes:
-        """Slopes of the walls that pictures of these values have worked out."""
+    def _bricks_of(self, scene: Scene) -> _core.Bricks:
+        """What pictures of these values have worked out of them."""
         with self._swap:
             # The entry keeps its values alive, so the identity cannot be another's.
-            if self._slopes is None or self._slopes[0] is not scene.values:
-                self._slopes = (scene.values, _core.WallSlopes())
-            return self._slopes[1]
+            if self._bricks is None or self._bricks[0] is not scene.values:
+                self._bricks = (scene.values, _core.Bricks())
+            return self._bricks[1]
 
     def _table(self, scene: Scene, step_mm: float) -> _core.TransferTable:
         key = (*scene.range, step_mm)

@@ -4,11 +4,14 @@
     reason = "half a hundred intrinsics, each named in full where it is used"
 )]
 
-use std::arch::x86_64::*;
+use std::{arch::x86_64::*, sync::atomic::AtomicI32};
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES},
-    loads::{eight_voxels, four_bytes, four_pairs, four_quads, lane_pointers},
+    loads::{
+        eight_numbers, eight_voxels, four_bytes, four_links, four_pairs, four_quads, interleaved,
+        lane_pointers,
+    },
 };
 
 /// The machine has AVX2 and FMA.
@@ -154,6 +157,9 @@ impl Lanes for Avx2 {
         fn or(a: __m256i, b: __m256i) -> __m256i { _mm256_or_si256(a, b) }
         fn without(a: __m256i, b: __m256i) -> __m256i { _mm256_andnot_si256(b, a) }
 
+        fn quarters(a: __m256i) -> __m256i { _mm256_srli_epi32::<2>(a) }
+        fn modulo_4(a: __m256i) -> __m256i { _mm256_and_si256(a, _mm256_set1_epi32(3)) }
+
         // Products with 1, 0 and -1, added in pairs, in i32: nothing can overflow.
         fn first(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(1)) }
         fn second(pair: __m256i) -> __m256i { _mm256_srai_epi32::<16>(pair) }
@@ -262,6 +268,49 @@ impl Lanes for Avx2 {
             }
         }
         out
+    }
+
+    #[inline(always)]
+    unsafe fn quadruples<const R: usize>(
+        self,
+        data: *const i16,
+        base: __m256i,
+        offsets: [i32; R],
+    ) -> [[__m256i; 4]; R] {
+        let index = self.store_i(base);
+        let mut out = [[base; 4]; R];
+        // SAFETY: all eight numbers lie in the data, as promised by the caller.
+        unsafe {
+            let order = _mm256_broadcastsi128_si256(interleaved());
+            let mut parts = [[_mm256_setzero_si256(); 4]; R];
+            for part in 0..4 {
+                let a = data.add(index[part] as u32 as usize);
+                let b = data.add(index[part + 4] as u32 as usize);
+                for n in 0..R {
+                    let two = [eight_numbers(a, offsets[n]), eight_numbers(b, offsets[n])];
+                    parts[n][part] = _mm256_shuffle_epi8(whole_of(two), order);
+                }
+            }
+            for n in 0..R {
+                let [a, b, c, d] = parts[n];
+                let (ab_lo, ab_hi) = (_mm256_unpacklo_epi32(a, b), _mm256_unpackhi_epi32(a, b));
+                let (cd_lo, cd_hi) = (_mm256_unpacklo_epi32(c, d), _mm256_unpackhi_epi32(c, d));
+                out[n] = [
+                    _mm256_unpacklo_epi64(ab_lo, cd_lo),
+                    _mm256_unpackhi_epi64(ab_lo, cd_lo),
+                    _mm256_unpacklo_epi64(ab_hi, cd_hi),
+                    _mm256_unpackhi_epi64(ab_hi, cd_hi),
+                ];
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    unsafe fn links(self, table: *const AtomicI32, index: __m256i) -> __m256i {
+        let index = self.store_i(index);
+        // SAFETY: each lane's link lies in the table, as promised by the caller.
+        unsafe { whole_of([four_links(table, &index, 0), four_links(table, &index, 4)]) }
     }
 
     #[inline(always)]

@@ -4,11 +4,14 @@
     reason = "half a hundred intrinsics, each named in full where it is used"
 )]
 
-use std::arch::x86_64::*;
+use std::{arch::x86_64::*, sync::atomic::AtomicI32};
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES},
-    loads::{eight_voxels, four_bytes, four_pairs, four_quads, lane_pointers},
+    loads::{
+        eight_numbers, eight_voxels, four_bytes, four_links, four_pairs, four_quads, interleaved,
+        lane_pointers,
+    },
 };
 
 /// The machine has AVX-512 F, BW, DQ and VL.
@@ -100,6 +103,9 @@ impl Lanes for Avx512 {
 
         fn whole(a: __m512) -> __m512i { _mm512_cvttps_epi32(a) }
         fn to_f(a: __m512i) -> __m512 { _mm512_cvtepi32_ps(a) }
+
+        fn quarters(a: __m512i) -> __m512i { _mm512_srli_epi32::<2>(a) }
+        fn modulo_4(a: __m512i) -> __m512i { _mm512_and_si512(a, _mm512_set1_epi32(3)) }
 
         // Products with 1, 0 and -1, added in pairs, in i32: nothing can overflow.
         fn first(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(1)) }
@@ -221,6 +227,63 @@ impl Lanes for Avx512 {
             }
         }
         out
+    }
+
+    #[inline(always)]
+    unsafe fn quadruples<const R: usize>(
+        self,
+        data: *const i16,
+        base: __m512i,
+        offsets: [i32; R],
+    ) -> [[__m512i; 4]; R] {
+        let index = self.store_i(base);
+        let mut out = [[base; 4]; R];
+        // SAFETY: all eight numbers lie in the data, as promised by the caller.
+        unsafe {
+            let order = _mm512_broadcast_i32x4(interleaved());
+            let mut parts = [[_mm512_setzero_si512(); 4]; R];
+            for part in 0..4 {
+                let a = data.add(index[part] as u32 as usize);
+                let b = data.add(index[part + 4] as u32 as usize);
+                let c = data.add(index[part + 8] as u32 as usize);
+                let d = data.add(index[part + 12] as u32 as usize);
+                for n in 0..R {
+                    let four = [
+                        eight_numbers(a, offsets[n]),
+                        eight_numbers(b, offsets[n]),
+                        eight_numbers(c, offsets[n]),
+                        eight_numbers(d, offsets[n]),
+                    ];
+                    parts[n][part] = _mm512_shuffle_epi8(whole_of(four), order);
+                }
+            }
+            for n in 0..R {
+                let [a, b, c, d] = parts[n];
+                let (ab_lo, ab_hi) = (_mm512_unpacklo_epi32(a, b), _mm512_unpackhi_epi32(a, b));
+                let (cd_lo, cd_hi) = (_mm512_unpacklo_epi32(c, d), _mm512_unpackhi_epi32(c, d));
+                out[n] = [
+                    _mm512_unpacklo_epi64(ab_lo, cd_lo),
+                    _mm512_unpackhi_epi64(ab_lo, cd_lo),
+                    _mm512_unpacklo_epi64(ab_hi, cd_hi),
+                    _mm512_unpackhi_epi64(ab_hi, cd_hi),
+                ];
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    unsafe fn links(self, table: *const AtomicI32, index: __m512i) -> __m512i {
+        let index = self.store_i(index);
+        // SAFETY: each lane's link lies in the table, as promised by the caller.
+        unsafe {
+            whole_of([
+                four_links(table, &index, 0),
+                four_links(table, &index, 4),
+                four_links(table, &index, 8),
+                four_links(table, &index, 12),
+            ])
+        }
     }
 
     #[inline(always)]

@@ -1,5 +1,7 @@
 //! What a packet kernel needs of an instruction set: numbers, masks and gathers for as many rays as fit a register.
 
+use std::sync::atomic::AtomicI32;
+
 /// The most lanes of any instruction set.
 pub(super) const MAX_LANES: usize = 32;
 
@@ -70,6 +72,11 @@ pub(crate) trait Lanes: Copy {
     /// `a` without `b`.
     fn without(self, a: Self::M, b: Self::M) -> Self::M;
 
+    /// The quotient by 4 of a number that is not negative.
+    fn quarters(self, a: Self::I) -> Self::I;
+    /// Its rest.
+    fn modulo_4(self, a: Self::I) -> Self::I;
+
     /// First of two int16 in each lane.
     fn first(self, pair: Self::I) -> Self::I;
     /// Second of two int16 in each lane.
@@ -97,6 +104,22 @@ pub(crate) trait Lanes: Copy {
         base: Self::I,
         offsets: [i32; R],
     ) -> [[Self::I; 2]; R];
+    /// Four int16 at `base + offset` and the next four, as pairs: both first ones, both second ones and so on, for each
+    /// offset.
+    ///
+    /// # Safety
+    /// In every lane and for every offset all eight must lie in the data.
+    unsafe fn quadruples<const R: usize>(
+        self,
+        data: *const i16,
+        base: Self::I,
+        offsets: [i32; R],
+    ) -> [[Self::I; 4]; R];
+    /// What the table tells at `index` at this moment; what was written before that was told is seen.
+    ///
+    /// # Safety
+    /// In every lane it must lie in the table.
+    unsafe fn links(self, table: *const AtomicI32, index: Self::I) -> Self::I;
     /// The voxel at `index`.
     ///
     /// # Safety

@@ -134,8 +134,12 @@ fn lit<L: Lanes>(
     }
     // Half of the relief also shows in the matt part.
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
-    let wet =
-        (look.specks > 0.0 || look.secretions > 0.0).then(|| film(l, look, lps, n, footprint));
+    // No closure: it would be compiled without the instruction set, with a call for each operation.
+    let wet = if look.specks > 0.0 || look.secretions > 0.0 {
+        Some(film(l, look, lps, n, footprint))
+    } else {
+        None
+    };
     if let Some(wet) = wet
         && look.secretions > 0.0
     {
@@ -249,15 +253,12 @@ fn light_row<L: Lanes>(
     rgb: &mut [u8],
 ) {
     let s = |v: f32| l.splat(v);
-    for (block, (pixels, out)) in gathered
-        .chunks(L::N)
-        .zip(rgb.chunks_mut(3 * L::N))
-        .enumerate()
-    {
+    let (rgb, _) = rgb.as_chunks_mut::<3>();
+    for (block, (pixels, out)) in gathered.chunks(L::N).zip(rgb.chunks_mut(L::N)).enumerate() {
         let misty = light.look.fog > 0.0;
         if !misty && pixels.iter().all(|pixel| pixel.hit < 0.0) {
-            for (pixel, out) in pixels.iter().zip(out.chunks_mut(3)) {
-                out.copy_from_slice(&unlit(pixel).to_rgb8(light.background));
+            for (pixel, out) in pixels.iter().zip(out) {
+                *out = unlit(pixel).to_rgb8(light.background);
             }
             continue;
         }
@@ -267,11 +268,14 @@ fn light_row<L: Lanes>(
         let walls = gather(l, &rays.delta, pixels);
         let decoration = frame.decoration.as_ref();
         let colour = lit(l, light, decoration, (values, &frame.field), &walls);
-        let veil = misty.then(|| mist(l, light, walls.delta));
-        let bits = pixels.iter().enumerate().fold(0u32, |bits, (n, pixel)| {
-            bits | u32::from(pixel.hit >= 0.0) << n
-        });
-        let met = l.mask(bits);
+        let veil = if misty {
+            let met = pixels.iter().enumerate().fold(0, |bits, (n, pixel)| {
+                bits | u32::from(pixel.hit >= 0.0) << n
+            });
+            Some((mist(l, light, walls.delta), l.mask(met)))
+        } else {
+            None
+        };
         let mut shown = [[0; MAX_LANES]; 3];
         for c in 0..3 {
             // Bright light is compressed as a camera does it: x (1 + x / white^2) / (1 + x).
@@ -285,7 +289,7 @@ fn light_row<L: Lanes>(
             let v = l.mul(v, l.fma(v, s(TOE), s(1.0 - TOE)));
             let behind = s(light.background[c]);
             let mut v = l.fma(walls.transparency, l.sub(behind, v), v);
-            if let Some(veil) = veil {
+            if let Some((veil, met)) = veil {
                 // A ray without a wall ends in the dark, before which there is mist, too.
                 let dark = l.mul(walls.transparency, behind);
                 v = l.select(met, v, dark);
@@ -294,12 +298,12 @@ fn light_row<L: Lanes>(
             let v = l.fma(v, s(255.0), s(0.5));
             shown[c] = l.store_i(l.whole(l.min(l.max(v, s(0.0)), s(255.0))));
         }
-        for (n, (pixel, out)) in pixels.iter().zip(out.chunks_mut(3)).enumerate() {
-            if pixel.hit < 0.0 && !misty {
-                out.copy_from_slice(&unlit(pixel).to_rgb8(light.background));
+        for (n, (pixel, out)) in pixels.iter().zip(out).enumerate() {
+            *out = if pixel.hit < 0.0 && !misty {
+                unlit(pixel).to_rgb8(light.background)
             } else {
-                out.copy_from_slice(&[shown[0][n] as u8, shown[1][n] as u8, shown[2][n] as u8]);
-            }
+                [shown[0][n] as u8, shown[1][n] as u8, shown[2][n] as u8]
+            };
         }
     }
 }

@@ -1,10 +1,13 @@
 //! Loads from a place of its own for each lane. On some machines single loads and insertions take half to two
 //! thirds of the time of the gather instructions (docs/decisions/0005); on others they take more ([`super::gathers`]).
 
-use std::arch::x86_64::{
-    __m128i, _mm_castpd_si128, _mm_castps_si128, _mm_castsi128_pd, _mm_castsi128_ps,
-    _mm_cvtsi32_si128, _mm_insert_epi8, _mm_insert_epi16, _mm_insert_epi32, _mm_loadh_pd,
-    _mm_loadl_epi64, _mm_shuffle_ps,
+use std::{
+    arch::x86_64::{
+        __m128i, _mm_castpd_si128, _mm_castps_si128, _mm_castsi128_pd, _mm_castsi128_ps,
+        _mm_cvtsi32_si128, _mm_insert_epi8, _mm_insert_epi16, _mm_insert_epi32, _mm_loadh_pd,
+        _mm_loadl_epi64, _mm_loadu_si128, _mm_setr_epi8, _mm_shuffle_ps,
+    },
+    sync::atomic::{AtomicI32, Ordering},
 };
 
 use super::lanes::Array;
@@ -69,6 +72,45 @@ pub(super) unsafe fn four_quads(lanes: [*const i16; 4], offset: i32) -> [__m128i
             _mm_castps_si128(_mm_shuffle_ps::<0x88>(a, b)),
             _mm_castps_si128(_mm_shuffle_ps::<0xdd>(a, b)),
         ]
+    }
+}
+
+/// The bytes of two times four int16, so that both first ones are neighbours, both second ones and so on.
+///
+/// # Safety
+/// SSE 2.
+#[inline(always)]
+pub(super) unsafe fn interleaved() -> __m128i {
+    // SAFETY: as promised by the caller.
+    unsafe { _mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15) }
+}
+
+/// Eight numbers.
+///
+/// # Safety
+/// They must lie in the data; SSE 2.
+#[inline(always)]
+pub(super) unsafe fn eight_numbers(data: *const i16, offset: i32) -> __m128i {
+    // SAFETY: as promised by the caller.
+    unsafe { _mm_loadu_si128(data.offset(offset as isize).cast()) }
+}
+
+/// Links of lanes `n..n + 4`.
+///
+/// # Safety
+/// They must lie in the table; SSE 4.1.
+#[inline(always)]
+pub(super) unsafe fn four_links(table: *const AtomicI32, index: &Array<i32>, n: usize) -> __m128i {
+    // SAFETY: as promised by the caller; indices are not negative.
+    unsafe {
+        let link = |lane: usize| {
+            let link = &*table.add(index[n + lane] as u32 as usize);
+            link.load(Ordering::Acquire)
+        };
+        let v = _mm_cvtsi32_si128(link(0));
+        let v = _mm_insert_epi32::<1>(v, link(1));
+        let v = _mm_insert_epi32::<2>(v, link(2));
+        _mm_insert_epi32::<3>(v, link(3))
     }
 }
 

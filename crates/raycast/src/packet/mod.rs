@@ -8,6 +8,7 @@ mod ask;
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod bricks;
 mod film;
 #[cfg(target_arch = "x86_64")]
 mod gathers;
@@ -98,6 +99,7 @@ impl<'a> Packets<'a> {
         };
         let fits = frame.most_steps() < f64::from(1 << 30);
         let voxels = Voxels::of(&frame.field).filter(|_| fits)?;
+        let voxels = voxels.reading(frame);
         Some(Self {
             scene: Scene {
                 frame,

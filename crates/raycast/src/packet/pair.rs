@@ -1,5 +1,7 @@
 //! Two registers of rays as one: twice the rays for each decision, and operations that do not wait for each other.
 
+use std::sync::atomic::AtomicI32;
+
 use super::lanes::{Array, Lanes, MAX_LANES};
 
 /// Two of an instruction set.
@@ -113,6 +115,8 @@ impl<L: Lanes> Lanes for Pair<L> {
         fn and(a: M, b: M) -> M;
         fn or(a: M, b: M) -> M;
         fn without(a: M, b: M) -> M;
+        fn quarters(a: I) -> I;
+        fn modulo_4(a: I) -> I;
         fn first(pair: I) -> I;
         fn second(pair: I) -> I;
         fn rise(pair: I) -> I;
@@ -168,6 +172,35 @@ impl<L: Lanes> Lanes for Pair<L> {
             out[n] = [[low[n][0], high[n][0]], [low[n][1], high[n][1]]];
         }
         out
+    }
+
+    #[inline(always)]
+    unsafe fn quadruples<const R: usize>(
+        self,
+        data: *const i16,
+        base: Self::I,
+        offsets: [i32; R],
+    ) -> [[Self::I; 4]; R] {
+        // SAFETY: as promised by the caller.
+        let (low, high) = unsafe {
+            (
+                self.0.quadruples(data, base[0], offsets),
+                self.0.quadruples(data, base[1], offsets),
+            )
+        };
+        let mut out = [[base; 4]; R];
+        for n in 0..R {
+            for c in 0..4 {
+                out[n][c] = [low[n][c], high[n][c]];
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    unsafe fn links(self, table: *const AtomicI32, index: Self::I) -> Self::I {
+        // SAFETY: as promised by the caller.
+        unsafe { [self.0.links(table, index[0]), self.0.links(table, index[1])] }
     }
 
     #[inline(always)]

@@ -1,7 +1,10 @@
 //! Eight rays in plain arrays: loops that the compiler turns into whatever vector instructions the target has. It is the
 //! packet kernel of NEON, and on every machine the one that tests compare with the scalar casters.
 
-use std::array::from_fn;
+use std::{
+    array::from_fn,
+    sync::atomic::{AtomicI32, Ordering},
+};
 
 use super::lanes::{Array, Lanes, MAX_LANES};
 
@@ -139,6 +142,9 @@ impl Lanes for Portable {
         fn or(a: i32, b: i32) -> i32 { a | b }
         fn without(a: i32, b: i32) -> i32 { a & !b }
 
+        fn quarters(a: i32) -> i32 { a >> 2 }
+        fn modulo_4(a: i32) -> i32 { a & 3 }
+
         fn first(pair: i32) -> i32 { halves(pair).0 }
         fn second(pair: i32) -> i32 { halves(pair).1 }
         fn rise(pair: i32) -> i32 { halves(pair).1 - halves(pair).0 }
@@ -192,6 +198,39 @@ impl Lanes for Portable {
                 unsafe { self.pairs(data, base, [offset, offset + 2]) }
             },
         )
+    }
+
+    #[inline(always)]
+    unsafe fn quadruples<const R: usize>(
+        self,
+        data: *const i16,
+        base: [i32; N],
+        offsets: [i32; R],
+    ) -> [[[i32; N]; 4]; R] {
+        offsets.map(
+            #[inline(always)]
+            |offset| {
+                let mut out = [[0; N]; 4];
+                for n in 0..N {
+                    // SAFETY: all eight numbers lie in the data, as promised by the caller. Benchmark: as in `sampling`.
+                    let numbers = unsafe {
+                        let at = data.offset(base[n] as isize + offset as isize);
+                        at.cast::<[i16; 8]>().read_unaligned()
+                    };
+                    for c in 0..4 {
+                        out[c][n] =
+                            i32::from(numbers[c + 4]) << 16 | i32::from(numbers[c]) & 0xffff;
+                    }
+                }
+                out
+            },
+        )
+    }
+
+    #[inline(always)]
+    unsafe fn links(self, table: *const AtomicI32, index: [i32; N]) -> [i32; N] {
+        // SAFETY: the link lies in the table, as promised by the caller. Benchmark: as in `sampling`.
+        index.map(|index| unsafe { &*table.add(index as usize) }.load(Ordering::Acquire))
     }
 
     #[inline(always)]

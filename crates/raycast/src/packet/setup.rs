@@ -41,16 +41,42 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
             scaled[2][n] = z * scale;
         }
     }
-    let mut t_in = [f64::NEG_INFINITY; MAX_LANES];
-    let mut t_out = [f64::INFINITY; MAX_LANES];
     let mut delta = [[0.0; MAX_LANES]; 3];
+    let mut t_out = [f64::INFINITY; MAX_LANES];
+    let (mut first, mut end) = ([0; MAX_LANES], [0; MAX_LANES]);
+    let box_of = |a: usize| (-0.5, shape[a] as f64 - 0.5);
+    let is_inside = (0..3).all(|a| {
+        let (lo, hi) = box_of(a);
+        (lo..=hi).contains(&frame.origin_ijk[a])
+    });
+    if is_inside {
+        // The nearer face of each axis lies behind the camera, or in it: every ray starts at 0, and one division is enough.
+        for a in 0..3 {
+            let [mx, my, mz, _] = matrix[a];
+            let origin = frame.origin_ijk[a];
+            let (lo, hi) = box_of(a);
+            let (behind, ahead) = (lo - origin, hi - origin);
+            for n in 0..MAX_LANES {
+                let d = mx * scaled[0][n] + my * scaled[1][n] + mz * scaled[2][n];
+                delta[a][n] = d as f32;
+                let far = (if d < 0.0 { behind } else { ahead }) / d;
+                let far = if d == 0.0 { f64::INFINITY } else { far };
+                t_out[n] = if far < t_out[n] { far } else { t_out[n] };
+            }
+        }
+        for n in 0..MAX_LANES {
+            let to = (t_out[n] + 0.5).floor().max(0.0) as i32;
+            end[n] = if bare[n] { 0 } else { to };
+        }
+        return Rays { delta, first, end };
+    }
+    let mut t_in = [f64::NEG_INFINITY; MAX_LANES];
     for a in 0..3 {
         let [mx, my, mz, _] = matrix[a];
         let origin = frame.origin_ijk[a];
-        let (lo, hi) = (-0.5, shape[a] as f64 - 0.5);
-        let inside = origin >= lo && origin <= hi;
+        let (lo, hi) = box_of(a);
         // An axis along which a ray stands still holds it for ever, or never.
-        let still = if inside {
+        let still = if (lo..=hi).contains(&origin) {
             f64::INFINITY
         } else {
             f64::NEG_INFINITY
@@ -67,7 +93,6 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
             t_out[n] = if far < t_out[n] { far } else { t_out[n] };
         }
     }
-    let (mut first, mut end) = ([0; MAX_LANES], [0; MAX_LANES]);
     for n in 0..MAX_LANES {
         // What lies behind the camera starts at 0. `Packets::of` has checked that no ray has 2^30 steps.
         let hit = t_in[n] <= t_out[n] && !bare[n];

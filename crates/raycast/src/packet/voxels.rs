@@ -1,7 +1,7 @@
 //! Reading a volume for a packet of rays: the operations of [`crate::sampling`], lane by lane.
 
-use super::lanes::Lanes;
-use crate::Field;
+use super::{bricks::Reader, lanes::Lanes};
+use crate::{Field, Frame, SampleBricks};
 
 /// The longest axis for which positions and the guard of a leap are what the kernel relies on.
 const LONGEST_AXIS: f32 = 65_535.0;
@@ -15,6 +15,7 @@ pub(super) struct Voxels<'a> {
     stride: [i32; 3],
     /// Place of voxel (1, 1, 1) if its cell has neighbours on all sides.
     inner: Option<i32>,
+    samples: Option<Reader<'a, SampleBricks>>,
 }
 
 /// A cell of eight voxels and the place in it, for each lane. Every lane's cell lies in the volume, also that of a lane
@@ -68,8 +69,16 @@ impl<'a> Voxels<'a> {
                 last_cell: [0, 1, 2].map(|a| field.last_cell[a]),
                 stride,
                 inner: (x.min(y).min(z) >= 3.0).then(|| stride.iter().sum()),
+                samples: None,
             }
         })
+    }
+
+    /// The same with values and gradients read from the volume's bricks, where there are any.
+    pub(super) fn reading(self, frame: &'a Frame<'a>) -> Self {
+        let bricks = frame.samples.as_deref();
+        let samples = bricks.map(|bricks| Reader::of(&frame.field, bricks));
+        Self { samples, ..self }
     }
 
     /// Coordinates held in `0 ..= last`; NaN becomes 0.
@@ -172,6 +181,12 @@ impl<'a> Voxels<'a> {
         cells: &Cells<L>,
         wanted: L::M,
     ) -> (L::F, [L::F; 3]) {
+        if let Some(bricks) = self.samples
+            && let Some([value, x, y, z]) = bricks.between_voxels(l, &cells.ijk, &cells.t, wanted)
+        {
+            let half = l.splat(0.5);
+            return (value, [l.mul(x, half), l.mul(y, half), l.mul(z, half)]);
+        }
         // From the position alone: the reads need not wait for what the last sample decided.
         let mut inside = l.less_i(l.splat_i(0), cells.ijk[0]);
         for a in 0..3 {
@@ -276,35 +291,45 @@ impl<'a> Voxels<'a> {
     }
 }
 
-/// As in `Field::value_in` and `Field::gradient_in`.
+/// As in `Field::value_in` and `Field::gradient_in`: numbers at the ends of the four rows of a cell.
 #[inline(always)]
-fn interpolate<L: Lanes>(l: L, [tx, ty, tz]: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]) {
-    let (mut r, mut dx) = ([tx; 4], [tx; 4]);
+fn interpolate<L: Lanes>(l: L, t: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]) {
+    let beside = |n: usize| (l.first(read.beside[n]), l.second(read.beside[n]));
+    let less = |a: (L::I, L::I), b: (L::I, L::I)| (l.sub_i(a.0, b.0), l.sub_i(a.1, b.1));
+    let mut rows = [[t[0]; 4]; 4];
     for n in 0..4 {
+        let own = |n: usize| (read.own[n][1], read.own[n][2]);
         let [v0, v1, v2, v3] = read.own[n];
-        r[n] = lerp_ints(l, tx, v1, v2);
-        dx[n] = lerp_ints(l, tx, l.sub_i(v2, v0), l.sub_i(v3, v1));
+        // The rows before and after along y and z: a corner's neighbour on one side is the other corner.
+        let (y, z) = (n & 1, n >> 1);
+        let along_y = if y == 0 {
+            less(own(n + 1), beside(2 * z))
+        } else {
+            less(beside(2 * z + 1), own(n - 1))
+        };
+        let along_z = if z == 0 {
+            less(own(n + 2), beside(4 + 2 * y))
+        } else {
+            less(beside(4 + 2 * y + 1), own(n - 2))
+        };
+        let along_x = (l.sub_i(v2, v0), l.sub_i(v3, v1));
+        for (c, (a, b)) in [own(n), along_x, along_y, along_z].into_iter().enumerate() {
+            rows[n][c] = lerp_ints(l, t[0], a, b);
+        }
     }
-    let mut beside = [tx; 8];
-    for n in 0..8 {
-        beside[n] = lerp_pair(l, tx, read.beside[n]);
+    between_rows(l, t, &rows)
+}
+
+/// Value and gradient from the values and differences on the four rows of a cell.
+#[inline(always)]
+fn between_rows<L: Lanes>(l: L, [_, ty, tz]: [L::F; 3], r: &[[L::F; 4]; 4]) -> (L::F, [L::F; 3]) {
+    let mut sum = r[0];
+    for c in 0..4 {
+        let low = lerp(l, ty, r[0][c], r[1][c]);
+        let high = lerp(l, ty, r[2][c], r[3][c]);
+        sum[c] = lerp(l, tz, low, high);
     }
-    let [y00, y10, y01, y11, z00, z01, z10, z11] = beside;
-    let [r00, r10, r01, r11] = r;
-    let dx = lerp(l, tz, lerp(l, ty, dx[0], dx[1]), lerp(l, ty, dx[2], dx[3]));
-    let dy = lerp(
-        l,
-        tz,
-        lerp(l, ty, l.sub(r10, y00), l.sub(y10, r00)),
-        lerp(l, ty, l.sub(r11, y01), l.sub(y11, r01)),
-    );
-    let dz = lerp(
-        l,
-        ty,
-        lerp(l, tz, l.sub(r01, z00), l.sub(z01, r00)),
-        lerp(l, tz, l.sub(r11, z10), l.sub(z11, r10)),
-    );
-    let value = lerp(l, tz, lerp(l, ty, r00, r10), lerp(l, ty, r01, r11));
     let half = l.splat(0.5);
+    let [value, dx, dy, dz] = sum;
     (value, [l.mul(dx, half), l.mul(dy, half), l.mul(dz, half)])
 }

@@ -4,11 +4,9 @@
 //! its neighbours take as well. Here it is worked out at voxels, in bricks of 4 x 4 x 4 cells that are filled when a ray
 //! first meets a wall in them, and read between voxels (docs/decisions/0080). Which bricks exist never shows in a picture.
 
-use std::{
-    cell::{RefCell, UnsafeCell},
-    sync::atomic::{AtomicU32, AtomicUsize, Ordering},
-};
+use std::cell::RefCell;
 
+use super::{CELLS, Fill, Numbers, PER_BRICK, PER_VOXEL, STRIDE, Store, VOXELS};
 use crate::Field;
 
 /// Six samples along the axes and eight at the corners of a box: their places in units of the reach, and the weight of
@@ -19,49 +17,16 @@ pub(crate) const AXIS_WEIGHT: f32 = 0.96;
 pub(crate) const CORNER_AT: f32 = 0.7;
 pub(crate) const CORNER_WEIGHT: f32 = 0.7;
 
-/// Cells of a brick along each axis.
-pub(crate) const CELLS: usize = 4;
-/// Voxels of a brick along each axis: both ends of its cells.
-const VOXELS: usize = CELLS + 1;
-/// Numbers in memory for each voxel: the slope along i, j and k, and one that is 0, so that a voxel is one 64-bit load.
-pub(crate) const PER_VOXEL: usize = 4;
-/// Numbers in memory for each brick, of which the last few are 0.
-pub(crate) const PER_BRICK: usize = 512;
-/// Memory steps of a brick from voxel to voxel along each axis.
-pub(crate) const STRIDE: [usize; 3] = [PER_VOXEL, PER_VOXEL * VOXELS, PER_VOXEL * VOXELS * VOXELS];
-/// At most so many bricks are kept: 64 MB, some fifty views of an airway.
-pub(crate) const MOST_BRICKS: usize = 1 << 16;
-
-/// In the table: not there, and being filled. Others are one more than the brick's number.
-const ABSENT: u32 = 0;
-const BUSY: u32 = u32::MAX;
-
 /// Bricks of slopes of one volume, for one way of finding normals.
 #[derive(Debug)]
 pub struct NormalBricks {
-    shape: [usize; 3],
-    num_bricks: [usize; 3],
+    store: Store,
     reach: [f32; 3],
     held: [f32; 2],
     taps: [Taps; 3],
     /// Stored numbers are slopes times this.
     scale: f32,
-    /// For each brick of the volume where it is kept.
-    table: Box<[AtomicU32]>,
-    kept: Kept,
 }
-
-/// Memory for bricks; each is written once, by the thread that has claimed it, before the table tells of it.
-#[derive(Debug)]
-struct Kept {
-    numbers: UnsafeCell<Vec<i16>>,
-    most: usize,
-    len: AtomicUsize,
-}
-
-// SAFETY: a brick is written by the one thread that has claimed it, and read by others only after the table tells of it
-// (release, then acquire); the vector itself never grows.
-unsafe impl Sync for Kept {}
 
 /// Samples before and after a voxel along one axis: `near` at the corners of the box, `far` on the axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,27 +69,15 @@ impl Taps {
     }
 }
 
-/// Where a lane finds its cell.
-pub(crate) enum Place {
-    /// Place in [`NormalBricks::numbers`].
-    Kept(usize),
-    /// No more bricks can be kept; these are the numbers.
-    Lent(Box<[i16; PER_BRICK]>),
-}
-
 impl NormalBricks {
     /// No brick yet: for a volume of this shape, slopes over `reach` voxels of values held in a range, and room for `most`
     /// bricks.
     pub(crate) fn new(shape: [usize; 3], reach: [f32; 3], held: [f32; 2], most: usize) -> Self {
-        let num_bricks = shape.map(|n| n.saturating_sub(1).div_ceil(CELLS).max(1));
-        let num = num_bricks.iter().product();
-        let most = most.min(num);
         let [low, high] = held;
         // What both parts of a slope are at most.
         let steepest = (AXIS_WEIGHT + 4.0 * CORNER_WEIGHT) * (high - low);
         Self {
-            shape,
-            num_bricks,
+            store: Store::new(shape, most),
             reach,
             held,
             taps: reach.map(|reach| Taps {
@@ -132,25 +85,18 @@ impl NormalBricks {
                 far: Tap::of(AXIS_AT * reach),
             }),
             scale: 32_767.0 / steepest,
-            table: absent(num),
-            kept: Kept {
-                // Lanes that have no brick read the first.
-                numbers: UnsafeCell::new(vec![0; most.max(1) * PER_BRICK]),
-                most,
-                len: AtomicUsize::new(0),
-            },
         }
     }
 
     /// Whether they are slopes of such a volume, found so.
     pub(crate) fn are(&self, shape: [usize; 3], reach: [f32; 3], held: [f32; 2]) -> bool {
-        self.shape == shape && self.reach == reach && self.held == held
+        self.store.shape == shape && self.reach == reach && self.held == held
     }
 
     /// Bricks kept.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.kept.len.load(Ordering::Relaxed).min(self.kept.most)
+        self.store.len()
     }
 
     /// Whether no brick is kept.
@@ -162,7 +108,7 @@ impl NormalBricks {
     /// Whether no further brick can be kept: pictures stay right and become slow.
     #[must_use]
     pub fn is_full(&self) -> bool {
-        self.len() == self.kept.most && self.kept.most < self.table.len()
+        self.store.is_full()
     }
 
     /// Slopes are stored numbers times this.
@@ -170,65 +116,17 @@ impl NormalBricks {
         1.0 / self.scale
     }
 
-    /// The numbers of all bricks.
-    pub(crate) fn numbers(&self) -> *const i16 {
-        // SAFETY: the vector never changes, only what it holds; no reference to that is made here.
-        unsafe { (*self.kept.numbers.get()).as_ptr() }
-    }
-
-    /// Where the lower corner of a cell lies; its brick is filled if this is the first to ask.
+    /// The numbers of the brick that a cell lies in, kept or not, and the place of the cell's lower corner there.
     ///
     /// `cell` must be within the volume's cells.
-    #[inline(always)]
-    pub(crate) fn place(&self, field: &Field<'_>, cell: [usize; 3]) -> (Place, usize) {
-        let brick = cell.map(|c| c / CELLS);
-        let number = brick[0] + self.num_bricks[0] * (brick[1] + self.num_bricks[1] * brick[2]);
-        let within: usize = (0..3).map(|a| cell[a] % CELLS * STRIDE[a]).sum();
-        let kept = self.table[number].load(Ordering::Acquire);
-        if kept != ABSENT && kept != BUSY {
-            return (Place::Kept((kept as usize - 1) * PER_BRICK), within);
-        }
-        (self.fill(field, number, brick), within)
-    }
-
-    #[cold]
-    fn fill(&self, field: &Field<'_>, number: usize, brick: [usize; 3]) -> Place {
-        let entry = &self.table[number];
-        let (ok, mine) = (Ordering::Acquire, Ordering::Acquire);
-        match entry.compare_exchange(ABSENT, BUSY, ok, mine) {
-            Ok(_) => {}
-            Err(mut kept) => {
-                while kept == BUSY {
-                    std::thread::yield_now();
-                    kept = entry.load(Ordering::Acquire);
-                }
-                if kept != ABSENT {
-                    return Place::Kept((kept as usize - 1) * PER_BRICK);
-                }
-                return Place::Lent(self.filled(field, brick));
-            }
-        }
-        let slot = self.kept.len.fetch_add(1, Ordering::Relaxed);
-        if slot >= self.kept.most {
-            self.kept.len.store(self.kept.most, Ordering::Relaxed);
-            entry.store(ABSENT, Ordering::Release);
-            return Place::Lent(self.filled(field, brick));
-        }
-        let numbers = self.filled(field, brick);
-        // SAFETY: slot < most, and no other thread has or will have this slot; see `Kept`.
-        unsafe {
-            let to = (*self.kept.numbers.get())
-                .as_mut_ptr()
-                .add(slot * PER_BRICK);
-            to.copy_from_nonoverlapping(numbers.as_ptr(), PER_BRICK);
-        }
-        entry.store(slot as u32 + 1, Ordering::Release);
-        Place::Kept(slot * PER_BRICK)
+    pub(crate) fn brick_of(&self, field: &Field<'_>, cell: [usize; 3]) -> (Numbers, usize) {
+        let within = (0..3).map(|a| cell[a] % CELLS * STRIDE[a]).sum();
+        (self.filled(field, cell.map(|c| c / CELLS)), within)
     }
 
     /// The slopes at the voxels of a brick: differences across it, on each axis by itself and between the corners of a box,
     /// of values held near the wall's own. The corners' part is a product of three sums along the axes.
-    fn filled(&self, field: &Field<'_>, brick: [usize; 3]) -> Box<[i16; PER_BRICK]> {
+    fn filled(&self, field: &Field<'_>, brick: [usize; 3]) -> Numbers {
         thread_local! {
             static WORK: RefCell<Work> = RefCell::default();
         }
@@ -241,12 +139,16 @@ impl NormalBricks {
     }
 }
 
-/// A table without bricks: memory that is zero and touched only where a ray comes.
-fn absent(num: usize) -> Box<[AtomicU32]> {
-    let zeros = vec![ABSENT; num].into_boxed_slice();
-    // SAFETY: an AtomicU32 has the size, the alignment and the bits of a u32. Benchmark: one by one they would be written,
-    // 10 MB for a chest, of which a view touches a hundredth.
-    unsafe { Box::from_raw(Box::into_raw(zeros) as *mut [AtomicU32]) }
+impl Fill for NormalBricks {
+    fn store(&self) -> &Store {
+        &self.store
+    }
+
+    fn fill(&self, field: &Field<'_>, number: usize) -> bool {
+        let brick = self.store.brick(number);
+        let filled = || Some(self.filled(field, brick));
+        self.store.fill(number, filled).is_some()
+    }
 }
 
 /// The parts of a brick on the way to its slopes.
@@ -270,7 +172,7 @@ impl Work {
         self.halo = bricks.taps.map(|taps| taps.halo());
         self.n = self.halo.map(|halo| VOXELS + 2 * halo);
         let [low, high] = bricks.held;
-        let last = bricks.shape.map(|n| n as isize - 1);
+        let last = bricks.store.shape.map(|n| n as isize - 1);
         let at = |a: usize, n: usize| {
             let voxel = (brick[a] * CELLS + n) as isize - self.halo[a] as isize;
             voxel.clamp(0, last[a]) as usize * field.stride[a]
@@ -320,7 +222,7 @@ impl Work {
         }
     }
 
-    fn slopes(&self, taps: &[Taps; 3], scale: f32) -> Box<[i16; PER_BRICK]> {
+    fn slopes(&self, taps: &[Taps; 3], scale: f32) -> Numbers {
         let [row, rows, _] = self.n;
         let stride = [1, row, row * rows];
         let mut out = Box::new([0; PER_BRICK]);

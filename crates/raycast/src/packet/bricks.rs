@@ -1,0 +1,128 @@
+//! Bricks read by packets, lane by lane.
+
+use super::lanes::{Array, Lanes, each_lane};
+use crate::{
+    Field,
+    bricks::{CELLS, Fill, PER_BRICK, STRIDE},
+};
+
+const _: () = assert!(CELLS == 4, "`quarters` and `modulo_4` are made for it");
+
+/// Memory steps from a cell's lower corner to its four rows along x, in bricks of voxels.
+const ROWS: [i32; 4] = [
+    0,
+    STRIDE[1] as i32,
+    STRIDE[2] as i32,
+    (STRIDE[1] + STRIDE[2]) as i32,
+];
+
+/// The bricks of a volume.
+pub(super) struct Reader<'a, B> {
+    bricks: &'a B,
+    field: &'a Field<'a>,
+    num_bricks: [i32; 2],
+}
+
+impl<B> Clone for Reader<'_, B> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<B> Copy for Reader<'_, B> {}
+
+#[inline(always)]
+fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
+    l.fma(t, l.sub(b, a), a)
+}
+
+/// Between the two numbers of a pair.
+#[inline(always)]
+fn lerp_pair<L: Lanes>(l: L, t: L::F, pair: L::I) -> L::F {
+    l.fma(t, l.to_f(l.rise(pair)), l.to_f(l.first(pair)))
+}
+
+impl<'a, B: Fill> Reader<'a, B> {
+    #[inline(always)]
+    pub(super) fn of(field: &'a Field<'a>, bricks: &'a B) -> Self {
+        let [ni, nj, _] = bricks.store().num_bricks();
+        Self {
+            bricks,
+            field,
+            num_bricks: [ni as i32, nj as i32],
+        }
+    }
+
+    /// For each lane one more than the place of its cell's brick; `None` if a wanted lane has none. Lanes at rest without
+    /// one get the first, for which there is memory: a volume has at least one.
+    ///
+    /// Every lane's cell must lie in the volume, also that of a lane at rest.
+    #[inline(always)]
+    fn find<L: Lanes>(&self, l: L, ijk: &[L::I; 3], wanted: L::M) -> Option<L::I> {
+        let [ni, nj] = [l.splat_i(self.num_bricks[0]), l.splat_i(self.num_bricks[1])];
+        let number = l.add_i(l.mul_i(l.quarters(ijk[2]), nj), l.quarters(ijk[1]));
+        let number = l.add_i(l.mul_i(number, ni), l.quarters(ijk[0]));
+        let table = self.bricks.store().table().as_ptr();
+        // SAFETY: cells lie in the volume, so their bricks are among its own. Benchmark: docs/decisions/0081.
+        let mut kept = unsafe { l.links(table, number) };
+        let absent = l.bits(l.without(wanted, l.less_i(l.splat_i(0), kept)));
+        if absent != 0 {
+            if !self.fill(&l.store_i(number), absent) {
+                return None;
+            }
+            // SAFETY: as above.
+            kept = unsafe { l.links(table, number) };
+        }
+        Some(l.max_i(kept, l.splat_i(1)))
+    }
+
+    /// Fills the bricks of some lanes; false if one of them cannot be kept.
+    #[cold]
+    #[inline(never)]
+    fn fill(&self, numbers: &Array<i32>, lanes: u32) -> bool {
+        let mut all = true;
+        each_lane(lanes, |n| {
+            all &= self.bricks.fill(self.field, numbers[n] as usize);
+        });
+        all
+    }
+
+    /// The four numbers of voxels, interpolated between those of each lane's cell `ijk` at `t`; `None` if a wanted lane has
+    /// no brick.
+    ///
+    /// Every lane's cell must lie in the volume, also that of a lane at rest.
+    #[inline(always)]
+    pub(super) fn between_voxels<L: Lanes>(
+        &self,
+        l: L,
+        ijk: &[L::I; 3],
+        t: &[L::F; 3],
+        wanted: L::M,
+    ) -> Option<[L::F; 4]> {
+        let kept = self.find(l, ijk, wanted)?;
+        let mut at = l.mul_i(l.sub_i(kept, l.splat_i(1)), l.splat_i(PER_BRICK as i32));
+        for a in 0..3 {
+            let steps = l.mul_i(l.modulo_4(ijk[a]), l.splat_i(STRIDE[a] as i32));
+            at = l.add_i(at, steps);
+        }
+        // SAFETY: the lower corner of a cell in a brick, whose eight corners lie in the brick. Benchmark: as above.
+        let rows = unsafe { l.quadruples(self.bricks.store().numbers(), at, ROWS) };
+        let mut out = [t[0]; 4];
+        for c in 0..4 {
+            let low = lerp(
+                l,
+                t[1],
+                lerp_pair(l, t[0], rows[0][c]),
+                lerp_pair(l, t[0], rows[1][c]),
+            );
+            let high = lerp(
+                l,
+                t[1],
+                lerp_pair(l, t[0], rows[2][c]),
+                lerp_pair(l, t[0], rows[3][c]),
+            );
+            out[c] = lerp(l, t[2], low, high);
+        }
+        Some(out)
+    }
+}
