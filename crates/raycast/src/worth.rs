@@ -46,7 +46,7 @@ pub(crate) fn if_it_pays<'a>(
 /// How many samples of brute force a look-up costs as much time as; measured, docs/decisions/0005.
 fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
     match (method, frame.options.interpolation) {
-        (Method::LeapClasses(_), Interpolation::Nearest) => 24,
+        (Method::LeapClasses(_), Interpolation::Nearest) => 7,
         (Method::LeapClasses(_), Interpolation::Trilinear) => 12,
         _ => 2,
     }
