@@ -180,8 +180,9 @@ impl Bricks {
             return frame.with_normals(bricks);
         }
         if frame.lights_samples() {
-            let fits = |bricks: &SampleBricks| bricks.fit(&frame) && !bricks.is_full();
-            let bricks = kept(&self.samples, fits, || SampleBricks::of(&frame));
+            let shape = frame.shape_ijk();
+            let fits = |bricks: &SampleBricks| bricks.fit(shape) && !bricks.is_full();
+            let bricks = kept(&self.samples, fits, || SampleBricks::of(shape));
             return frame.with_samples(bricks);
         }
         Ok(frame)

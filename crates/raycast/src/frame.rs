@@ -174,7 +174,7 @@ impl<'a> Frame<'a> {
     ///
     /// `samples` must have been filled from the same values, which is the caller's word.
     pub fn with_samples(mut self, samples: Arc<SampleBricks>) -> Result<Self, RaycastError> {
-        if !samples.fit(&self) {
+        if !samples.fit(self.shape_ijk()) {
             return Err(RaycastError::Setting {
                 what: "bricks of values",
                 expected: "those of this volume's shape".to_owned(),
@@ -196,6 +196,12 @@ impl<'a> Frame<'a> {
     #[must_use]
     pub const fn lights_walls(&self) -> bool {
         self.options.appearance.is_some()
+    }
+
+    /// Voxels of the volume along each axis.
+    #[must_use]
+    pub fn shape_ijk(&self) -> [usize; 3] {
+        self.grid.shape_ijk()
     }
 
     /// True if samples are lit while rays are cast.

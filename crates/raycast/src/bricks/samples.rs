@@ -4,8 +4,8 @@
 //! voxels the gradient is a central difference of integers and exact. Kept beside the value, four int16 for a voxel, a
 //! sample is four reads, of two voxels each (docs/decisions/0081).
 
-use super::{CELLS, Fill, MOST_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
-use crate::{Field, Frame};
+use super::store::{CELLS, Fill, MOST_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
+use crate::Field;
 
 /// Bricks of values and gradients of one volume: at each voxel the value and the differences along i, j and k between the
 /// voxels after it and before it.
@@ -15,24 +15,24 @@ pub struct SampleBricks {
 }
 
 impl SampleBricks {
-    /// No brick yet, for the volume of a frame.
+    /// No brick yet, for a volume of this shape.
     #[must_use]
-    pub fn of(frame: &Frame<'_>) -> Self {
-        Self::with_room(frame, MOST_BRICKS)
+    pub fn of(shape_ijk: [usize; 3]) -> Self {
+        Self::with_room(shape_ijk, MOST_BRICKS)
     }
 
     /// The same with room for so many bricks.
     #[must_use]
-    pub fn with_room(frame: &Frame<'_>, most: usize) -> Self {
+    pub fn with_room(shape_ijk: [usize; 3], most: usize) -> Self {
         Self {
-            store: Store::new(frame.grid.shape_ijk(), most),
+            store: Store::new(shape_ijk, most),
         }
     }
 
-    /// Whether a frame's volume has this shape. That it has the same values is the caller's word.
+    /// Whether they are of a volume of this shape. That it has the same values is the caller's word.
     #[must_use]
-    pub fn fit(&self, frame: &Frame<'_>) -> bool {
-        self.store.shape == frame.grid.shape_ijk()
+    pub fn fit(&self, shape_ijk: [usize; 3]) -> bool {
+        self.store.shape == shape_ijk
     }
 
     /// Bricks kept.

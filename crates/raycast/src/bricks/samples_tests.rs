@@ -80,7 +80,7 @@ impl Case {
             InstructionSet::Portable,
         )
         .unwrap();
-        let bricks = Arc::new(SampleBricks::with_room(&self.frame(), room));
+        let bricks = Arc::new(SampleBricks::with_room(self.frame().shape_ijk(), room));
         for simd in InstructionSet::available() {
             let frame = self.frame().with_samples(Arc::clone(&bricks)).unwrap();
             for _ in 0..2 {
@@ -134,7 +134,7 @@ fn bricks_of_another_shape_are_refused() {
         Case::random([8, 8, 8], [0, 100], 1),
         Case::random([8, 8, 9], [0, 100], 1),
     );
-    let samples = Arc::new(SampleBricks::of(&other.frame()));
+    let samples = Arc::new(SampleBricks::of(other.frame().shape_ijk()));
     let error = case.frame().with_samples(samples).unwrap_err();
     assert!(error.to_string().contains("bricks of values"), "{error}");
 }

@@ -6,7 +6,7 @@
 
 use std::cell::RefCell;
 
-use super::{CELLS, Fill, Numbers, PER_BRICK, PER_VOXEL, STRIDE, Store, VOXELS};
+use super::store::{CELLS, Fill, Numbers, PER_BRICK, PER_VOXEL, STRIDE, Store, VOXELS};
 use crate::Field;
 
 /// Six samples along the axes and eight at the corners of a box: their places in units of the reach, and the weight of
