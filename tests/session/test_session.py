@@ -578,6 +578,19 @@ def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
     assert bench.session.ask(WallAt(outside)).voxel_value is None
 
 
+def test_what_a_job_has_freed_is_given_back_before_whoever_waits_for_its_end_goes_on(monkeypatch):
+    order = []
+    monkeypatch.setattr("carina.session.jobs.give_freed_memory_back", lambda: order.append("given back"))
+
+    def fail(_job):
+        raise NoResultError("no trachea was found")
+
+    jobs = JobRunner(lambda work: work(), lambda told: order.append(told.outcome), time.monotonic)
+    jobs.start("first", "the first", lambda _job: order.append("worked"))
+    jobs.start("second", "the second", fail)
+    assert order == ["worked", "given back", "done", "given back", "failed"]
+
+
 def test_a_job_that_leaves_its_rest_to_another_one_ends_quietly_while_carina_closes():
     told, begun, closing = [], threading.Event(), threading.Event()
     pool = ThreadPoolExecutor(1)

@@ -16,6 +16,7 @@ from carina.disk import disk_trouble, is_disk_trouble
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
 from carina.session.errands import current_errand
+from carina.session.freed import give_freed_memory_back
 
 __all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "log_fault"]
 
@@ -240,6 +241,7 @@ class JobRunner:
         except BaseException as trouble:
             # BaseException: a panic of the compiled module is no Exception, and a job must end whatever happens.
             outcome, error = "failed", _fault(job.title, trouble)
+        give_freed_memory_back()
         errand = current_errand()
         if errand is not None:
             # Before the runner is idle: whoever waits for that knows how it ended.
