@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import signal
+import socket
 import subprocess
 import sys
 
@@ -36,6 +38,27 @@ def test_what_cannot_be_opened_is_refused_before_a_server_starts(tmp_path):
     with pytest.raises(VolumeImportError):
         serve(str(tmp_path / "nothing-here"), open_browser=False, on_ready=lambda *told: ready.append(told))
     assert ready == []
+
+
+def test_connections_send_at_once_what_is_small():
+    """Else a picture waits for the acknowledgement of the message before it, which a window puts off by up to 40 ms."""
+
+    async def at_once() -> bool:
+        found: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+        async def connected(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            found.set_result(writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        with bind("127.0.0.1", 0) as listening:
+            async with await asyncio.start_server(connected, sock=listening):
+                _, writer = await asyncio.open_connection(*listening.getsockname())
+                async with asyncio.timeout(60.0):
+                    answer = await found
+                writer.close()
+        return answer != 0
+
+    assert asyncio.run(at_once())
 
 
 def test_a_port_in_use_is_said_before_anything_is_opened():

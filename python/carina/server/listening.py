@@ -25,7 +25,9 @@ def bind(host: str, port: int) -> socket.socket:
         raise CarinaError(
             f"cannot listen on {host!r}: this machine has no such address", code="server.host"
         ) from trouble
-    sock = socket.socket(family, socket.SOCK_STREAM)
+    # Named as TCP: asyncio sends at once only on its connections. On others a picture waits until the window
+    # has acknowledged the message before it, which it puts off by up to 40 ms (Nagle, delayed acknowledgements).
+    sock = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         if os.name == "posix":
             # A port whose last connections are still closing is free; on Windows this flag would share a port in use.
