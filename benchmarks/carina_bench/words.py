@@ -89,8 +89,9 @@ def beside(rows: Rows) -> list[str]:
         times = ", ".join(f"{key} {value['median']:.4g} ms" for key, value in row["cpu_ms"].items())
         more = f"; {row['bytes_per_voxel']} bytes a voxel" if row.get("bytes_per_voxel") is not None else ""
         ratio = row["ratio"]
+        again = f"; called again {row['ratio_again']['median']:.2f}x" if "ratio_again" in row else ""
         lines.append(
-            f"  {row['case'][:14]:14} {ratio['median']:.2f}x (least times: {ratio['min']:.2f}x)  {times}{more}"
+            f"  {row['case'][:14]:14} {ratio['median']:.2f}x (least times: {ratio['min']:.2f}x{again})  {times}{more}"
         )
     return lines
 
