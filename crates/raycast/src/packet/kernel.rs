@@ -95,8 +95,8 @@ impl Scene<'_> {
         // Lanes whose next sample may be visible.
         let mut visible = 0;
         loop {
-            // Rays come and go several at a time: a change costs about as much as a look-up.
-            if L::N - active.count_ones() as usize >= L::N / 4 {
+            // Rays come and go many at a time: a change costs about as much as a look-up (docs/decisions/0081).
+            if L::N - active.count_ones() as usize >= L::N / 2 {
                 if visible != 0 {
                     band.shading.take_from(l, &mut packet, visible, O::HITS);
                     visible = 0;
@@ -181,7 +181,7 @@ impl Scene<'_> {
         // Lanes whose last sample was clear.
         let mut clear = 0;
         loop {
-            if L::N - active.count_ones() as usize >= L::N / 8 {
+            if L::N - active.count_ones() as usize >= L::N / 4 {
                 if clear != 0 {
                     band.searching.take_from(l, &mut packet, clear, O::HITS);
                     clear = 0;
