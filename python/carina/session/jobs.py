@@ -113,7 +113,11 @@ class Job:
         self.check()
         now_s = self._runner.clock()
         if what != self._stage:
-            self._stage, self._stage_began_s, self._told_s = what, now_s, float("-inf")
+            before = None if self.latest is None or self._stage == "" else self.latest.fraction
+            # A share that goes on from that of the stage before is a share of the whole.
+            if before is None or fraction is None or fraction < before:
+                self._stage_began_s = now_s
+            self._stage, self._told_s = what, float("-inf")
         left_s: float | None = None
         if fraction is not None:
             fraction = min(1.0, max(0.0, fraction))
