@@ -490,7 +490,7 @@ def test_progress_tells_the_time_left():
 
 def test_time_left_goes_by_the_whole_where_stages_go_on_from_each_other_and_by_the_stage_where_they_begin_anew():
     bench = small_bench()
-    stages = (("lungs", 0.0), ("vessels", 0.1), ("lobes", 0.5), ("edges", 0.0), ("edges", 0.5))
+    stages = (("lungs", 0.0), ("vessels", 0.1), ("lobes", 0.5), ("edges", 0.1), ("edges", 0.55))
 
     def find_airways(volume, *, progress, **_options):
         for what, share in stages:
