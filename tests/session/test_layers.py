@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -205,6 +206,10 @@ def test_the_lungs_of_a_phantom_have_vessels_lobes_and_progress_that_can_stop_it
     assert {name for name, _ in lungs.lobes} >= {"RUL", "RLL", "LUL", "LLL"}
     shares = [share for _, share in told]
     assert shares == sorted(shares)
+    # Every stage looks for a stop several times: none of them is waited for to its end.
+    looks = Counter(what for what, _ in told)
+    assert looks["looking for vessels"] >= 8
+    assert min(count for what, count in looks.items() if what != "finding the lungs") >= 3
 
     def stop(what, _share):
         if "vessels" in what:

@@ -488,6 +488,23 @@ def test_progress_tells_the_time_left():
     assert told == [(0.0, None), (0.04, None), (0.05, pytest.approx(38.0)), (0.25, pytest.approx(9.0))]
 
 
+def test_time_left_goes_by_the_whole_where_stages_go_on_from_each_other_and_by_the_stage_where_they_begin_anew():
+    bench = small_bench()
+    stages = (("lungs", 0.0), ("vessels", 0.1), ("lobes", 0.5), ("edges", 0.1), ("edges", 0.55))
+
+    def find_airways(volume, *, progress, **_options):
+        for what, share in stages:
+            progress(what, share)
+            bench.clock.advance(4.0)
+        return small_airways(volume)
+
+    core = bench.session._core
+    core.parts = replace(core.parts, find_airways=find_airways)
+    bench.open()
+    told = [e.seconds_left for e in bench.events if isinstance(e, JobProgress) and e.what in dict(stages)]
+    assert told == [None, pytest.approx(36.0), pytest.approx(8.0), None, pytest.approx(4.0)]
+
+
 def test_undo_keeps_a_few_airways_and_not_all_of_them():
     bench = small_bench()
     bench.open()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,7 +63,12 @@ class FissureBox:
 
 
 def fissures(
-    box: Box, label_zyx: NDArray[np.uint8], border_mm: Values, lps_from_ijk: NDArray[np.float64]
+    box: Box,
+    label_zyx: NDArray[np.uint8],
+    border_mm: Values,
+    lps_from_ijk: NDArray[np.float64],
+    *,
+    progress: Callable[[float], None] | None = None,
 ) -> FissureBox:
     """Plates in the lungs near the lobes' borders.
 
@@ -72,13 +78,22 @@ def fissures(
         Both lungs at 1 mm.
     label_zyx, border_mm, lps_from_ijk
         Lobes by the airways alone, on their own grid (`carina.plan.lobes`).
+    progress
+        Told the share done; it may raise CancelledError.
     """
+
+    def say(share: float) -> None:
+        if progress is not None:
+            progress(share)
+
     near = _near_border(box, label_zyx, border_mm, lps_from_ijk)
     lung_hu = lung_median_hu(box.hu_zyx[::2, ::2, ::2])
     soft = smoothed(box.hu_zyx, SIGMA_MM / box.step_mm)
+    say(0.5)
     # Vessels and what they blur into: a plate of two layers of pleura is never so bright.
     bright = ball_distance(~(box.hu_zyx > lung_hu + 450.0), box.step_mm)
     where = near & box.known & (bright > 1.5) & (soft < lung_hu + 300.0)
+    say(0.8)
     strength, noise = _plate_strength(soft, where, SIGMA_MM / box.step_mm)
     least = max(LEAST_HU, TIMES_NOISE * noise)
     sheets = _large_sheets(strength > least, box.step_mm)

@@ -102,17 +102,32 @@ def lobes(
         box = lung_box(volume)
     say("the lobes by their airways", 0.2)
     inside, matrix = _coarse(box)
-    first = nearest_lobe(inside, matrix, tree)
+    first = nearest_lobe(inside, matrix, tree, progress=_part(say, "the lobes by their airways", 0.2, 0.4))
     say("looking for fissures", 0.4)
-    seen = fissures(box, first.label_zyx, first.border_mm, matrix)
-    say("the lobes by airways and fissures", 0.8)
-    return nearest_lobe(inside, matrix, tree, seen)
+    told = _part(say, "looking for fissures", 0.4, 0.7)
+    seen = fissures(box, first.label_zyx, first.border_mm, matrix, progress=told)
+    last = "the lobes by airways and fissures"
+    say(last, 0.7)
+    return nearest_lobe(inside, matrix, tree, seen, progress=_part(say, last, 0.7, 1.0))
+
+
+def _part(say: Callable[[str, float], None], what: str, first: float, last: float) -> Callable[[float], None]:
+    """Tells the share done of one part as that of the whole."""
+    return lambda share: say(what, first + (last - first) * share)
 
 
 def nearest_lobe(
-    inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree, seen: FissureBox | None = None
+    inside: Mask,
+    lps_from_ijk: NDArray[np.float64],
+    tree: AirwayTree,
+    seen: FissureBox | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
 ) -> Lobes:
-    """Each place of the lungs (a grid of 2 mm) belongs to the lobe whose airways are nearest through the lung."""
+    """Each place of the lungs (a grid of 2 mm) belongs to the lobe whose airways are nearest through the lung.
+
+    ``progress`` is told the share done, and may raise CancelledError.
+    """
     seeds = _seeds(inside, lps_from_ijk, tree)
     if not seeds:
         raise NoResultError(
@@ -125,7 +140,9 @@ def nearest_lobe(
         near_seen = seen.on_grid(inside.shape, lps_from_ijk, STEP_MM)
         speed[near_seen & inside] = 1.0 / FISSURE_SLOWS
     times = np.full((len(LOBE_NAMES), *inside.shape), np.inf, dtype=np.float32)
-    for lobe, at in seeds.items():
+    for n, (lobe, at) in enumerate(seeds.items()):
+        if progress is not None:
+            progress(n / len(seeds))
         times[LOBE_NAMES.index(lobe)] = _arrival(speed, at)
     best = times.argmin(axis=0)
     reached = np.isfinite(times.min(axis=0)) & inside

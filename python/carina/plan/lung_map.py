@@ -113,8 +113,12 @@ def map_lungs(
 
     say("finding the lungs", 0.0)
     box = lung_box(volume)
-    say("looking for vessels", 0.1)
-    made = _with_vessels(lung_surroundings(volume, wall, box=box))
+    looking = "looking for vessels"
+    say(looking, 0.05)
+    seen = lung_surroundings(volume, wall, box=box, progress=lambda share: say(looking, 0.05 + 0.4 * share))
+    say(looking, 0.45)
+    made = _with_vessels(seen)
+    say(looking, 0.5)
     if found is not None:
         found(made)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,6 +36,10 @@ THICKEST_VESSEL_MM = 14.0
 """Thicker than this it is mediastinum, chest wall or diaphragm."""
 LEAST_MM3 = 12.0
 """A smaller piece is noise."""
+SLAB = 48
+"""Slices in which walls are asked for between two looks at whether to stop."""
+
+Progress = Callable[[float], None]
 
 
 @one_line
@@ -100,17 +105,20 @@ def surroundings(
     return replace(_seen(Box.around(volume, centre_lps, half_mm), nodule, wall), fissure=fissure)
 
 
-def lung_surroundings(volume: Volume, wall: WallField, *, box: Box | None = None) -> Surroundings:
+def lung_surroundings(
+    volume: Volume, wall: WallField, *, box: Box | None = None, progress: Progress | None = None
+) -> Surroundings:
     """The same for the whole of both lungs, at 1 mm: for pictures of the vessels, not for needles.
 
-    Vessels thinner than about 1 mm are seen in part. ``box`` is `lung_box` of the CT, where it is at hand.
+    Vessels thinner than about 1 mm are seen in part. ``box`` is `lung_box` of the CT, where it is at hand;
+    ``progress`` is told the share done, and may raise CancelledError.
 
     Raises
     ------
     NoResultError
         If there is no lung in the CT (code ``plan.no_lung``).
     """
-    return _seen(lung_box(volume) if box is None else box, None, wall)
+    return _seen(lung_box(volume) if box is None else box, None, wall, progress or _unheard)
 
 
 def lung_box(volume: Volume) -> Box:
@@ -198,11 +206,16 @@ def _lung(coarse: NDArray[np.float32]) -> Mask:
     return found
 
 
-def _seen(box: Box, nodule: Nodule | None, wall: WallField) -> Surroundings:
+def _unheard(_share: float) -> None:
+    """Where nobody listens."""
+
+
+def _seen(box: Box, nodule: Nodule | None, wall: WallField, progress: Progress = _unheard) -> Surroundings:
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
     lung_hu = lung_median_hu(smooth)
+    progress(0.15)
     # Most of a lung is neither dense nor near a wall: walls are asked for where something is.
-    to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU)
+    to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU, lambda share: progress(0.15 + 0.3 * share))
     dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)
     clear = to_wall < -LINE_WALL_MM
     if nodule is not None:
@@ -212,14 +225,17 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField) -> Surroundings:
         clear &= away
     half = 0.5 * THICKEST_VESSEL_MM
     core = ball_distance(dense, box.step_mm) > half
+    progress(0.5)
     thick = dense & (ball_distance(~core, box.step_mm) <= half + box.step_mm) if core.any() else np.zeros_like(dense)
     wide = _large_pieces(dense & ~thick & box.known, LEAST_MM3 / box.step_mm**3)
-    thin, sure = thin_vessels(box, lung_hu, clear & ~thick)
+    progress(0.6)
+    thin, sure = thin_vessels(box, lung_hu, clear & ~thick, progress=lambda share: progress(0.6 + 0.2 * share))
     sure[wide] = 1.0
     vessel = wide | thin
-    return Surroundings(
-        box, lung_hu, vessel, thick, _distance(vessel, box.step_mm), _distance(thick, box.step_mm), sure
-    )
+    progress(0.8)
+    vessel_mm = _distance(vessel, box.step_mm)
+    progress(0.9)
+    return Surroundings(box, lung_hu, vessel, thick, vessel_mm, _distance(thick, box.step_mm), sure)
 
 
 def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
@@ -228,16 +244,21 @@ def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     return ball_distance(~mask, step_mm)
 
 
-def _to_wall(box: Box, wall: WallField, where: Mask) -> NDArray[np.float32]:
+def _to_wall(box: Box, wall: WallField, where: Mask, progress: Progress) -> NDArray[np.float32]:
     """Signed distance to the airways' wall, above 0 in a lumen; far outside where it was not asked for."""
     found = np.full(where.shape, -np.inf, dtype=np.float32)
-    found[where] = wall.distance_mm(_centres(box, where))
+    num = len(where)
+    for first in range(0, num, SLAB):
+        progress(first / num)
+        part = slice(first, first + SLAB)
+        found[part][where[part]] = wall.distance_mm(_centres(box, where[part], first))
     return found
 
 
-def _centres(box: Box, where: Mask) -> NDArray[np.float64]:
+def _centres(box: Box, where: Mask, first: int = 0) -> NDArray[np.float64]:
+    """Of the voxels of a mask of some slices, from the ``first`` on."""
     k, j, i = np.nonzero(where)
-    return np.stack([i, j, k], axis=1) * box.step_mm + box.lps_from_ijk[:3, 3]
+    return np.stack([i, j, k + first], axis=1) * box.step_mm + box.lps_from_ijk[:3, 3]
 
 
 def _large_pieces(mask: Mask, least_voxels: float) -> Mask:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -66,7 +67,9 @@ class VesselTree:
         return sum(float(np.linalg.norm(np.diff(b.points_lps, axis=0), axis=1).sum()) for b in self.branches)
 
 
-def thin_vessels(box: Box, lung_hu: float, clear: Mask) -> tuple[Mask, Values]:
+def thin_vessels(
+    box: Box, lung_hu: float, clear: Mask, *, progress: Callable[[float], None] | None = None
+) -> tuple[Mask, Values]:
     """Voxels of bright lines, and how sure it is of each that it is one.
 
     A line curves downwards in two directions across and hardly along; a plate (a fissure, the pleura) in one, and a
@@ -76,6 +79,8 @@ def thin_vessels(box: Box, lung_hu: float, clear: Mask) -> tuple[Mask, Values]:
     ----------
     clear
         (nz, ny, nx) where vessels can be: away from airways' walls, the nodule, thick tissue.
+    progress
+        Told the share done; it may raise CancelledError.
 
     Returns
     -------
@@ -86,6 +91,8 @@ def thin_vessels(box: Box, lung_hu: float, clear: Mask) -> tuple[Mask, Values]:
     inner = box.known & clear
     rises = inner & (soft > lung_hu + RISE_HU)
     plain = inner & (soft < lung_hu + RISE_HU) & (soft > lung_hu - 150.0)
+    if progress is not None:
+        progress(0.3)
     curved, noise = _line_strength(box, rises, plain)
     least = max(LEAST_HU, TIMES_NOISE * noise)
     mask = _long_pieces(curved > least, box.step_mm)

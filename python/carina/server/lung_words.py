@@ -46,6 +46,7 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
                 "none is shown in the outermost 3 mm of the lungs.",
                 "Dashed: less sure. Scars and airways that were not found may look like vessels.",
             ),
+            (),
         )
     if lungs.fissures is not None:
         seen = lungs.fissures.inside_zyx.any()
@@ -53,16 +54,19 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
             "fissures",
             "as far as the CT shows them" if seen else "none seen",
             ("Where none is shown there may be one, it may be fused, or the CT is too blurred for it.",),
+            (),
         )
     if lungs.lobes:
         missing = f"No bronchus of {', '.join(lungs.missing_lobes)} is on the tree: its lung is counted to the others."
         yield wire.MappedLayer(
             "lobes",
-            ", ".join(f"{name} {mask.ml:.0f} ml" for name, mask in lungs.lobes),
+            "estimated borders",
             (
+                f"About {', '.join(f'{name} {mask.ml:.0f} ml' for name, mask in lungs.lobes)}.",
                 "The borders are estimated from the airways, and lie on a fissure only where one is shown.",
                 *((missing,) if lungs.missing_lobes else ()),
             ),
+            tuple(name for name, _ in lungs.lobes),
         )
 
 
@@ -72,6 +76,7 @@ def _reach_layer(reach: ReachAtlas) -> wire.MappedLayer:
         "reach",
         f"{reach.scope.title} with {tool}: {100.0 * reach.share:.0f} % of the lungs",
         (NO_DRIVE, "Dashed: may reach."),
+        (),
     )
 
 

@@ -129,6 +129,8 @@ class MappedLayer(FrozenValue, frozen=True):
     """What it shows, in figures."""
     limits: tuple[Words, ...]
     """What it does not show, and how sure it is."""
+    parts: tuple[Identifier, ...]
+    """Of lobes their names, as pictures have them (``PictureLayer.part``): each has a colour of its own."""
 
 
 class Station(FrozenValue, frozen=True):

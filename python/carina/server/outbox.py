@@ -15,8 +15,22 @@ MAX_TEXTS = 2000
 """Text messages waiting for a window that does not read; beyond it is cut off."""
 MAX_PICTURES = 200
 """The same of pictures: those that are not acknowledged count as lost after a while, and others follow."""
-TOPICS = ("start", "state", "tree", "route", "plan", "key_frames", "flights", "history", "pose", "watching", "handled")
-"""In the order in which they are sent: what was done is said after what came of it."""
+TOPICS = (
+    "start",
+    "state",
+    "tree",
+    "route",
+    "plan",
+    "lungs",
+    "key_frames",
+    "flights",
+    "history",
+    "pose",
+    "watching",
+    "handled",
+)
+"""In the order in which they are sent: what was done is said after what came of it. The session's ``views`` is not
+among them: it asks for pictures."""
 NEWEST_ONLY = (wire.Value, wire.LivePath, wire.BranchDetail, wire.EditPreview, wire.Devices, wire.Pen, wire.Cluster)
 """Messages of which only the newest matters: answers to a cursor, and what is told again and again."""
 

@@ -122,8 +122,9 @@ class SharedTexts:
             info = self._session.ask(LungsOf())
         except UsageError:
             return wire.encode_message(wire.Lungs("unwanted", "unwanted", (), (), "", (), False))
-        state = (info.lungs, info.reach, info.standing, info.reach_standing, info.stations, info.outdated)
-        return self._cached("lungs", lambda: lungs_message(info), *state)
+        made = (info.lungs, info.reach, info.stations, info.outdated)
+        standing = (info.standing, info.problem, info.reach_standing, info.reach_problem)
+        return self._cached("lungs", lambda: lungs_message(info), *made, *standing)
 
     def flights(self) -> str:
         """What was recorded into the case."""

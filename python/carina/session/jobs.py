@@ -82,7 +82,8 @@ class Job:
         self._runner = runner
         self._cancelled = threading.Event()
         self._stage = ""
-        self._stage_began_s = 0.0
+        self._began_s, self._began_at = 0.0, 0.0
+        """When, and at what share, began what the time left is guessed from."""
         self._told_s = float("-inf")
         self.latest: JobProgress | None = None
 
@@ -114,13 +115,18 @@ class Job:
         self.check()
         now_s = self._runner.clock()
         if what != self._stage:
-            self._stage, self._stage_began_s, self._told_s = what, now_s, float("-inf")
+            before = None if self.latest is None or self._stage == "" else self.latest.fraction
+            # A share that goes on from that of the stage before is a share of the whole.
+            if before is None or fraction is None or fraction < before:
+                self._began_s, self._began_at = now_s, fraction or 0.0
+            self._stage, self._told_s = what, float("-inf")
         left_s: float | None = None
         if fraction is not None:
             fraction = min(1.0, max(0.0, fraction))
-            # Below 5 % the guess would be noise.
-            if fraction >= 0.05:
-                left_s = (now_s - self._stage_began_s) * (1.0 - fraction) / fraction
+            # Of less than 5 % done the guess would be noise.
+            done = fraction - self._began_at
+            if done >= 0.05:
+                left_s = (now_s - self._began_s) * (1.0 - fraction) / done
         self.latest = JobProgress(self.job_id, self.title, what, fraction, left_s)
         if now_s - self._told_s >= 0.1:
             self._told_s = now_s

@@ -62,9 +62,8 @@ class KeptDrives(Subject):
                 pilot.apply(place_pose(pose))
             recorder.close()
             assert into.number is not None
-            facts = RecordingFacts(
-                into.number, name, verdict.words, into.begun_s, round(recorder.length_s, 6), complete=True
-            )
+            words = verdict.words[:1].upper() + verdict.words[1:]
+            facts = RecordingFacts(into.number, name, words, into.begun_s, round(recorder.length_s, 6), complete=True)
             case.flights.unwritten = (*case.flights.unwritten, into)
             case.flights.listed = (*case.flights.listed, facts)
             # It can be flown without being read.

@@ -19,7 +19,10 @@ export function StepPanel() {
     <section className="step-panel" aria-label={STEP_WORDS[step].title}>
       <Jobs />
       <h2>{STEP_WORDS[step].title}</h2>
-      <div className="step-body">{body(step)}</div>
+      {/* Each step begins at its top, wherever the one before was scrolled to. */}
+      <div key={step} className="step-body">
+        {body(step)}
+      </div>
       {citation === null ? null : <Citation from={citation} />}
     </section>
   );

@@ -6,7 +6,7 @@ const LUNGS: LungsMessage = {
   type: "lungs",
   standing: "had",
   reach_standing: "unwanted",
-  layers: [{ layer: "vessels", words: "143 ml in both lungs", limits: ["No mediastinum."] }],
+  layers: [{ layer: "vessels", words: "143 ml in both lungs", limits: ["No mediastinum."], parts: [] }],
   stations: [
     { station: "7", words: "", point_lps: [0, 0, 0], direction_lps: [1, 0, 0], borders: "", doubts: [] },
     { station: "11L", words: "", point_lps: null, direction_lps: null, borders: "", doubts: [] },

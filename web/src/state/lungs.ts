@@ -50,6 +50,8 @@ export interface LayerRow {
   /** What it shows, in figures. */
   readonly told: string;
   readonly limits: readonly string[];
+  /** Those that have a colour each: lobes. */
+  readonly parts: readonly string[];
 }
 
 /** The layers that there are, in their order. */
@@ -61,9 +63,9 @@ export function layerRows(lungs: LungsMessage | null): LayerRow[] {
       const told = [...new Set(placed.map(({ station }) => station))].join(", ");
       return lungs.stations.length === 0
         ? []
-        : [{ ...row, told: told === "" ? "none placed" : told, limits: [lungs.station_limits] }];
+        : [{ ...row, told: told === "" ? "none placed" : told, limits: [lungs.station_limits], parts: [] }];
     }
     const found = lungs.layers.find(({ layer }) => layer === row.layer);
-    return found === undefined ? [] : [{ ...row, told: found.words, limits: found.limits }];
+    return found === undefined ? [] : [{ ...row, told: found.words, limits: found.limits, parts: found.parts }];
   });
 }

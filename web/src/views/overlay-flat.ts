@@ -80,7 +80,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
   }
   if (!seesThrough) {
-    paintStations(ink, viewport, scene, (lps) => {
+    paintStations(ink, viewport, scene, names, (lps) => {
       const seen = pixelFromLps(geometry, lps);
       return seen === null ? null : { ...viewport.screenAt(seen), near: inPlane(seen.depthMm) };
     });

@@ -1,7 +1,7 @@
 /** What was mapped round the targets, over slices and the cut-plane: vessels, fissures, lobes, and where a tool gets to. */
 
-import type { LayerName } from "../state/lungs";
-import { INK, type Ink, label, NamePlaces } from "./ink";
+import type { LayerName, ShownLayer } from "../state/lungs";
+import { INK, type Ink, label, type NamePlaces } from "./ink";
 import { LOBE_COLOURS } from "./overlay-names";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
@@ -29,15 +29,15 @@ const STYLES: Readonly<Record<LayerName, Readonly<Record<string, Style>>>> = {
   },
 };
 
-export const LAYER_COLOURS = {
+const LAYER_COLOURS = {
   vessels: "#7d9bff",
   fissures: "#f5efdf",
-  lobes: LOBE_COLOURS.RUL,
   reach: INK.accent,
   stations: "#ffb3c7",
 } as const;
 
-function colourOf(layer: LayerName, part: string): string {
+/** In the pictures and in the list beside them; lobes have one each. */
+export function layerColour(layer: ShownLayer, part = ""): string {
   if (layer !== "lobes") return LAYER_COLOURS[layer];
   return part in LOBE_COLOURS ? LOBE_COLOURS[part as keyof typeof LOBE_COLOURS] : INK.quiet;
 }
@@ -65,7 +65,7 @@ export function paintLayers(ink: Ink, viewport: Viewport, scene: Scene): void {
     ink.translate(origin.x, origin.y);
     ink.scale(perColumn, perRow);
     ink.transform(a, b, c, d, e, f);
-    ink.fillStyle = ink.strokeStyle = colourOf(layer, part);
+    ink.fillStyle = ink.strokeStyle = layerColour(layer, part);
     if (style.fill > 0) {
       ink.globalAlpha = style.fill;
       ink.fill(path, "evenodd");
@@ -90,9 +90,9 @@ export function paintStations(
   ink: Ink,
   viewport: Viewport,
   scene: Scene,
+  names: NamePlaces,
   seen: (lps: readonly [number, number, number]) => { x: number; y: number; near: boolean } | null,
 ): void {
-  const names = new NamePlaces();
   for (const { station, from, to } of scene.stations) {
     const [at, end] = [seen(from), seen(to)];
     if (at === null || end === null || !at.near) continue;

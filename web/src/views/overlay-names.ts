@@ -3,7 +3,7 @@
 import type { BranchNode } from "../state/airways";
 import { pixelFromLps, type SeenGeometry } from "../state/projection";
 import { asVec3 } from "../state/vec";
-import { INK, type Ink, line, NamePlaces, type ScreenPoint } from "./ink";
+import { INK, type Ink, line, type NamePlaces, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
@@ -63,10 +63,15 @@ function bandOf(
   return { points: seen.map((pixel) => viewport.screenAt(pixel)), width: Math.max(width, 1.5) };
 }
 
-/** Names at the middle of their branches, large branches first. */
-export function paintNames(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
+/** Names at the middle of their branches, large branches first; those of targets and stations are there before. */
+export function paintNames(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: SeenGeometry,
+  scene: Scene,
+  places: NamePlaces,
+): void {
   const { width, height } = viewport.size;
-  const places = new NamePlaces();
   let left = Math.floor((width * height) / PX2_A_NAME);
   for (const node of scene.titled) {
     if (left <= 0) return;

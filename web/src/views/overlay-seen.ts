@@ -69,7 +69,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
     names.name(ink, target.name, at, colour, viewport.size);
   }
   if (isTree) {
-    paintStations(ink, viewport, scene, (lps) => {
+    paintStations(ink, viewport, scene, names, (lps) => {
       const seen = pixelFromLps(geometry, lps);
       return seen === null ? null : { ...viewport.screenAt(seen), near: true };
     });
@@ -85,7 +85,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
   }
   paintPen(ink, viewport, geometry, scene, () => true);
-  if (isTree) paintNames(ink, viewport, geometry, scene);
+  if (isTree) paintNames(ink, viewport, geometry, scene, names);
   paintLetters(ink, viewport, axesOf(geometry));
   paintCursorNote(ink, viewport, scene);
 }

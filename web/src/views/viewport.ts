@@ -193,8 +193,12 @@ export class Viewport {
     this.picture.width = width;
     this.picture.height = height;
     if (kept !== null && this.header !== null) {
-      const fit = fitInside(kept, width, height);
-      this.picture.getContext("2d")?.drawImage(kept, fit.x, fit.y, fit.width, fit.height);
+      // By the picture's proportions, not the old canvas's: what is drawn over it goes by those.
+      const from = fitInside(this.header, kept.width, kept.height);
+      const to = fitInside(this.header, width, height);
+      this.picture
+        .getContext("2d")
+        ?.drawImage(kept, from.x, from.y, from.width, from.height, to.x, to.y, to.width, to.height);
     }
   }
 

@@ -1437,6 +1437,7 @@ export interface MappedLayer {
   readonly layer: "fissures" | "lobes" | "reach" | "vessels";
   readonly words: string;
   readonly limits: readonly string[];
+  readonly parts: readonly string[];
 }
 
 /** Where a lymph node station is looked for with EBUS, by the airways alone. */

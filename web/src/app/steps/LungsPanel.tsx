@@ -1,9 +1,8 @@
 /** What lies round the target, and where an instrument gets: asked for here, switched on and off here. */
 
 import { sentence } from "../../state/format";
-import { layerRows, type ShownLayer } from "../../state/lungs";
-import { LAYER_COLOURS } from "../../views/overlay-layers";
-import { LOBE_COLOURS } from "../../views/overlay-names";
+import { layerRows } from "../../state/lungs";
+import { layerColour } from "../../views/overlay-layers";
 import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
 import { Icon } from "../icons";
@@ -50,7 +49,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
       />
       {rows.length === 0 ? null : (
         <ul className="layers">
-          {rows.map(({ layer, title: name, words, told, limits }) => (
+          {rows.map(({ layer, title: name, words, told, limits, parts }) => (
             <li key={layer} data-testid={`layer-${layer}`}>
               <SwitchKey
                 label={name}
@@ -61,7 +60,7 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
               />
               <details>
                 <summary>
-                  <Swatch layer={layer} />
+                  {parts.length === 0 ? <Swatch colour={layerColour(layer)} /> : null}
                   <span className="numbers">{told}</span>
                 </summary>
                 {limits.map((limit) => (
@@ -71,6 +70,16 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
                 ))}
                 {layer === "stations" ? <Stations /> : null}
               </details>
+              {parts.length === 0 ? null : (
+                <ul className="parts" data-testid={`parts-${layer}`}>
+                  {parts.map((part) => (
+                    <li key={part}>
+                      <Swatch colour={layerColour(layer, part)} />
+                      {part}
+                    </li>
+                  ))}
+                </ul>
+              )}
             </li>
           ))}
         </ul>
@@ -84,16 +93,9 @@ export function LungsPanel({ scope, tool }: { scope: string; tool: string }) {
   );
 }
 
-/** The colour in the pictures; lobes have one each. */
-function Swatch({ layer }: { layer: ShownLayer }) {
-  const colours = layer === "lobes" ? Object.values(LOBE_COLOURS).slice(0, 3) : [LAYER_COLOURS[layer]];
-  return (
-    <span className="swatch" aria-hidden="true">
-      {colours.map((colour) => (
-        <i key={colour} style={{ background: colour }} />
-      ))}
-    </span>
-  );
+/** The colour in the pictures. */
+function Swatch({ colour }: { colour: string }) {
+  return <span className="swatch" aria-hidden="true" style={{ background: colour }} />;
 }
 
 function Stations() {

@@ -1,0 +1,106 @@
+"""What lies round a target: asked for, stopped and asked for again, switched off and on over the slices; and the drive
+of a verdict, kept as a flight and flown."""
+
+from __future__ import annotations
+
+import pytest
+
+import carina
+from made import made_phantom
+
+pytestmark = pytest.mark.browser
+
+CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule": True}
+LAYERS = ("vessels", "fissures", "lobes", "stations")
+
+
+@pytest.fixture
+def opens(tmp_path):
+    """A chest with a nodule."""
+    carina.write_phantom(made_phantom(**CHEST), tmp_path)
+    return {"path": str(tmp_path / "ct.nii.gz")}
+
+
+def mark_the_nodule(workstation) -> None:
+    """By its coordinates, as they are read from a report."""
+    x, y, z = made_phantom(**CHEST).truth["nodule"]["center_lps"]
+    page = workstation.page
+    page.get_by_role("button", name="Target", exact=True).first.click()
+    page.get_by_placeholder("-17.6, 35.3, 12.1").fill(f"{x:.1f}, {y:.1f}, {z:.1f}")
+    page.get_by_role("button", name="Add", exact=True).click()
+    workstation.wait_for("window.__carina.state.plans.targets[0].routes.length > 0")
+
+
+def switch(workstation, layer: str) -> None:
+    """A layer off or on, and its lines out of the coronal picture or into it."""
+    before = workstation.overlay("coronal")
+    workstation.page.get_by_test_id(f"show-{layer}").click()
+    workstation.wait_for("(before) => document.querySelector('[data-overlay=coronal]').toDataURL() !== before", before)
+
+
+def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_and_on(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    mark_the_nodule(workstation)
+    plain = workstation.overlay("coronal")
+    ask = page.get_by_test_id("map-lungs")
+
+    ask.click()
+    workstation.wait_for("window.__carina.state.jobs.some((job) => job.what === 'looking for vessels')")
+    workstation.wait_for("window.__carina.state.lungs.standing === 'making'")
+    assert ask.is_disabled()
+    job = page.get_by_role("progressbar", name="looking at what lies round the target")
+    job.get_by_role("button", name="Cancel", exact=True).click()
+    workstation.wait_for("window.__carina.state.lungs.standing === 'stopped'")
+    workstation.wait_for("window.__carina.state.jobs.length === 0")
+    assert workstation.state("lungs.layers") == []
+    assert workstation.overlay("coronal") == plain
+
+    ask.click()
+    workstation.wait_for("window.__carina.state.lungs.standing === 'had'")
+    ask.wait_for(state="detached")
+    rows = page.locator(".layers > li")
+    assert [row.get_attribute("data-testid") for row in rows.all()] == [f"layer-{layer}" for layer in LAYERS]
+    assert page.get_by_test_id("parts-lobes").locator("li").all_inner_texts() == ["RUL", "RML", "RLL", "LUL", "LLL"]
+    assert "Dashed: less sure" in page.get_by_test_id("lungs-limit").inner_text()
+    workstation.picture("layers")
+
+    for layer in ("vessels", "lobes"):
+        switch(workstation, layer)
+    # In this slice there may be nothing of these.
+    for layer in ("fissures", "stations"):
+        page.get_by_test_id(f"show-{layer}").click()
+    workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() === plain", plain)
+    for layer in ("vessels", "lobes"):
+        switch(workstation, layer)
+    assert workstation.faults == []
+
+
+def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    mark_the_nodule(workstation)
+    page.get_by_test_id("take-route").click()
+    workstation.wait_for("window.__carina.state.plans.verdicts_standing === 'had'")
+    # The step begins at its top, with the routes side by side.
+    assert page.locator(".step-body").evaluate("(body) => body.scrollTop") == 0
+    scope = next(one["scope"] for one in workstation.state("plans.verdicts") if one["was_driven"])
+    keep = page.get_by_test_id(f"keep-drive-{scope}")
+    if keep.count() == 0:
+        page.get_by_test_id("all-verdicts").click()
+    page.get_by_test_id("verdict").filter(has=keep).locator("summary").click()
+    keep.click()
+    workstation.wait_for("window.__carina.state.flights.length === 1")
+    (flight,) = workstation.state("flights")
+    assert flight["name"].startswith("Simulated drive to Target 1")
+
+    page.get_by_role("button", name="Rehearse", exact=True).first.click()
+    page.get_by_test_id("flight-play").click()
+    workstation.wait_for("window.__carina.state.replaying.on && window.__carina.state.pose.flight.time_s > 0")
+    workstation.picture("layers-drive-flown")
+    # A long drive is not flown to its end: a hand takes over.
+    workstation.hold("s", 100)
+    workstation.wait_for("!window.__carina.state.replaying.on && window.__carina.state.pose.flight === null")
+    assert workstation.faults == []
