@@ -35,7 +35,7 @@ SPACING_MM = 0.8
 WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
 STEP_MM = 0.4
 """Of the wall's samples, as `carina.wall_field` has them."""
-TUBE_EFFORT, PHANTOM_EFFORT = 4000.0, 50_000.0
+TUBE_EFFORT, PHANTOM_EFFORT = 4000.0, 200_000.0
 
 
 @dataclass(frozen=True, slots=True)
