@@ -13,8 +13,10 @@ from carina.errors import NoResultError
 from carina.plan import FissureBox, Lobes
 from carina.plan.box import Box, smoothed
 from carina.plan.fissures import fissures
-from carina.plan.lobes import LOBE_NAMES, STEP_MM, nearest_lobe
+from carina.plan.lobes import LOBE_NAMES, STEP_MM, lung_grid, nearest_lobe
+from carina.plan.surroundings import lung_box
 from carina.track import AirwayTree, branch_side_and_lobe
+from carina.volume import Volume
 from made import made_phantom
 
 CHEST = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
@@ -50,6 +52,23 @@ def plate(at_mm: float, seen_share: float = 1.0) -> FissureBox:
 @cache
 def by_airways() -> Lobes:
     return nearest_lobe(*lungs(), tree())
+
+
+def test_the_lungs_end_at_the_pleura_and_not_in_the_chest_wall() -> None:
+    step_mm, shape = 1.5, (150, 130, 200)
+    z, y, x = (step_mm * (np.arange(n) - 0.5 * n) for n in shape)
+    true_ml = 0.0
+    hu = np.full(shape, -1000.0, np.float32)
+    hu[:, (x[None] / 140.0) ** 2 + (y[:, None] / 90.0) ** 2 < 1.0] = 40.0
+    for side in (-1.0, 1.0):
+        radii = np.array([95.0, 65.0, 48.0])
+        parts = (z[:, None, None] / radii[0]) ** 2 + (y[:, None] / radii[1]) ** 2 + ((x - 62.0 * side) / radii[2]) ** 2
+        hu[parts < 1.0] = -860.0
+        true_ml += 4.0 / 3.0 * np.pi * float(radii.prod()) / 1000.0
+    blurred = smoothed(hu, 0.8) + np.random.default_rng(3).normal(0.0, 25.0, shape).astype(np.float32)
+    volume = Volume(np.rint(blurred).astype(np.int16), np.diag([step_mm, step_mm, step_mm, 1.0]))
+    inside, _ = lung_grid(lung_box(volume))
+    assert inside.sum() * STEP_MM**3 / 1000.0 == pytest.approx(true_ml, rel=0.04)
 
 
 def test_airways_lie_in_their_own_lobe_and_sides_do_not_mix() -> None:

@@ -32,6 +32,8 @@ UNSEEN_MM, SEEN_MM = 9.0, 3.0
 masks of lobes, benchmarks/carina_bench/plan_around.py), and where a fissure is seen."""
 FAR_SHARE = 0.35
 """The first is at least this share of the way to the nearest airway: of a short tree borders are poorly known (k)."""
+RIM_MM, WALL_HU = 6.0, -400.0
+"""Tissue this near to the outside of the lungs and this dense is their wall: half-way between lung and muscle."""
 SEEN_REACH_MM = 6.0
 """A fissure this near to a border is that border."""
 
@@ -101,7 +103,7 @@ def lobes(
         say("finding the lungs", 0.0)
         box = lung_box(volume)
     say("the lobes by their airways", 0.2)
-    inside, matrix = _coarse(box)
+    inside, matrix = lung_grid(box)
     first = nearest_lobe(inside, matrix, tree, progress=_part(say, "the lobes by their airways", 0.2, 0.4))
     say("looking for fissures", 0.4)
     told = _part(say, "looking for fissures", 0.4, 0.7)
@@ -159,14 +161,18 @@ def nearest_lobe(
     return Lobes(label, border, sure, lps_from_ijk, tuple(sorted(expected - set(seeds))), seen)
 
 
-def _coarse(box: Box) -> tuple[Mask, NDArray[np.float64]]:
+def lung_grid(box: Box) -> tuple[Mask, NDArray[np.float64]]:
+    """The lungs on a grid of 2 mm, without the wall that the box holds round them, and its place."""
     every = round(STEP_MM / box.step_mm)
     matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     matrix[:3, 3] = box.lps_from_ijk[:3, 3]
     # Chest wall and mediastinum within the closed lungs are no way from lobe to lobe, vessels are.
     tissue = box.known[::every, ::every, ::every] & (box.hu_zyx[::every, ::every, ::every] > -300.0)
     solid = ball_distance(tissue, STEP_MM) > 5.0
-    inside: Mask = box.known[::every, ::every, ::every] & ~solid
+    # The box holds some millimetres of the chest wall and of the mediastinum round the lungs, which are no lung.
+    known = box.known[::every, ::every, ::every]
+    rim = (ball_distance(known, STEP_MM) < RIM_MM) & (box.hu_zyx[::every, ::every, ::every] > WALL_HU)
+    inside: Mask = known & ~solid & ~rim
     return inside, matrix
 
 
