@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
+from carina.plan.lobes import lung_grid
 from carina.plan.places import Ways
 from carina.plan.score import RANK, Judge, Outlook, ScoreWeights, bending_mm
 from carina.plan.surroundings import lung_box
@@ -149,7 +150,7 @@ def reach_atlas(
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     say(0.2)
     box = lung_box(volume)
-    lung = np.ascontiguousarray(box.known[::2, ::2, ::2])
+    lung = np.ascontiguousarray(lung_grid(box)[0])
     matrix = np.array(box.lps_from_ijk, dtype=np.float64)
     matrix[:3, :3] *= STEP_MM / box.step_mm
     say(0.4)
