@@ -5,9 +5,8 @@ use std::ops::Range;
 use crate::{
     CastStats, Frame, Gathered, InstructionSet, Method, RaycastError,
     lighting::Lighting,
-    lit::{light_walls, rows_to_gather},
+    lit::{Walls, light_walls, rows_to_gather},
     rows::check,
-    silhouette::WallRows,
 };
 
 /// Lights rows whose rays another caster has gathered, `[row, column]`, as [`cast_rows`] lights its own: `gathered` holds
@@ -49,16 +48,11 @@ pub fn light_gathered(
     }
     let (before, gathered) = gathered.split_at((rows.start - all.start) * width);
     let (walls, after) = gathered.split_at(rows.len() * width);
-    let walls = WallRows {
-        width,
-        first_row: rows.start,
-        walls,
-        before,
-        after,
-    };
-    let (rgb, lit) = light_walls(frame, method, &light, (true, simd), &rows, &walls, None);
+    let beside = [before, after].map(|walls| walls.iter().map(|wall| wall.hit).collect::<Vec<_>>());
+    let lit_by = (&rows, &Walls::Gathered(walls));
+    let (rgb, lit) = light_walls(frame, method, &light, (true, simd), lit_by, &beside, None);
     let stats = CastStats {
-        num_rays: walls.walls.len() as u64,
+        num_rays: walls.len() as u64,
         num_shaded: lit.num_shaded,
         ..stats.plus(lit)
     };

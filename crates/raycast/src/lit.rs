@@ -1,15 +1,20 @@
-//! Pictures whose first walls are lit after casting: all rows are cast, with a row more on each side of a strip, and then
-//! lit, since a pixel on a silhouette is known by its neighbours.
+//! Pictures whose first walls are lit after casting: a few rows are cast, and lit while what they gathered is in the cache.
+//! Depths alone are kept of all rows, with a row more on each side of a strip: a pixel on a silhouette is known by its
+//! neighbours.
 
-use std::{ops::Range, sync::atomic::AtomicBool};
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use rayon::prelude::*;
 
 use crate::{
     CastStats, Frame, InstructionSet, Method,
     composite::Gathered,
     lighting::Lighting,
     packet::{BAND_ROWS, Packets, light_rows},
-    rows::share,
-    silhouette::{WallRows, smooth_silhouettes},
+    silhouette::{DepthRows, smooth_silhouettes},
     surface::cast_walls_row,
 };
 
@@ -25,6 +30,14 @@ pub fn rows_to_gather(frame: &Frame<'_>, rows: &Range<usize>) -> Range<usize> {
     } else {
         rows.clone()
     }
+}
+
+/// What rows are lit by.
+pub(crate) enum Walls<'a> {
+    /// What another caster has gathered of all of them.
+    Gathered(&'a [Gathered]),
+    /// Casts the rows from this one on.
+    Cast(&'a (dyn Fn(usize, &mut [Gathered]) -> CastStats + Sync)),
 }
 
 /// Casts rows, by packets or without them by the scalar casters, and lights them. The rays of the rows beside a strip are
@@ -46,60 +59,90 @@ pub(crate) fn cast_lit(
             .map(|(n, walls)| cast_walls_row(frame, method, first_row + n, walls))
             .fold(CastStats::default(), CastStats::plus),
     };
-    let blank = (Gathered::NOTHING, width);
-    let (walls, stats) = share(rows, blank, BAND_ROWS, stop, |first, out| {
-        cast(first, out).with_loads(frame, method)
-    });
     let all = rows_to_gather(frame, rows);
     let beside = |rows: Range<usize>| {
         let mut out = vec![Gathered::NOTHING; rows.len() * width];
         if !out.is_empty() {
             cast(rows.start, &mut out);
         }
-        out
+        out.iter().map(|wall| wall.hit).collect()
     };
-    let (before, after) = (beside(all.start..rows.start), beside(rows.end..all.end));
-    let walls = WallRows {
-        width,
-        first_row: rows.start,
-        walls: &walls,
-        before: &before,
-        after: &after,
-    };
+    let beside = [beside(all.start..rows.start), beside(rows.end..all.end)];
+    let cast = |first: usize, out: &mut [Gathered]| cast(first, out).with_loads(frame, method);
     let how = (packets.is_some(), simd);
-    let (rgb, lit) = light_walls(frame, method, light, how, rows, &walls, stop);
-    let num_shaded = lit.num_shaded;
-    (
-        rgb,
-        CastStats {
-            num_shaded,
-            ..stats.plus(lit)
-        },
+    light_walls(
+        frame,
+        method,
+        light,
+        how,
+        (rows, &Walls::Cast(&cast)),
+        &beside,
+        stop,
     )
 }
 
-/// Lights rows that have been gathered; where the look asks for it, silhouettes are cast and lit anew. The counts hold
-/// what that took.
+/// Lights rows, a few at a time; where the look asks for it, silhouettes are cast and lit anew. `beside` holds depths of
+/// the row before and of the row after, empty at the picture's edge. Once `stop` is set, what is left stays black.
+/// `num_shaded` is that of the lighting alone.
 pub(crate) fn light_walls(
     frame: &Frame<'_>,
     method: Method<'_>,
     light: &Lighting,
     (in_packets, simd): (bool, InstructionSet),
-    rows: &Range<usize>,
-    walls: &WallRows<'_>,
+    (rows, walls): (&Range<usize>, &Walls<'_>),
+    beside: &[Vec<f32>; 2],
     stop: Option<&AtomicBool>,
 ) -> (Vec<u8>, CastStats) {
-    let width = walls.width;
-    let (mut rgb, stats) = share(rows, (0u8, 3 * width), BAND_ROWS, stop, |first, out| {
-        let at = (first - rows.start) * width;
-        let here = &walls.walls[at..at + out.len() / 3];
-        light_rows(frame, light, simd, first, here, out);
-        CastStats::default().lit(here)
-    });
-    if !light.look.silhouettes {
-        return (rgb, stats);
+    let width = frame.camera().width();
+    let num_pixels = rows.len() * width;
+    let (mut rgb, mut depths) = (vec![0u8; 3 * num_pixels], vec![0.0f32; num_pixels]);
+    let (cast, lit) = rgb
+        .par_chunks_mut(3 * width * BAND_ROWS)
+        .zip(depths.par_chunks_mut(width * BAND_ROWS))
+        .enumerate()
+        // As in `share`: rows differ in cost.
+        .with_max_len(1)
+        .map_init(Vec::new, |buffer, (n, (rgb, depths))| {
+            if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {
+                return Default::default();
+            }
+            let first = rows.start + n * BAND_ROWS;
+            let at = n * BAND_ROWS * width;
+            let (walls, stats) = match walls {
+                Walls::Gathered(all) => (&all[at..at + depths.len()], CastStats::default()),
+                Walls::Cast(cast) => {
+                    buffer.clear();
+                    buffer.resize(depths.len(), Gathered::NOTHING);
+                    let stats = cast(first, buffer);
+                    (&buffer[..], stats)
+                }
+            };
+            light_rows(frame, light, simd, first, walls, rgb);
+            for (depth, wall) in depths.iter_mut().zip(walls) {
+                *depth = wall.hit;
+            }
+            (stats, CastStats::default().lit(walls))
+        })
+        .reduce(Default::default, |(a, b), (c, d)| (a.plus(c), b.plus(d)));
+    let mut lit = lit;
+    if light.look.silhouettes {
+        let [before, after] = beside;
+        let depths = DepthRows {
+            width,
+            first_row: rows.start,
+            depths: &depths,
+            before,
+            after,
+        };
+        let how = (in_packets, simd);
+        lit = lit.plus(smooth_silhouettes(
+            frame, method, light, how, &depths, &mut rgb, stop,
+        ));
     }
-    let how = (in_packets, simd);
-    let smoothed = smooth_silhouettes(frame, method, light, how, walls, &mut rgb, stop);
-    (rgb, stats.plus(smoothed))
+    let num_shaded = lit.num_shaded;
+    let stats = CastStats {
+        num_shaded,
+        ..cast.plus(lit)
+    };
+    (rgb, stats)
 }

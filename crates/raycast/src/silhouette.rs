@@ -36,29 +36,29 @@ const EDGE_WRAP: f32 = 0.6;
 const ROWS_AT_A_TIME: usize = 16;
 const PIXELS_AT_A_TIME: usize = 256;
 
-/// What the rays of some rows have gathered, with the rows before and after them where the picture has these.
+/// Depths of the first walls of some rows in ray steps, with the rows before and after them where the picture has these.
 #[derive(Clone, Copy)]
-pub(crate) struct WallRows<'a> {
+pub(crate) struct DepthRows<'a> {
     pub width: usize,
     pub first_row: usize,
-    pub walls: &'a [Gathered],
+    pub depths: &'a [f32],
     /// Empty at the picture's edge.
-    pub before: &'a [Gathered],
-    pub after: &'a [Gathered],
+    pub before: &'a [f32],
+    pub after: &'a [f32],
 }
 
-impl<'a> WallRows<'a> {
+impl<'a> DepthRows<'a> {
     /// The pixels of a row, if they are known.
-    fn row(&self, row: Option<usize>) -> Option<&'a [Gathered]> {
+    fn row(&self, row: Option<usize>) -> Option<&'a [f32]> {
         let row = row?;
-        let num_rows = self.walls.len() / self.width;
+        let num_rows = self.depths.len() / self.width;
         let pixels = if row + 1 == self.first_row {
             self.before
         } else if row == self.first_row + num_rows {
             self.after
         } else {
             let at = row.checked_sub(self.first_row)? * self.width;
-            self.walls.get(at..at + self.width)?
+            self.depths.get(at..at + self.width)?
         };
         (!pixels.is_empty()).then_some(pixels)
     }
@@ -66,8 +66,8 @@ impl<'a> WallRows<'a> {
 
 /// Inverse depths of a row in ray steps; 0 for a ray that meets no wall. A wall within the first step touches the lens.
 /// Pixels outside the outline of a scope's picture have no ray and are no wall's edge: with NaN no comparison holds.
-fn inverses(frame: &Frame<'_>, pixels: &[Gathered], row: usize) -> Vec<f32> {
-    let mut inverse: Vec<f32> = pixels.iter().map(|wall| wall.hit).collect();
+fn inverses(frame: &Frame<'_>, depths: &[f32], row: usize) -> Vec<f32> {
+    let mut inverse = depths.to_vec();
     // Without a branch: several pixels at a time.
     for v in &mut inverse {
         let near = 1.0 / if *v > 1.0 { *v } else { 1.0 };
@@ -88,7 +88,7 @@ fn inverses(frame: &Frame<'_>, pixels: &[Gathered], row: usize) -> Vec<f32> {
 fn pixels_of(
     frame: &Frame<'_>,
     light: &Lighting,
-    rows: &WallRows<'_>,
+    rows: &DepthRows<'_>,
     wanted: Range<usize>,
 ) -> Vec<(usize, usize)> {
     let known = |row: Option<usize>| {
@@ -138,7 +138,7 @@ pub(crate) fn smooth_silhouettes(
     method: Method<'_>,
     light: &Lighting,
     (leaps, simd): (bool, InstructionSet),
-    rows: &WallRows<'_>,
+    rows: &DepthRows<'_>,
     rgb: &mut [u8],
     stop: Option<&AtomicBool>,
 ) -> CastStats {
