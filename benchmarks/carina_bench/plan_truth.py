@@ -8,8 +8,9 @@ A target is *reachable* if some point of the true centrelines suffices: the scop
 at least ``fit_mm``), and the needle, aimed at the nodule's true middle at no more than 100 degrees from the airway,
 meets its true edge within its reach; and the way there bends no more than the scope. The first route *arrives* if in
 the truth the scope fits all the way to where it is parked, all of the found way lies in true lumen (within half a
-voxel), along the true branches that lead there and none that was drawn by hand, and the needle, aimed as planned, meets
-the true nodule within its reach. A route is *told reachable* if its outlook says so.
+voxel), along the true branches that lead there or with the scope's width of true lumen all round it (branches that
+overlap are one lumen), and along none that was drawn by hand, and the needle, aimed as planned, meets the true nodule
+within its reach. A route is *told reachable* if its outlook says so.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePrese
         return Flight(False, f"the way leaves the true lumen by {outside[~in_trachea].max():.1f} mm")
     at = _true_place(truth, way)
     strayed = _strayed(truth, way, at)
-    if strayed is not None:
+    if strayed is not None and _room_mm(truth, way[~in_trachea]) < scope.fit_mm:
         return Flight(False, strayed)
     if truth.narrowest_mm[at] < scope.fit_mm:
         return Flight(False, f"truly {truth.narrowest_mm[at]:.2f} mm wide, told {route.narrowest_mm:.2f}")
@@ -126,6 +127,13 @@ def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
     tip = np.array(route.leg.tip_lps)
     last = int(np.argmin(np.linalg.norm(points - tip, axis=1)))
     return np.concatenate([points[:last], tip[None]])
+
+
+def _room_mm(truth: TrueTree, way: Floats) -> float:
+    """The least width of true lumen round a way, whichever true branches it belongs to; at most what there is."""
+    between = [way[:-1] + part * (way[1:] - way[:-1]) for part in np.linspace(0.0, 1.0, 6)]
+    room = [float((truth.radius_mm - np.linalg.norm(truth.points - p, axis=1)).max()) for p in np.concatenate(between)]
+    return 2.0 * min(room, default=0.0)
 
 
 def _true_place(truth: TrueTree, way: Floats) -> int:
