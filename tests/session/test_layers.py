@@ -199,16 +199,25 @@ def test_the_lungs_of_a_phantom_have_vessels_lobes_and_progress_that_can_stop_it
     lungs = map_lungs(
         made.volume, airways, wall, progress=lambda what, share: told.append((what, share)), found=early.append
     )
-    assert early[0].lobes == ()
+    assert [made.vessel_tree is None for made in early] == [True, False]
+    assert early[-1].lobes == ()
     assert early[0].vessels is lungs.vessels
     assert 20.0 < lungs.vessels.ml < 1000.0
     assert not (lungs.sure_vessels.inside_zyx & ~lungs.vessels.inside_zyx).any()
     assert {name for name, _ in lungs.lobes} >= {"RUL", "RLL", "LUL", "LLL"}
+    assert lungs.vessel_tree.length_mm > 1000.0
+    tree, vessels = lungs.vessel_tree, lungs.vessels
+    assert all(branch.parent is None or branch.parent < n for n, branch in enumerate(tree.branches))
+    points = np.concatenate([branch.points_lps for branch in tree.branches])
+    i, j, k = np.rint((points - vessels.first_lps) / vessels.spacing_mm).astype(int).T
+    # Lines are made smooth: a few points of a bend lie beside its voxels.
+    assert vessels.inside_zyx[k, j, i].mean() > 0.85
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     # Every stage looks for a stop several times: none of them is waited for to its end.
     looks = Counter(what for what, _ in told)
     assert looks["looking for vessels"] >= 8
+    assert looks["following the vessels"] >= 3
     assert min(count for what, count in looks.items() if what != "finding the lungs") >= 3
 
     def stop(what, _share):

@@ -13,8 +13,9 @@ from carina.errors import CancelledError, CarinaError
 from carina.plan.box import Box, smoothed
 from carina.plan.lobes import LOBE_NAMES, Lobes, lobes
 from carina.plan.surroundings import Surroundings, lung_box, lung_surroundings
+from carina.plan.vessels import VesselBranch, VesselTree, grow_tree
 from carina.scopes import WallField
-from carina.track import Airways
+from carina.track import Airways, AirwayTree
 from carina.volume import Volume
 
 __all__ = ["LungMap", "MappedMask", "map_lungs"]
@@ -25,6 +26,15 @@ SURE = 0.8
 """A stretch of vessel that is on average less sure is drawn as doubtful: 1.3 times the least curvature."""
 RIM_MM = 3.0
 """The lungs are closed over the vessels that leave them, and reach into the chest wall: its rim looks like vessels."""
+LUNG_HU = 250.0
+"""Above the lungs' median: what is darker is lung."""
+ROUND_MM, LEAST_LUNG = 5.0, 0.35
+"""A vessel of the lungs has lung round it, by a Gaussian: half beside the pleura, a fifth between trachea and spine.
+The lungs are closed over the hila and round the trachea, and folds of the mediastinum there look like vessels."""
+AIRWAY_GENERATIONS = 2
+"""Air in airways up to here is no lung; those farther out are too thin to matter."""
+DEEP_MM, LEAST_DEEP = 6.0, 0.25
+"""A line of which less lies so deep runs along the edge of the lungs, where slices shifted by breathing make steps."""
 STRETCH_MM = 1.5
 """Of the Gaussian over which that mean is taken: single voxels would make a line flicker between sure and doubtful."""
 
@@ -70,6 +80,8 @@ class LungMap:
     """At 1 mm: arteries and veins are not told apart, and those thinner than about 1 mm are seen in part."""
     sure_vessels: MappedMask | None = None
     """The stretches of them that stand out well."""
+    vessel_tree: VesselTree | None = None
+    """The same vessels as lines with radii; those that run along the edge of the lungs are left out."""
     fissures: MappedMask | None = None
     """Plates at 1 mm, as far as they are seen; empty where none is."""
     lobes: tuple[tuple[str, MappedMask], ...] = ()
@@ -88,7 +100,7 @@ def map_lungs(
     progress: Callable[[str, float | None], None] | None = None,
     found: Callable[[LungMap], None] | None = None,
 ) -> LungMap:
-    """Vessels first, then lobes and fissures; what fails is told and the rest is there.
+    """Vessels first, then the tree that they form, then lobes and fissures; what fails is told and the rest is there.
 
     Parameters
     ----------
@@ -97,7 +109,7 @@ def map_lungs(
     progress
         Told what is done, and the share done; it may raise CancelledError.
     found
-        Given the vessels while the lobes are still being looked for.
+        Given what is made so far, while the rest is still being looked for.
 
     Raises
     ------
@@ -117,8 +129,15 @@ def map_lungs(
     say(looking, 0.05)
     seen = lung_surroundings(volume, wall, box=box, progress=lambda share: say(looking, 0.05 + 0.4 * share))
     say(looking, 0.45)
-    made = _with_vessels(seen)
-    say(looking, 0.5)
+    inside = seen.vessel & _within(seen.box.known, round(RIM_MM / seen.box.step_mm)) & _amid_lung(seen, airways.tree)
+    made = LungMap(_cropped(inside, seen.box), _cropped(_standing_out(inside, seen), seen.box))
+    say(looking, 0.48)
+    if found is not None:
+        found(made)
+    tree = grow_tree(
+        seen.box, inside, seen.sure, progress=lambda share: say("following the vessels", 0.48 + 0.07 * share)
+    )
+    made = replace(made, vessel_tree=_deep_lines(tree, seen.box))
     if found is not None:
         found(made)
     try:
@@ -126,18 +145,13 @@ def map_lungs(
             volume,
             airways.tree,
             box=box,
-            progress=None if progress is None else lambda what, share: progress(what, 0.5 + 0.5 * (share or 0.0)),
+            progress=None if progress is None else lambda what, share: progress(what, 0.55 + 0.45 * (share or 0.0)),
         )
     except CancelledError:
         raise
     except CarinaError as trouble:
         return replace(made, problems=(str(trouble),))
     return _with_lobes(made, told)
-
-
-def _with_vessels(seen: Surroundings) -> LungMap:
-    inside = seen.vessel & _within(seen.box.known, round(RIM_MM / seen.box.step_mm))
-    return LungMap(_cropped(inside, seen.box), _cropped(_standing_out(inside, seen), seen.box))
 
 
 def _within(known: Mask, num_voxels: int) -> Mask:
@@ -150,6 +164,44 @@ def _within(known: Mask, num_voxels: int) -> Mask:
                 less &= np.roll(inner, shift, axis=axis)
         inner = less
     return inner[1:-1, 1:-1, 1:-1]
+
+
+def _amid_lung(seen: Surroundings, tree: AirwayTree) -> Mask:
+    """Where lung lies round, and not mediastinum or chest wall: of every second voxel, for those beside it too."""
+    lung = seen.box.known & (seen.box.hu_zyx < seen.lung_hu + LUNG_HU)
+    step_mm, first = seen.box.step_mm, seen.box.lps_from_ijk[:3, 3]
+    for branch in tree.branches:
+        if branch.generation > AIRWAY_GENERATIONS:
+            continue
+        for point, radius_mm in zip(branch.points, branch.radius, strict=True):
+            at, far = (point - first) / step_mm, (radius_mm + RIM_MM / 2.0) / step_mm
+            low = np.maximum(np.ceil(at - far).astype(int), 0)
+            high = np.minimum(np.floor(at + far).astype(int) + 1, lung.shape[::-1])
+            if (low >= high).any():
+                continue
+            x, y, z = ((np.arange(a, b) - k) ** 2.0 for a, b, k in zip(low, high, at, strict=True))
+            part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+            lung[part] &= z[:, None, None] + y[None, :, None] + x[None, None, :] > far * far
+    share = smoothed(lung[::2, ::2, ::2].astype(np.float32), 0.5 * ROUND_MM / step_mm)
+    amid = share >= LEAST_LUNG
+    for axis, num in enumerate(lung.shape):
+        amid = amid.repeat(2, axis=axis).take(np.arange(num), axis=axis)
+    return amid
+
+
+def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
+    """The branches that lie deep enough in the lungs; where one begins at another that does not, a piece begins."""
+    deep = _within(box.known, round(DEEP_MM / box.step_mm))
+    places: dict[int, int] = {}
+    kept: list[VesselBranch] = []
+    for number, branch in enumerate(tree.branches):
+        i, j, k = np.rint((branch.points_lps - box.lps_from_ijk[:3, 3]) / box.step_mm).astype(np.intp).T
+        if float(deep[k, j, i].mean()) < LEAST_DEEP:
+            continue
+        places[number] = len(kept)
+        parent = None if branch.parent is None else places.get(branch.parent)
+        kept.append(replace(branch, parent=parent))
+    return replace(tree, branches=tuple(kept))
 
 
 def _standing_out(inside: Mask, seen: Surroundings) -> Mask:

@@ -31,6 +31,8 @@ SLAB = 48
 SPUR_MM = 2.0
 """A branch shorter than this beyond what lies round its parent is a bump of it."""
 MOST_BRANCHES = 4000
+LOOK_EVERY = 20_000
+"""Voxels; most of them already belong to a branch."""
 
 
 @one_line
@@ -175,13 +177,15 @@ def _long_pieces(mask: Mask, step_mm: float) -> Mask:
     return found
 
 
-def grow_tree(box: Box, vessel: Mask, sure: Values) -> VesselTree:
+def grow_tree(box: Box, vessel: Mask, sure: Values, *, progress: Callable[[float], None] | None = None) -> VesselTree:
     """The vessels of a box as a tree: from each piece's widest place to its far ends, along the middle.
 
     Parameters
     ----------
     vessel, sure
         (nz, ny, nx) of the box.
+    progress
+        Told the share done; it may raise CancelledError.
     """
     import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
 
@@ -197,7 +201,9 @@ def grow_tree(box: Box, vessel: Mask, sure: Values) -> VesselTree:
     branches: list[VesselBranch] = []
     ways: list[NDArray[np.intp]] = []
     whole = True
-    for start in order:
+    for num, start in enumerate(order):
+        if progress is not None and num % LOOK_EVERY == 0:
+            progress(num / len(order))
         if owner.reshape(-1)[start] >= 0:
             continue
         if len(branches) >= MOST_BRANCHES:

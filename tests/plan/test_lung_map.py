@@ -1,0 +1,60 @@
+"""Which vessels are drawn: those amid lung, and no folds of the mediastinum or steps along the pleura."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from carina.plan.box import Box
+from carina.plan.lung_map import _amid_lung, _deep_lines
+from carina.plan.vessels import VesselBranch, VesselTree
+
+MATRIX = np.eye(4)
+MATRIX[:3, 3] = (-30.0, -20.0, -40.0)
+# As wide as a chest round the trachea: lung at both sides of the middle, where the closing has filled it too.
+SHAPE = (50, 40, 60)
+MIDDLE = slice(22, 38)
+
+
+def box(*, trachea: bool) -> Box:
+    hu = np.full(SHAPE, -850.0, dtype=np.float32)
+    hu[:, :, MIDDLE] = 40.0
+    if trachea:
+        hu[:, 12:28, MIDDLE] = -1000.0
+    known = np.ones(SHAPE, dtype=bool)
+    known[:, :2] = known[:, -2:] = False
+    return Box(hu, known, 1.0, MATRIX)
+
+
+def tree(*, trachea: bool) -> SimpleNamespace:
+    z = np.arange(SHAPE[0]) - 40.0
+    points = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    branch = SimpleNamespace(generation=0, points=points, radius=np.full(len(z), 9.0))
+    return SimpleNamespace(branches=(branch,) if trachea else ())
+
+
+def test_what_has_mediastinum_round_it_is_no_vessel_of_the_lungs_and_air_of_the_trachea_is_no_lung():
+    for trachea in (False, True):
+        seen = SimpleNamespace(box=box(trachea=trachea), lung_hu=-850.0)
+        amid = _amid_lung(seen, tree(trachea=trachea))
+        assert amid.shape == SHAPE
+        z, y = 25, 20
+        assert amid[z, y, 6:16].all()
+        assert not amid[z, y, 24:36].any(), "between the lungs"
+        # Beside the mediastinum a vessel has lung on one side.
+        assert amid[z, y, 19]
+        # Between trachea and spine.
+        assert not amid[z, 30, 24:36].any()
+
+
+def test_lines_along_the_edge_are_left_out_and_pieces_begin_where_their_trunk_was():
+    def along_z(x: float, y: float, parent: int | None) -> VesselBranch:
+        z = np.arange(10.0) - 20.0
+        points = np.stack([np.full_like(z, x), np.full_like(z, y), z], axis=1)
+        return VesselBranch(points, np.full(10, 0.7), parent, 1.0)
+
+    lines = VesselTree((along_z(-15.0, -15.0, None), along_z(-15.0, 0.0, 0), along_z(-14.0, 1.0, 1)))
+    made = _deep_lines(lines, box(trachea=False))
+    assert [branch.parent for branch in made.branches] == [None, 0]
+    assert made.branches[0].points_lps is lines.branches[1].points_lps
