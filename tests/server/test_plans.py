@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 from typing import get_args
 
+import numpy as np
+
 from carina.commands import CloseCase, MapLungs
 from carina.plan.lung_map import LungMap
+from carina.plan.vessels import VesselBranch, VesselTree
 from carina.server.outbox import TOPICS, Outbox
 from carina.server.shared_texts import SharedTexts
 from carina.session.snapshot import Topic
@@ -39,6 +42,32 @@ def test_what_was_mapped_of_the_lungs_is_told_as_it_changes() -> None:
         step()
         told.append(json.loads(texts.lungs())["standing"])
     assert told == ["unwanted", "making", "had"]
+
+
+def test_vessels_are_told_as_lines_without_burrs() -> None:
+    def line(num: int, at: float, sure: float, parent: int | None) -> VesselBranch:
+        points = np.stack([np.full(num, at), np.zeros(num), np.arange(float(num))], axis=1)
+        return VesselBranch(points, np.full(num, 1.2), parent, sure)
+
+    # A trunk, a short piece that another leaves, that one, and a burr.
+    tree = VesselTree((line(40, 0.0, 1.0, None), line(4, 1.0, 1.0, 0), line(30, 2.0, 0.6, 1), line(4, 3.0, 1.0, 0)))
+    bench = small_bench(
+        wall_field=lambda *_given, **_options: object(), map_lungs=lambda *_given, **_options: LungMap(vessel_tree=tree)
+    )
+    texts = SharedTexts(bench.session, None, print)
+    bench.open()
+    bench.session.do(MapLungs())
+    bench.background.run_all()
+    told = json.loads(texts.lungs())["vessels"]
+    assert [(one["points_lps"][0][0], one["sure"], one["diameter_mm"]) for one in told] == [
+        (0.0, True, 2.4),
+        (1.0, True, 2.4),
+        (2.0, False, 2.4),
+    ]
+    # Thinned, with both ends.
+    assert told[0]["points_lps"][0] == [0.0, 0.0, 0.0]
+    assert told[0]["points_lps"][-1] == [0.0, 0.0, 39.0]
+    assert len(told[0]["points_lps"]) == 17
 
 
 def test_every_topic_of_a_session_has_its_turn_in_what_is_sent() -> None:

@@ -5,17 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from carina.plan import EBUS_LIMITS
 from carina.server import messages as wire
+from carina.server.pointing import thinned
 from carina.session import LungsInfo
 
 if TYPE_CHECKING:
     from carina.plan import Landmark, ReachAtlas
     from carina.plan.lung_map import LungMap
+    from carina.plan.vessels import VesselTree
 
 __all__ = ["lungs_message"]
 
 NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
+LEAST_LINE_MM = 6.0
+"""A shorter piece that nothing leaves is a burr in a picture from outside."""
+VESSEL_POINT_EVERY_MM = 2.5
 NO_DRIVE = "Judged by diameter and bend along the way. No drive was simulated, and breathing may move the target."
 
 
@@ -28,6 +35,7 @@ def lungs_message(info: LungsInfo) -> wire.Lungs:
         standing=info.standing,
         reach_standing=info.reach_standing,
         layers=layers,
+        vessels=() if lungs is None or lungs.vessel_tree is None else tuple(_vessel_lines(lungs.vessel_tree)),
         stations=tuple(_station(one) for one in info.stations),
         station_limits=EBUS_LIMITS,
         problems=(*failed, *(() if lungs is None else lungs.problems)),
@@ -43,7 +51,8 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
             (
                 NO_MEDIASTINUM,
                 "Arteries and veins are not told apart, and vessels thinner than about 1 mm are seen in part; "
-                "none is shown in the outermost 3 mm of the lungs.",
+                "none is shown in the outermost 3 mm of the lungs, "
+                "and round the airway tree none that runs along their edge.",
                 "Dashed: less sure. Scars and airways that were not found may look like vessels.",
             ),
             (),
@@ -67,6 +76,24 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
                 *((missing,) if lungs.missing_lobes else ()),
             ),
             tuple(name for name, _ in lungs.lobes),
+        )
+
+
+def _vessel_lines(tree: VesselTree) -> Iterator[wire.VesselLine]:
+    from carina.plan.lung_map import SURE  # slow to load, and is loaded where there is a map
+
+    left = {branch.parent for branch in tree.branches}
+    for number, branch in enumerate(tree.branches):
+        points = branch.points_lps
+        length_mm = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        if length_mm < LEAST_LINE_MM and number not in left:
+            continue
+        yield wire.VesselLine(
+            points_lps=tuple(
+                (float(x), float(y), float(z)) for x, y, z in np.round(thinned(points, VESSEL_POINT_EVERY_MM), 1)
+            ),
+            diameter_mm=round(2.0 * float(np.median(branch.radius_mm)), 1),
+            sure=branch.sure >= SURE,
         )
 
 

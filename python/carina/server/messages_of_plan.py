@@ -133,6 +133,16 @@ class MappedLayer(FrozenValue, frozen=True):
     """Of lobes their names, as pictures have them (``PictureLayer.part``): each has a colour of its own."""
 
 
+class VesselLine(FrozenValue, frozen=True):
+    """A piece of a vessel, for pictures from outside."""
+
+    points_lps: PointsLps
+    """Its middle line, from the wide end."""
+    diameter_mm: float
+    sure: bool
+    """False where it stands out no better than what may be noise."""
+
+
 class Station(FrozenValue, frozen=True):
     """Where a lymph node station is looked for with EBUS, by the airways alone."""
 
@@ -153,6 +163,8 @@ class Lungs(ServerMessage, frozen=True):
     """Of vessels, fissures, lobes and stations."""
     reach_standing: Making
     layers: tuple[MappedLayer, ...]
+    vessels: tuple[VesselLine, ...]
+    """The vessels of the layer as lines; short pieces that nothing leaves are no part of them."""
     stations: tuple[Station, ...]
     station_limits: Words
     problems: tuple[Words, ...]

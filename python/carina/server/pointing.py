@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from carina.server.pump import ShownPicture
 
-__all__ = ["Pointing", "edit_preview_message", "live_path_message", "no_evidence_message"]
+__all__ = ["Pointing", "edit_preview_message", "live_path_message", "no_evidence_message", "thinned"]
 
 logger = logging.getLogger(__name__)
 
@@ -147,7 +147,7 @@ def live_path_message(request_id: int, lps: tuple[float, float, float], path: An
     return wire.LivePath(
         request_id=request_id,
         lps=lps,
-        points_lps=tuple((float(x), float(y), float(z)) for x, y, z in np.round(_thinned(points), 2)),
+        points_lps=tuple((float(x), float(y), float(z)) for x, y, z in np.round(thinned(points), 2)),
         length_mm=_rounded(path.length_mm),
         min_diameter_mm=None if path.min_radius_mm is None else _rounded(2.0 * path.min_radius_mm),
         confidence=None if path.confidence is None else round(min(1.0, max(0.0, float(path.confidence))), 3),
@@ -162,15 +162,15 @@ def _no_path(request_id: int, problem: str, lps: tuple[float, float, float] | No
     return wire.LivePath(request_id, lps, (), None, None, None, None, None, None, problem)
 
 
-def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points at least :data:`POINT_EVERY_MM` apart along the way, with both ends."""
+def thinned(points: NDArray[np.float64], every_mm: float = POINT_EVERY_MM) -> NDArray[np.float64]:
+    """Points (n, 3) at least so far apart along the way, with both ends."""
     if len(points) < 3:
         return points
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    steps = np.floor(along / POINT_EVERY_MM)
+    steps = np.floor(along / every_mm)
     kept = np.flatnonzero(np.diff(steps, prepend=-1.0) > 0)
-    thinned: NDArray[np.float64] = points[np.unique(np.append(kept, len(points) - 1))]
-    return thinned
+    left: NDArray[np.float64] = points[np.unique(np.append(kept, len(points) - 1))]
+    return left
 
 
 def _rounded(value: float | None) -> float | None:

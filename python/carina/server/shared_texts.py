@@ -121,7 +121,7 @@ class SharedTexts:
         try:
             info = self._session.ask(LungsOf())
         except UsageError:
-            return wire.encode_message(wire.Lungs("unwanted", "unwanted", (), (), "", (), False))
+            return wire.encode_message(wire.Lungs("unwanted", "unwanted", (), (), (), "", (), False))
         made = (info.lungs, info.reach, info.stations, info.outdated)
         standing = (info.standing, info.problem, info.reach_standing, info.reach_problem)
         return self._cached("lungs", lambda: lungs_message(info), *made, *standing)

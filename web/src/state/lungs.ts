@@ -1,6 +1,6 @@
 /** What was mapped round the targets, as the panel and the pictures show it. */
 
-import type { LungsMessage, PictureLayer, Station } from "../wire/messages";
+import type { LungsMessage, PictureLayer, Station, VesselLine } from "../wire/messages";
 import { add, asVec3, scale, type Vec3 } from "./vec";
 
 export type LayerName = PictureLayer["layer"];
@@ -9,7 +9,11 @@ export type LayerName = PictureLayer["layer"];
 export type ShownLayer = LayerName | "stations";
 
 export const LAYER_NAMES: readonly { layer: ShownLayer; title: string; words: string }[] = [
-  { layer: "vessels", title: "Vessels", words: "Vessels of the lungs in slices; dashed where less sure" },
+  {
+    layer: "vessels",
+    title: "Vessels",
+    words: "Vessels of the lungs in slices and round the airway tree; dashed where less sure",
+  },
   { layer: "fissures", title: "Fissures", words: "Fissures in slices, as far as the CT shows them" },
   { layer: "lobes", title: "Lobes", words: "Borders of the lobes in slices, dashed: estimated from the airways" },
   { layer: "stations", title: "EBUS stations", words: "Where to look for lymph node stations, from the airways alone" },
@@ -42,6 +46,12 @@ export function stationsSeen(lungs: LungsMessage | null, hidden: readonly ShownL
     return [{ station, from, to: add(from, scale(asVec3(direction), LOOK_MM)) }];
   });
 }
+
+const NO_VESSELS: readonly VesselLine[] = [];
+
+/** The vessels as lines, where they are shown. */
+export const vesselsSeen = (lungs: LungsMessage | null, hidden: readonly ShownLayer[]): readonly VesselLine[] =>
+  lungs === null || hidden.includes("vessels") ? NO_VESSELS : lungs.vessels;
 
 export interface LayerRow {
   readonly layer: ShownLayer;

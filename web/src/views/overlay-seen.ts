@@ -25,6 +25,7 @@ import { paintLesionsOutside } from "./overlay-lesion";
 import { paintLobes, paintNames } from "./overlay-names";
 import { paintPen } from "./overlay-pen";
 import { paintActedOn, paintDrawn, paintTree } from "./overlay-tree";
+import { paintVessels } from "./overlay-vessels";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -41,6 +42,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (pick === "planes" && geometry.kind === "seen") paintPlanes(ink, viewport, geometry, scene);
   if (zoom === "carm") paintAngles(ink, scene);
   const isTree = pick === "branch" && geometry.kind === "seen";
+  if (isTree) paintVessels(ink, viewport, geometry, scene);
   if (isTree) paintLobes(ink, viewport, geometry, scene);
   paintTree(ink, viewport, geometry, scene, () => true);
   if (scene.routeLineVisible) {

@@ -7,7 +7,7 @@ import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edi
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
-import { type SeenStation, type ShownLayer, stationsSeen } from "../state/lungs";
+import { type SeenStation, type ShownLayer, stationsSeen, vesselsSeen } from "../state/lungs";
 import { startOf } from "../state/path-search";
 import { marksByPen } from "../state/pen";
 import { pointsBetween } from "../state/route";
@@ -16,7 +16,7 @@ import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, Uncertainty } from "../wire/messages";
+import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, Uncertainty, VesselLine } from "../wire/messages";
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
@@ -51,6 +51,8 @@ export interface Scene {
   /** Of what was mapped round the targets, what is switched off. */
   hiddenLayers: readonly ShownLayer[];
   stations: readonly SeenStation[];
+  /** Middle lines of vessels, where they are shown. */
+  vessels: readonly VesselLine[];
   tree: BranchTree | null;
   pathMm: number | null;
   targets: readonly SceneTarget[];
@@ -334,6 +336,7 @@ function madeOf(state: AppState): Scene {
     outlineVisible: state.ui.outlineVisible,
     hiddenLayers: state.ui.hiddenLayers,
     stations: stationsSeen(state.lungs, state.ui.hiddenLayers),
+    vessels: vesselsSeen(state.lungs, state.ui.hiddenLayers),
     tree: state.tree,
     pathMm: pathMm(state),
     targets:

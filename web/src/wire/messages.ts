@@ -1440,6 +1440,13 @@ export interface MappedLayer {
   readonly parts: readonly string[];
 }
 
+/** A piece of a vessel, for pictures from outside. */
+export interface VesselLine {
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly diameter_mm: number;
+  readonly sure: boolean;
+}
+
 /** Where a lymph node station is looked for with EBUS, by the airways alone. */
 export interface Station {
   readonly station: string;
@@ -1456,6 +1463,7 @@ export interface LungsMessage {
   readonly standing: "failed" | "had" | "making" | "stopped" | "unwanted";
   readonly reach_standing: "failed" | "had" | "making" | "stopped" | "unwanted";
   readonly layers: readonly MappedLayer[];
+  readonly vessels: readonly VesselLine[];
   readonly stations: readonly Station[];
   readonly station_limits: string;
   readonly problems: readonly string[];

@@ -1,0 +1,133 @@
+/** Vessels round the airway tree, as lines: what lies in front hides what lies behind, and the airways hide both. */
+
+import { pixelFromLps, type SeenGeometry } from "../state/projection";
+import { asVec3, dot, sub, type Vec3 } from "../state/vec";
+import type { Ink } from "./ink";
+import { layerColour } from "./overlay-layers";
+import type { Scene, SceneLesion } from "./scene";
+import type { Viewport } from "./viewport";
+
+/** Strokes in so many depths, from far to near; far ones are fainter. */
+const NUM_DEPTHS = 8;
+const ALPHAS = [0.22, 0.7] as const;
+/** Widths that are drawn as one; a vessel is never thinner than the least line. */
+const WIDTH_STEP_PX = 0.5;
+const LEAST_PX = 0.75;
+
+/** Lines of one width and depth, which are stroked together. */
+class Strokes {
+  readonly #paths = new Map<string, { path: Path2D; depth: number; width: number; sure: boolean }>();
+
+  at(depth: number, widthPx: number, sure = true): Path2D {
+    const width = Math.max(Math.round(widthPx / WIDTH_STEP_PX) * WIDTH_STEP_PX, LEAST_PX);
+    const key = `${depth} ${width} ${sure}`;
+    const known = this.#paths.get(key);
+    if (known !== undefined) return known.path;
+    const path = new Path2D();
+    this.#paths.set(key, { path, depth, width, sure });
+    return path;
+  }
+
+  of(depth: number): { path: Path2D; width: number; sure: boolean }[] {
+    return [...this.#paths.values()].filter((one) => one.depth === depth);
+  }
+}
+
+interface Kept {
+  readonly canvas: HTMLCanvasElement;
+  readonly of: readonly unknown[];
+}
+
+/** Of each viewport the last: while the tip moves, the camera of this picture stands still. */
+const KEPT = new WeakMap<Viewport, Kept>();
+
+/** Round the airway tree: middle lines of vessels as wide as these. What is less sure is dashed and fainter. */
+export function paintVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
+  if (scene.vessels.length === 0) {
+    KEPT.delete(viewport);
+    return;
+  }
+  const of = [viewport.version, scene.vessels, scene.tree, scene.lesions];
+  let kept = KEPT.get(viewport);
+  if (kept === undefined || kept.of.some((one, n) => one !== of[n])) {
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [viewport.overlay.width, viewport.overlay.height];
+    const own = canvas.getContext("2d");
+    if (own === null) return;
+    own.setTransform(ink.getTransform());
+    strokeVessels(own, viewport, geometry, scene);
+    kept = { canvas, of };
+    KEPT.set(viewport, kept);
+  }
+  ink.drawImage(kept.canvas, 0, 0, viewport.size.width, viewport.size.height);
+}
+
+function strokeVessels(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
+  const { camera, focalPx } = geometry;
+  const depthOf = (points: readonly (readonly number[])[]): number =>
+    dot(sub(asVec3(points[points.length >> 1] ?? [0, 0, 0]), camera.position), camera.forward);
+  const depths = scene.vessels.map(({ points_lps: points }) => depthOf(points));
+  const near = depths.reduce((a, b) => Math.min(a, b), Number.POSITIVE_INFINITY);
+  const far = depths.reduce((a, b) => Math.max(a, b), Number.NEGATIVE_INFINITY);
+  const binOf = (depthMm: number): number => {
+    const part = far > near ? (far - depthMm) / (far - near) : 1;
+    return Math.min(Math.max(Math.floor(part * NUM_DEPTHS), 0), NUM_DEPTHS - 1);
+  };
+  const px = (mm: number, depthMm: number): number => (mm * focalPx * viewport.magnification) / Math.max(depthMm, 1);
+  const [vessels, airways] = [new Strokes(), new Strokes()];
+  for (const [n, { points_lps: points, diameter_mm: diameter, sure }] of scene.vessels.entries()) {
+    const depth = depths[n] ?? far;
+    const path = vessels.at(binOf(depth), sure ? px(diameter, depth) : LEAST_PX, sure);
+    let begun = false;
+    for (const point of points) {
+      const lps = asVec3(point);
+      const seen = scene.lesions.some((lesion) => isInside(lesion, lps)) ? null : pixelFromLps(geometry, lps);
+      if (seen !== null) {
+        const at = viewport.screenAt(seen);
+        if (begun) path.lineTo(at.x, at.y);
+        else path.moveTo(at.x, at.y);
+      }
+      begun = seen !== null;
+    }
+  }
+  for (const { branch } of scene.tree?.byId.values() ?? []) {
+    branch.points.slice(1).forEach((point, n) => {
+      const [from, to] = [branch.points[n] ?? point, point].map((end) => pixelFromLps(geometry, asVec3(end)));
+      if (from == null || to == null) return;
+      const path = airways.at(binOf(to.depthMm), px(2 * (branch.radius[n + 1] ?? 0), to.depthMm));
+      const [a, b] = [viewport.screenAt(from), viewport.screenAt(to)];
+      path.moveTo(a.x, a.y);
+      path.lineTo(b.x, b.y);
+    });
+  }
+  ink.save();
+  ink.lineCap = ink.lineJoin = "round";
+  ink.strokeStyle = layerColour("vessels");
+  for (let depth = 0; depth < NUM_DEPTHS; depth++) {
+    ink.globalCompositeOperation = "source-over";
+    const alpha = ALPHAS[0] + ((ALPHAS[1] - ALPHAS[0]) * depth) / (NUM_DEPTHS - 1);
+    for (const { path, width, sure } of vessels.of(depth)) {
+      ink.globalAlpha = alpha * (sure ? 1 : 0.6);
+      ink.lineWidth = width;
+      ink.setLineDash(sure ? [] : [2, 2.5]);
+      ink.stroke(path);
+    }
+    // The airway is in the picture beneath.
+    ink.globalCompositeOperation = "destination-out";
+    ink.globalAlpha = 1;
+    ink.setLineDash([]);
+    for (const { path, width } of airways.of(depth)) {
+      ink.lineWidth = width;
+      ink.stroke(path);
+    }
+  }
+  ink.restore();
+}
+
+/** What is a target is no vessel. */
+function isInside({ centre, surface }: SceneLesion, point: Vec3): boolean {
+  const [first] = surface.vertices;
+  if (first === undefined) return false;
+  const away = Math.hypot(...sub(point, centre));
+  return away < Math.hypot(...sub(first, centre));
+}
