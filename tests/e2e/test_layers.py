@@ -51,7 +51,14 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     workstation.wait_for("window.__carina.state.lungs.standing === 'making'")
     assert ask.is_disabled()
     job = page.get_by_role("progressbar", name="looking at what lies round the target")
+    # Said at once, and gone with the job: what a browser has shown in between a test may come too late for.
+    page.evaluate(
+        """() => new MutationObserver(() => {
+            window.cancelling ||= document.querySelector('.jobs').textContent.includes('Cancelling');
+        }).observe(document.querySelector('.jobs'), { subtree: true, childList: true, characterData: true })"""
+    )
     job.get_by_role("button", name="Cancel", exact=True).click()
+    workstation.wait_for("window.cancelling")
     workstation.wait_for("window.__carina.state.lungs.standing === 'stopped'")
     workstation.wait_for("window.__carina.state.jobs.length === 0")
     assert workstation.state("lungs.layers") == []

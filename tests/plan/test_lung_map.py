@@ -7,7 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from carina.plan.box import Box
-from carina.plan.lung_map import _amid_lung, _deep_lines
+from carina.plan.fissures import FissureBox
+from carina.plan.lobes import LOBE_NAMES
+from carina.plan.lung_map import _amid_lung, _deep_lines, _seen_shares
 from carina.plan.vessels import VesselBranch, VesselTree
 
 MATRIX = np.eye(4)
@@ -58,3 +60,24 @@ def test_lines_along_the_edge_are_left_out_and_pieces_begin_where_their_trunk_wa
     made = _deep_lines(lines, box(trachea=False))
     assert [branch.parent for branch in made.branches] == [None, 0]
     assert made.branches[0].points_lps is lines.branches[1].points_lps
+
+
+def test_how_far_fissures_are_seen_is_told_by_side_along_the_borders_of_the_lobes():
+    # At 2 mm: right lung at low x with a flat border between two lobes, left lung beside it with another.
+    label = np.zeros((20, 20, 40), dtype=np.uint8)
+    border = np.full(label.shape, np.inf, dtype=np.float32)
+    for part, upper, lower in ((slice(0, 18), "RUL", "RLL"), (slice(22, 40), "LUL", "LLL")):
+        label[10:, :, part] = LOBE_NAMES.index(upper) + 1
+        label[:10, :, part] = LOBE_NAMES.index(lower) + 1
+        border[9:11, :, part] = 1.0
+    told = SimpleNamespace(label_zyx=label, border_mm=border, lps_from_ijk=np.diag([2.0, 2.0, 2.0, 1.0]))
+    # On a finer grid that begins elsewhere: along the front half of the right border, and far from the left one.
+    place = np.eye(4)
+    place[:3, 3] = (-5.0, -5.0, -5.0)
+    mask = np.zeros((50, 50, 90), dtype=bool)
+    mask[23:25, 5:25, 5:41] = True
+    mask[38:40, 5:45, 49:85] = True
+    fissure = FissureBox(mask, Box(np.zeros(mask.shape, dtype=np.float32), np.ones(mask.shape, dtype=bool), 1.0, place))
+    right, left = _seen_shares(told, fissure)
+    assert 0.5 <= right <= 0.6
+    assert left == 0.0

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
-from carina.plan.box import Box, smoothed
+from carina.plan.box import Box, ball_distance, smoothed
+from carina.plan.fissures import FissureBox
 from carina.plan.lobes import LOBE_NAMES, Lobes, lobes
 from carina.plan.surroundings import Surroundings, lung_box, lung_surroundings
 from carina.plan.vessels import VesselBranch, VesselTree, grow_tree
@@ -35,6 +36,8 @@ AIRWAY_GENERATIONS = 2
 """Air in airways up to here is no lung; those farther out are too thin to matter."""
 DEEP_MM, LEAST_DEEP = 6.0, 0.25
 """A line of which less lies so deep runs along the edge of the lungs, where slices shifted by breathing make steps."""
+NEAR_MM = 3.0
+"""A border so near to a fissure that is seen lies on it: the lobes are told on a grid of 2 mm."""
 STRETCH_MM = 1.5
 """Of the Gaussian over which that mean is taken: single voxels would make a line flicker between sure and doubtful."""
 
@@ -84,6 +87,8 @@ class LungMap:
     """The same vessels as lines with radii; those that run along the edge of the lungs are left out."""
     fissures: MappedMask | None = None
     """Plates at 1 mm, as far as they are seen; empty where none is."""
+    fissure_shares: tuple[float, float] | None = None
+    """Of the estimated borders of lobes, right and left, the share that lies on a fissure that is seen."""
     lobes: tuple[tuple[str, MappedMask], ...] = ()
     """By name, at 2 mm. Where no fissure is seen their borders follow from the airways."""
     missing_lobes: tuple[str, ...] = ()
@@ -218,9 +223,27 @@ def _with_lobes(made: LungMap, told: Lobes) -> LungMap:
     return replace(
         made,
         fissures=None if told.fissure is None else _cropped(told.fissure.mask, told.fissure.box),
+        fissure_shares=None if told.fissure is None else _seen_shares(told, told.fissure),
         lobes=tuple((name, MappedMask.placed(mask, told.lps_from_ijk)) for name, mask in named if mask.any()),
         missing_lobes=told.missing,
     )
+
+
+def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float, float]:
+    step_mm = float(told.lps_from_ijk[0, 0])
+    first = fissure.box.lps_from_ijk[:3, 3] - told.lps_from_ijk[:3, 3]
+    seen = np.zeros(told.label_zyx.shape, dtype=bool)
+    places = np.rint((np.argwhere(fissure.mask)[:, ::-1] * fissure.box.step_mm + first) / step_mm).astype(np.intp)
+    i, j, k = places[((places >= 0) & (places < seen.shape[::-1])).all(axis=1)].T
+    seen[k, j, i] = True
+    near = ball_distance(~seen, step_mm) + 0.5 * step_mm <= NEAR_MM if seen.any() else seen
+    border = (told.label_zyx > 0) & (told.border_mm < step_mm)
+    right = np.isin(told.label_zyx, [n for n, name in enumerate(LOBE_NAMES, 1) if name.startswith("R")])
+
+    def share(of: Mask) -> float:
+        return float(near[of].mean()) if of.any() else 0.0
+
+    return share(border & right), share(border & ~right)
 
 
 def _cropped(mask: Mask, box: Box) -> MappedMask:

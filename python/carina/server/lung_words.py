@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["lungs_message"]
 
 NO_MEDIASTINUM = "Vessels of the mediastinum and the hila are not shown: without contrast the CT does not show them."
+LEAST_SHARE = 0.05
+"""Of the borders on either side: less is told in words."""
 LEAST_LINE_MM = 6.0
 """A shorter piece that nothing leaves is a burr in a picture from outside."""
 VESSEL_POINT_EVERY_MM = 2.5
@@ -61,7 +63,7 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
         seen = lungs.fissures.inside_zyx.any()
         yield wire.MappedLayer(
             "fissures",
-            "as far as the CT shows them" if seen else "none seen",
+            _fissures_seen(lungs.fissure_shares) if seen else "none seen",
             ("Where none is shown there may be one, it may be fused, or the CT is too blurred for it.",),
             (),
         )
@@ -77,6 +79,16 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
             ),
             tuple(name for name, _ in lungs.lobes),
         )
+
+
+def _fissures_seen(shares: tuple[float, float] | None) -> str:
+    if shares is None:
+        return "as far as the CT shows them"
+    if max(shares) < LEAST_SHARE:
+        return "hardly any seen"
+    # Of an estimated border: to the nearest tenth is as far as that goes.
+    right, left = (f"{10.0 * round(10.0 * share):.0f} %" for share in shares)
+    return f"seen along about {right} of the borders on the right, {left} on the left"
 
 
 def _vessel_lines(tree: VesselTree) -> Iterator[wire.VesselLine]:

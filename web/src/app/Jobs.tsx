@@ -1,5 +1,6 @@
 /** Long work: a thin bar with what, how far, how long, and a way to stop it. */
 
+import { useState } from "react";
 import { ProgressBar } from "react-aria-components";
 import { plural, sentence, timeLeft } from "../state/format";
 import { useApp, useStation } from "./context";
@@ -14,6 +15,8 @@ interface ThinProgressProps {
 }
 
 export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: ThinProgressProps) {
+  // A step of the work may have to end first; the bar goes once it is given up.
+  const [isCancelling, setCancelling] = useState(false);
   return (
     <ProgressBar
       className="job"
@@ -34,7 +37,16 @@ export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: T
           {fraction === null ? "" : `${Math.floor(100 * fraction)} %`}
           {secondsLeft === null ? "" : `${fraction === null ? "" : ", "}${timeLeft(secondsLeft)}`}
         </span>
-        <Act kind="quiet" label="Cancel" words={`Cancel: ${title}`} onPress={onCancel} />
+        <Act
+          kind="quiet"
+          label={isCancelling ? "Cancelling\u2026" : "Cancel"}
+          words={`Cancel: ${title}`}
+          disabled={isCancelling}
+          onPress={() => {
+            setCancelling(true);
+            onCancel();
+          }}
+        />
       </div>
     </ProgressBar>
   );
