@@ -195,6 +195,19 @@ pub(super) fn decorate<L: Lanes>(
     let off = l.sqrt(l.fma(left, left, l.mul(back, back)));
     // Rings lie on a wall that keeps to the smooth tube; a flat back wall lies nearer to the middle.
     let beyond = smooth(l, l.fma(off, s(-4.0), s(6.2)));
+    let proximal = l.mul(place.proximal, beyond);
+    let mut tint = hue(l, look, proximal);
+    // The ridge between two daughters is cartilage under thin mucosa.
+    let ridge = l.mul(l.mul(place.spur, s(look.spurs)), beyond);
+    // Most walls beyond the lobar bronchi have neither rings nor a membranous wall.
+    let either = l.max(
+        l.mul(place.rings, s(look.rings)),
+        l.mul(place.membrane, s(look.membrane)),
+    );
+    if l.bits(l.less(s(0.0), either)) == 0 {
+        pale = l.min(l.mul(ridge, s(0.65)), one);
+        return Decorated { form, pale, tint };
+    }
     let on_tube = l.mul(smooth(l, l.fma(off, s(6.0), s(-3.9))), beyond);
     let on_back = l.mul(smooth(l, l.fma(off, s(6.0), s(-2.4))), beyond);
     let between = l.sub(one, smooth(l, l.mul(place.spur, s(1.3))));
@@ -260,12 +273,7 @@ pub(super) fn decorate<L: Lanes>(
         form = along(l, form, lean, side);
     }
 
-    // The ridge between two daughters is cartilage under thin mucosa.
-    let ridge = l.mul(l.mul(place.spur, s(look.spurs)), beyond);
     pale = l.fma(l.mul(ridge, l.sub(one, pale)), s(0.65), pale);
-
-    let proximal = l.mul(place.proximal, beyond);
-    let mut tint = hue(l, look, proximal);
     // Between rings and on the membranous wall more blood shows.
     for c in 0..3 {
         let (of_interval, of_membrane, of_fold) = BLOOD[c];
