@@ -71,7 +71,7 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     assert [row.get_attribute("data-testid") for row in rows.all()] == [f"layer-{layer}" for layer in LAYERS]
     assert page.get_by_test_id("parts-lobes").locator("li").all_inner_texts() == ["RUL", "RML", "RLL", "LUL", "LLL"]
     assert "Dashed: less sure" in page.get_by_test_id("lungs-limit").inner_text()
-    # The same vessels as lines round the tree, which a tip that moves does not hide.
+    # The same vessels as lines round the tree.
     assert len(workstation.state("lungs.vessels")) > 20
     bushy = workstation.overlay("tree")
     page.get_by_test_id("show-vessels").click()

@@ -81,3 +81,6 @@ def test_how_far_fissures_are_seen_is_told_by_side_along_the_borders_of_the_lobe
     right, left = _seen_shares(told, fissure)
     assert 0.5 <= right <= 0.6
     assert left == 0.0
+    # A side whose lung is one lobe has no border, and says nothing of fissures.
+    one = SimpleNamespace(**{**vars(told), "border_mm": np.where(np.arange(40) < 20, border, np.inf)})
+    assert _seen_shares(one, fissure) == (right, None)

@@ -6,10 +6,12 @@ import json
 from typing import get_args
 
 import numpy as np
+import pytest
 
 from carina.commands import CloseCase, MapLungs
 from carina.plan.lung_map import LungMap
 from carina.plan.vessels import VesselBranch, VesselTree
+from carina.server.lung_words import _fissures_seen
 from carina.server.outbox import TOPICS, Outbox
 from carina.server.shared_texts import SharedTexts
 from carina.session.snapshot import Topic
@@ -42,6 +44,20 @@ def test_what_was_mapped_of_the_lungs_is_told_as_it_changes() -> None:
         step()
         told.append(json.loads(texts.lungs())["standing"])
     assert told == ["unwanted", "making", "had"]
+
+
+@pytest.mark.parametrize(
+    ("shares", "words"),
+    [
+        ((0.79, 0.68), "seen along about 80 % of the borders on the right and 70 % of the borders on the left"),
+        ((0.0, 0.02), "hardly any seen"),
+        ((0.5, None), "seen along about 50 % of the borders on the right"),
+        ((None, None), "as far as the CT shows them"),
+        (None, "as far as the CT shows them"),
+    ],
+)
+def test_how_far_fissures_are_seen_is_said_of_the_sides_that_have_borders(shares, words) -> None:
+    assert _fissures_seen(shares) == words
 
 
 def test_vessels_are_told_as_lines_without_burrs() -> None:

@@ -87,8 +87,11 @@ class LungMap:
     """The same vessels as lines with radii; those that run along the edge of the lungs are left out."""
     fissures: MappedMask | None = None
     """Plates at 1 mm, as far as they are seen; empty where none is."""
-    fissure_shares: tuple[float, float] | None = None
-    """Of the estimated borders of lobes, right and left, the share that lies on a fissure that is seen."""
+    fissure_shares: tuple[float | None, float | None] | None = None
+    """Of the estimated borders of lobes, right and left, the share that lies on a fissure that is seen.
+
+    None for a side without a border: its lung is one lobe, or is not in the CT.
+    """
     lobes: tuple[tuple[str, MappedMask], ...] = ()
     """By name, at 2 mm. Where no fissure is seen their borders follow from the airways."""
     missing_lobes: tuple[str, ...] = ()
@@ -229,7 +232,7 @@ def _with_lobes(made: LungMap, told: Lobes) -> LungMap:
     )
 
 
-def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float, float]:
+def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float | None, float | None]:
     step_mm = float(told.lps_from_ijk[0, 0])
     first = fissure.box.lps_from_ijk[:3, 3] - told.lps_from_ijk[:3, 3]
     seen = np.zeros(told.label_zyx.shape, dtype=bool)
@@ -240,8 +243,8 @@ def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float, float]:
     border = (told.label_zyx > 0) & (told.border_mm < step_mm)
     right = np.isin(told.label_zyx, [n for n, name in enumerate(LOBE_NAMES, 1) if name.startswith("R")])
 
-    def share(of: Mask) -> float:
-        return float(near[of].mean()) if of.any() else 0.0
+    def share(of: Mask) -> float | None:
+        return float(near[of].mean()) if of.any() else None
 
     return share(border & right), share(border & ~right)
 

@@ -81,14 +81,16 @@ def _lung_layers(lungs: LungMap) -> Iterator[wire.MappedLayer]:
         )
 
 
-def _fissures_seen(shares: tuple[float, float] | None) -> str:
-    if shares is None:
+def _fissures_seen(shares: tuple[float | None, float | None] | None) -> str:
+    sides = zip(("right", "left"), shares or (), strict=False)
+    known = [(side, share) for side, share in sides if share is not None]
+    if not known:
         return "as far as the CT shows them"
-    if max(shares) < LEAST_SHARE:
+    if max(share for _, share in known) < LEAST_SHARE:
         return "hardly any seen"
     # Of an estimated border: to the nearest tenth is as far as that goes.
-    right, left = (f"{10.0 * round(10.0 * share):.0f} %" for share in shares)
-    return f"seen along about {right} of the borders on the right, {left} on the left"
+    told = [f"{10.0 * round(10.0 * share):.0f} % of the borders on the {side}" for side, share in known]
+    return f"seen along about {' and '.join(told)}"
 
 
 def _vessel_lines(tree: VesselTree) -> Iterator[wire.VesselLine]:
