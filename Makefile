@@ -13,6 +13,8 @@ CASE ?= phantom
 # Python keeps what it compiled. Where a machine forbids it, each of the processes that a test run starts compiles its
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
+# uv installs into the environment that is active, which may be another project's.
+export VIRTUAL_ENV := $(CURDIR)/.venv
 
 .PHONY: help run setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
 
