@@ -13,8 +13,6 @@ CASE ?= phantom
 # Python keeps what it compiled. Where a machine forbids it, each of the processes that a test run starts compiles its
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
-# uv installs into the environment that is active, which may be another project's.
-export VIRTUAL_ENV := $(CURDIR)/.venv
 
 .PHONY: help run setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
 
@@ -25,12 +23,14 @@ help: ## print this list
 	python3 -m venv .uv
 	.uv/bin/pip install -q --disable-pip-version-check uv
 
+# uv would install into the environment that is active, which may be another project's: each call names ours. (Not by
+# VIRTUAL_ENV for all of make: pyo3's build would ask that environment's Python, in CI before there is one.)
 # Locked, hashed dependencies first, then Carina itself (compiled, web UI built) in place.
 # The web's libraries before them, so that nobody installs those at the same time.
 $(STAMP): requirements.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | web/node_modules/.package-lock.json $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
 	@test -x $(PY) || $(UV) venv -q .venv
-	$(UV) pip sync -q --require-hashes requirements.lock
-	$(UV) pip install -q --no-deps --reinstall-package carina -e .
+	$(UV) pip sync -q --python $(PY) --require-hashes requirements.lock
+	$(UV) pip install -q --python $(PY) --no-deps --reinstall-package carina -e .
 	@touch $@
 
 setup: $(STAMP) ## install dependencies, compile, build the web UI
@@ -60,7 +60,7 @@ test-web: web/node_modules/.package-lock.json
 # Ray is an extra of 76 MB: only who tests downloads it. Elsewhere than on Linux there is nothing in it.
 CLUSTER_STAMP := .venv/.carina-cluster
 $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
-	$(UV) pip install -q --require-hashes -r requirements-cluster.lock
+	$(UV) pip install -q --python $(PY) --require-hashes -r requirements-cluster.lock
 	@touch $@
 
 # A worker is a process with servers and a browser of its own, and often waits for them: one more than there are cores.
