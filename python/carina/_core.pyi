@@ -182,7 +182,7 @@ def build_radius_map(
 ) -> NDArray[np.uint8]:
     """The radius map of a label volume; one slab for each thread unless told."""
 
-def build_run_map(
+def build_cell_map(
     hu_zyx: NDArray[np.int16],
     runs: Sequence[tuple[int, int]],
     *,
@@ -190,7 +190,8 @@ def build_run_map(
     simd: str | None = None,
     num_slabs: int | None = None,
 ) -> NDArray[np.uint8]:
-    """The radius map of disjoint runs of values (first, last); 0 where a value is in none."""
+    """The map of cells of disjoint runs of values (first, last), which leaps over clear samples read; 0 where a
+    value is in none."""
 
 # ---- optics ----
 

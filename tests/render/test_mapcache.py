@@ -54,7 +54,7 @@ def test_maps_are_found_on_disk_again_and_built_again_when_damaged(airway, tmp_p
     assert path.name.split(".")[0].isalnum(), "a name from the content"
 
     with monkeypatch.context() as patched:
-        for builder in ("build_run_map", "build_radius_map", "label_values"):
+        for builder in ("build_cell_map", "build_radius_map", "label_values"):
             patched.setattr(_core, builder, None)
         np.testing.assert_array_equal(picture(), expected)
 

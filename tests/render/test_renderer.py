@@ -112,7 +112,7 @@ def test_the_wall_is_nearer_and_brighter_than_the_deep_lumen(airway):
 def test_a_transfer_function_of_the_same_classes_needs_no_new_map(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     renderer.prepare()
-    monkeypatch.setattr(_core, "build_run_map", None)
+    monkeypatch.setattr(_core, "build_cell_map", None)
     renderer.set_transfer(transfer_preset("see-through"))
     # Clear up to -700 HU, as endoscopic: the same classes, so the same map.
     assert renderer.prepared
@@ -126,14 +126,14 @@ def test_pictures_go_on_by_brute_force_while_a_slow_map_is_built(airway, monkeyp
     renderer = Renderer(airway.volume)
     expected = renderer.render(view(airway, method="brute")).rgb
     building, go_on = threading.Event(), threading.Event()
-    build = _core.build_run_map
+    build = _core.build_cell_map
 
     def slowly(*arguments, **options):
         building.set()
         assert go_on.wait(30)
         return build(*arguments, **options)
 
-    monkeypatch.setattr(_core, "build_run_map", slowly)
+    monkeypatch.setattr(_core, "build_cell_map", slowly)
     worker = threading.Thread(target=renderer.prepare)
     worker.start()
     assert building.wait(30)
@@ -150,7 +150,7 @@ def test_pictures_go_on_by_brute_force_while_a_slow_map_is_built(airway, monkeyp
 def test_the_map_of_a_transfer_function_that_was_replaced_while_it_was_built_is_not_shown(airway, monkeypatch):
     renderer = Renderer(airway.volume)
     everything = TransferFunction(points=np.array([[-2000.0, 1, 1, 1, 0.2], [-400.0, 1, 1, 1, 0.9]]))
-    build = _core.build_run_map
+    build = _core.build_cell_map
     built = []
 
     def meanwhile(*arguments, **options):
@@ -159,7 +159,7 @@ def test_the_map_of_a_transfer_function_that_was_replaced_while_it_was_built_is_
         built.append(arguments[1])
         return build(*arguments, **options)
 
-    monkeypatch.setattr(_core, "build_run_map", meanwhile)
+    monkeypatch.setattr(_core, "build_cell_map", meanwhile)
     renderer.prepare()
     assert len(built) == 2
     assert built[-1] == (), "nothing is clear"

@@ -93,7 +93,7 @@ def test_a_renderer_that_fails_is_told_of_the_next_change():
 def test_pictures_of_a_new_preset_come_while_its_map_is_built(monkeypatch, lumen):
     """The real renderer under the real pump; the map takes as long as the test likes."""
     building, go_on = threading.Event(), threading.Event()
-    build = _core.build_run_map
+    build = _core.build_cell_map
 
     def slowly(*arguments, **options):
         if options:  # The tree view's own small map has no cancel.
@@ -119,7 +119,7 @@ def test_pictures_of_a_new_preset_come_while_its_map_is_built(monkeypatch, lumen
     try:
         session.do(OpenVolume(volume))
         assert session.jobs.wait_idle(60)
-        monkeypatch.setattr(_core, "build_run_map", slowly)
+        monkeypatch.setattr(_core, "build_cell_map", slowly)
         everything = render.TransferFunction(points=np.array([[-2000.0, 1, 1, 1, 0.2], [-400.0, 1, 1, 1, 0.9]]))
         session.do(SetTransfer(document=everything.to_json()))
         assert building.wait(60)

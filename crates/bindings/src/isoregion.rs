@@ -156,10 +156,10 @@ fn build_radius_map<'py>(
     })
 }
 
-/// The radius map of runs of values; 0 where a value is in none.
+/// The map of cells of runs of values; 0 where a value is in none.
 #[pyfunction]
 #[pyo3(signature = (hu_zyx, runs, *, cancel=None, simd=None, num_slabs=None))]
-fn build_run_map<'py>(
+fn build_cell_map<'py>(
     py: Python<'py>,
     hu_zyx: PyReadonlyArray3<'py, i16>,
     runs: Vec<(i16, i16)>,
@@ -170,7 +170,7 @@ fn build_run_map<'py>(
     let shape = shape_of(&hu_zyx);
     let hu = values("hu_zyx", &hu_zyx)?;
     map_array(py, shape, cancel, simd, num_slabs, |builder, out| {
-        builder.run_map(hu, shape, &runs, out)
+        builder.run_cell_map(hu, shape, &runs, out)
     })
 }
 
@@ -234,6 +234,6 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(value_range, module)?)?;
     module.add_function(wrap_pyfunction!(content_digest, module)?)?;
     module.add_function(wrap_pyfunction!(build_radius_map, module)?)?;
-    module.add_function(wrap_pyfunction!(build_run_map, module)?)?;
+    module.add_function(wrap_pyfunction!(build_cell_map, module)?)?;
     Ok(())
 }

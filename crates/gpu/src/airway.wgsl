@@ -118,6 +118,11 @@ fn nearest(p: vec3<f32>) -> vec3<i32> {
     return vec3<i32>(held(p) + 0.5);
 }
 
+// The lower corner of the cell that holds p.
+fn cell_of(p: vec3<f32>) -> vec3<i32> {
+    return vec3<i32>(held(p));
+}
+
 fn value_in(cell: Cell) -> f32 {
     let a = cell.ijk;
     let b = min(a + 1, frame.last.xyz);
@@ -259,7 +264,7 @@ fn ray_of(pixel: u32) -> Ray {
     return Ray(delta, u32(first), u32(end));
 }
 
-// The largest number of steps from p that stay within `reach` of voxel v on every axis.
+// The largest number of steps from p that stay within `reach` of v on every axis.
 fn steps_within(ray: Ray, p: vec3<f32>, v: vec3<f32>, reach: f32) -> u32 {
     var steps = MAX_STEPS;
     for (var a = 0; a < 3; a++) {
@@ -276,7 +281,7 @@ fn steps_within(ray: Ray, p: vec3<f32>, v: vec3<f32>, reach: f32) -> u32 {
 // True where the camera stands in a region of the map; the same for all rays.
 fn starts_in_region() -> bool {
     let inside = all(frame.between_faces.xyz == vec3<u32>(1u));
-    return inside && textureLoad(radius, nearest(frame.origin.xyz), 0).x > 0u;
+    return inside && textureLoad(radius, cell_of(frame.origin.xyz), 0).x > 0u;
 }
 
 @compute @workgroup_size(8, 8)
@@ -306,12 +311,13 @@ fn cast_airway(
             let p = place(ray, k);
             if LEAP {
                 if k >= ask_at {
-                    let v = nearest(p);
+                    let v = cell_of(p);
                     lookups += 1u;
                     let r = textureLoad(radius, v, 0).x;
                     if r > 0u {
                         // All corners of this sample and of the next n lie in the cube.
-                        let n = steps_within(ray, p, vec3<f32>(v), f32(r) - frame.guard_vox);
+                        let reach = f32(r) + (-0.5 - frame.guard_vox);
+                        let n = steps_within(ray, p, vec3<f32>(v) + 0.5, reach);
                         let passed = min(n + 1u, ray.end - k);
                         leaps += 1u;
                         skipped += passed;

@@ -21,7 +21,7 @@ impl Gpu {
         })
     }
 
-    /// Uploads the radius map of the transparent classes, `[z, y, x]`.
+    /// Uploads the map of the transparent classes' cells, `[z, y, x]`.
     pub fn upload_map(&self, radius_zyx: &[u8], shape_zyx: [usize; 3]) -> Result<GpuMap, GpuError> {
         let format = wgpu::TextureFormat::R8Uint;
         Ok(GpuMap {

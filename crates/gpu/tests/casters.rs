@@ -12,7 +12,7 @@ use std::{
 
 use carina_gpu::{Gpu, GpuError, adapters};
 use carina_grid::{Camera, FieldShape, ImageField, Lens, LensRays, Optics, VolumeView};
-use carina_isoregion::{class_labels, radius_map};
+use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{
     Appearance, CastStats, Frame, FrameOptions, InstructionSet, Method, cast_rows, cast_surface,
     light_gathered,
@@ -72,7 +72,7 @@ fn radius(scene: &Scene, nearest: bool) -> Vec<u8> {
     let labels = class_labels(&scene.hu, -1100, &entries, true)
         .unwrap()
         .labels;
-    radius_map(&labels, scene.grid.shape_zyx()).unwrap()
+    cell_map(&labels, scene.grid.shape_zyx()).unwrap()
 }
 
 struct Pair {

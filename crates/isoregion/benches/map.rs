@@ -76,7 +76,7 @@ fn main() {
                     let began = (Instant::now(), cpu_ms());
                     if runs {
                         builder
-                            .run_map(&hu, SHAPE, &[(i16::MIN, -701)], &mut out)
+                            .run_cell_map(&hu, SHAPE, &[(i16::MIN, -701)], &mut out)
                             .expect("a map");
                     } else {
                         builder.radius_map(&labels, SHAPE, &mut out).expect("a map");

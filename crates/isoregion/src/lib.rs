@@ -2,7 +2,7 @@
 //!
 //! The radius of a voxel is the largest `d` such that the `(2d+1)^3` cube round it lies in the volume and holds one
 //! label. [`paper_radius_map`] is the paper's construction, slow and readable; [`radius_map`] is the one to use and
-//! equals it.
+//! equals it. [`cell_map`] has the same for the cells between voxels: leaps over what is clear take it.
 
 #![allow(
     clippy::inline_always,
@@ -24,6 +24,6 @@ pub use labels::{
     Class, ClassLabels, Rgba, VALUE_BIN_HU, class_labels, transparent_runs, value_bin,
     value_labels, value_range,
 };
-pub use map::{MapBuilder, radius_map};
-pub use reference::{MAX_RADIUS_VOX, paper_radius_map};
+pub use map::{MapBuilder, cell_map, radius_map};
+pub use reference::{MAX_RADIUS_VOX, paper_radius_map, reference_cell_map};
 pub use segment_table::{MAX_SEGMENT_SAMPLES, SegmentTable};

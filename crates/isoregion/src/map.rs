@@ -9,7 +9,7 @@ use crate::{
     labels::run_labels,
     sweep::{Push, Sweep},
     threads::num_threads,
-    uniform::Source,
+    uniform::{Source, Unit},
 };
 
 /// Slabs thinner than this are not split: their borders would cost more than a second thread gains.
@@ -46,6 +46,18 @@ pub fn radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRe
     Ok(out)
 }
 
+/// Radius of every *cell*, which is written at its lower corner: the largest `d` such that the `(2d)^3` voxels round it lie in
+/// the volume, none of them at its lower faces, and hold one label.
+///
+/// A sample between voxels takes the eight corners of its cell: where the radius is not 0 they are alike, and so are those of
+/// all samples within `d - 1/2` voxels of the cell's middle along each axis. The map of voxels (paper 4.2) knows this only of
+/// cells that have an equal voxel all round them. Equals [`crate::reference_cell_map`].
+pub fn cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
+    let mut out = vec![0; labels.len()];
+    MapBuilder::default().cell_map(labels, shape_zyx, &mut out)?;
+    Ok(out)
+}
+
 impl MapBuilder<'_> {
     /// Writes the radius of every voxel to `out`, whatever it holds.
     ///
@@ -58,12 +70,22 @@ impl MapBuilder<'_> {
         shape_zyx: [usize; 3],
         out: &mut [u8],
     ) -> Result<(), IsoRegionError> {
-        self.build(Source::Labels(labels), labels.len(), shape_zyx, out)
+        self.build(Source::Labels(labels, Unit::Voxel), shape_zyx, out)
     }
 
-    /// Writes the radius map of the classes that `runs` (first and last value of each, disjoint) describe to `out`, from
-    /// the values themselves: with few runs no label volume comes to be. Values in no run have radius 0.
-    pub fn run_map(
+    /// Writes the radius of every *cell* to `out`: see [`cell_map`].
+    pub fn cell_map(
+        &self,
+        labels: &[u8],
+        shape_zyx: [usize; 3],
+        out: &mut [u8],
+    ) -> Result<(), IsoRegionError> {
+        self.build(Source::Labels(labels, Unit::Cell), shape_zyx, out)
+    }
+
+    /// Writes the cell map of the classes that `runs` (first and last value of each, disjoint) describe to `out`, from the
+    /// values themselves: with few runs no label volume comes to be. Values in no run have radius 0.
+    pub fn run_cell_map(
         &self,
         hu: &[i16],
         shape_zyx: [usize; 3],
@@ -71,19 +93,22 @@ impl MapBuilder<'_> {
         out: &mut [u8],
     ) -> Result<(), IsoRegionError> {
         if runs.len() > MAX_RUNS {
-            return self.radius_map(&run_labels(hu, runs).labels, shape_zyx, out);
+            return self.cell_map(&run_labels(hu, runs).labels, shape_zyx, out);
         }
         let runs: Vec<_> = runs.iter().map(|&(lo, hi)| (lo, lo.abs_diff(hi))).collect();
-        self.build(Source::Runs(hu, &runs), hu.len(), shape_zyx, out)
+        self.build(Source::Runs(hu, &runs), shape_zyx, out)
     }
 
     fn build(
         &self,
         source: Source<'_>,
-        num_voxels: usize,
         shape_zyx: [usize; 3],
         out: &mut [u8],
     ) -> Result<(), IsoRegionError> {
+        let num_voxels = match source {
+            Source::Labels(labels, _) => labels.len(),
+            Source::Runs(hu, _) => hu.len(),
+        };
         check_length(num_voxels, shape_zyx)?;
         check_length(out.len(), shape_zyx)?;
         if num_voxels > 0 {
@@ -173,7 +198,7 @@ fn join(one: impl FnOnce() + Send, other: impl FnOnce()) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::paper_radius_map;
+    use crate::{paper_radius_map, reference_cell_map};
     use proptest::prelude::*;
 
     /// Blocks of labels with odd voxels strewn in: large regions, thin ones, label 0, and faces.
@@ -249,6 +274,24 @@ mod tests {
         }
 
         #[test]
+        fn the_fast_cell_map_equals_its_definition(
+            shape in (1usize..24, 1usize..14, prop_oneof![1usize..24, 30usize..36, 60usize..70, 90usize..140]),
+            seed in any::<u64>(),
+            num_labels in prop_oneof![1usize..5, 5usize..256],
+            num_odd in 0usize..30,
+            block in 1usize..30,
+        ) {
+            let shape = [shape.0, shape.1, shape.2];
+            let labels = random_labels(shape, num_labels, num_odd, block, seed);
+            let expected = reference_cell_map(&labels, shape).unwrap();
+            for builder in builders() {
+                let mut out = vec![77; labels.len()];
+                builder.cell_map(&labels, shape, &mut out).unwrap();
+                prop_assert!(out == expected, "{:?}, {} slabs", builder.simd, builder.num_slabs);
+            }
+        }
+
+        #[test]
         fn a_map_of_runs_equals_the_map_of_their_labels(
             shape in (1usize..24, 1usize..12, 1usize..90),
             seed in any::<u64>(),
@@ -267,10 +310,10 @@ mod tests {
                 .iter()
                 .map(|v| runs.iter().position(|(lo, hi)| (lo..=hi).contains(&v)).map_or(0, |n| n as u8 + 1))
                 .collect();
-            let expected = paper_radius_map(&labels, shape).unwrap();
+            let expected = reference_cell_map(&labels, shape).unwrap();
             for builder in builders() {
                 let mut out = vec![77; hu.len()];
-                builder.run_map(&hu, shape, &runs, &mut out).unwrap();
+                builder.run_cell_map(&hu, shape, &runs, &mut out).unwrap();
                 prop_assert!(out == expected, "{:?}, {} slabs", builder.simd, builder.num_slabs);
             }
         }

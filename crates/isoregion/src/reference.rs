@@ -1,4 +1,4 @@
-//! The paper's construction, kept readable: it defines truth for the fast one.
+//! The paper's construction, and the definition of the map of cells, kept readable: they define truth for the fast ones.
 
 use crate::{IsoRegionError, error::check_length};
 
@@ -49,6 +49,38 @@ pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>,
         }
         if !found {
             break;
+        }
+    }
+    Ok(radius)
+}
+
+/// Radius of every cell, by its definition: see [`crate::cell_map`].
+///
+/// Departure from the paper, whose radii are those of voxels. As there, radii stop at 255, and label 0 has radius 0.
+pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
+    check_length(labels.len(), shape_zyx)?;
+    let [nz, ny, nx] = shape_zyx;
+    let mut radius = Vec::with_capacity(labels.len());
+    for z in 0..nz {
+        for y in 0..ny {
+            for x in 0..nx {
+                let label = labels[(z * ny + y) * nx + x];
+                // Between the faces: all of them but the lower ones.
+                let room = z
+                    .min(y)
+                    .min(x)
+                    .min(nz - 1 - z)
+                    .min(ny - 1 - y)
+                    .min(nx - 1 - x);
+                let alike = |d: usize| {
+                    let [zs, ys, xs] = [z, y, x].map(|c| c + 1 - d..=c + d);
+                    let mut rows = zs.flat_map(|z| ys.clone().map(move |y| (z * ny + y) * nx));
+                    rows.all(|row| xs.clone().all(|x| labels[row + x] == label))
+                };
+                let most = room.min(MAX_RADIUS_VOX.into());
+                let d = (1..=most).take_while(|&d| label != 0 && alike(d)).count();
+                radius.push(d as u8);
+            }
         }
     }
     Ok(radius)

@@ -1,20 +1,30 @@
-//! Which voxels lie in the middle of 3x3x3 equal ones: one bit a voxel, slice after slice.
+//! Which voxels lie in the middle of 3x3x3 equal ones, or which cells have eight equal corners: one bit each, slice after
+//! slice.
 
 use crate::bytes::Bytes;
+
+/// What a bit, and later a radius, belongs to.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Unit {
+    /// A voxel, and the 26 round it.
+    Voxel,
+    /// The cell between a voxel and the seven after it.
+    Cell,
+}
 
 /// What makes two voxels equal.
 #[derive(Clone, Copy)]
 pub(crate) enum Source<'a> {
     /// One label, other than 0.
-    Labels(&'a [u8]),
+    Labels(&'a [u8], Unit),
     /// Values in one run: its first value, and how far the last one is from it. Runs are disjoint; values in none of
-    /// them are unequal to all.
+    /// them are unequal to all. Of cells.
     Runs(&'a [i16], &'a [(i16, u16)]),
 }
 
 /// The last three slices of one kind of equality.
 struct Ring {
-    /// The 3x3 voxels of the slice round it are equal.
+    /// The 3x3 voxels of the slice round it are equal; of a cell the 2x2.
     flat: [Vec<u64>; 3],
     /// It equals the voxel in the slice after; empty where `flat` says it already.
     alike: [Vec<u64>; 3],
@@ -26,7 +36,7 @@ pub(crate) struct Uniform<'a> {
     shape_zyx: [usize; 3],
     words: usize,
     rings: Vec<Ring>,
-    /// Of the slice under way: its three voxels along x are equal; it equals the voxel in the row after.
+    /// Of the slice under way: its three voxels (a cell's two) along x are equal; it equals the voxel in the row after.
     across: Vec<u64>,
     down: Vec<u64>,
     /// Stands for label 0.
@@ -39,7 +49,7 @@ impl<'a> Uniform<'a> {
         let words = nx.div_ceil(64);
         let slice = || vec![0; ny * words];
         let (num_rings, labelled) = match source {
-            Source::Labels(_) => (1, true),
+            Source::Labels(..) => (1, true),
             Source::Runs(_, runs) => (runs.len(), false),
         };
         let ring = || Ring {
@@ -67,7 +77,7 @@ impl<'a> Uniform<'a> {
         let [nz, ny, nx] = self.shape_zyx;
         let (words, plane) = (self.words, ny * nx);
         match self.source {
-            Source::Labels(labels) => {
+            Source::Labels(labels, unit) => {
                 let slice = &labels[z * plane..][..plane];
                 let after = labels.get((z + 1) * plane..).filter(|_| z + 1 < nz);
                 let ring = &mut self.rings[0];
@@ -75,7 +85,10 @@ impl<'a> Uniform<'a> {
                     let row = &slice[y * nx..][..nx];
                     let across = &mut self.across[y * words..][..words];
                     equal(b, row, &row[1..], nx - 1, across);
-                    both_sides(across);
+                    if unit == Unit::Voxel {
+                        both_sides(across);
+                    }
+                    without_first(across);
                     // `down` holds the voxels of label 0 for a moment.
                     let down = &mut self.down[y * words..][..words];
                     equal(b, row, &self.zeros, nx, down);
@@ -95,7 +108,13 @@ impl<'a> Uniform<'a> {
                         );
                     }
                 }
-                flatten(&mut ring.flat[z % 3], &self.across, Some(&self.down), words);
+                flatten(
+                    unit,
+                    &mut ring.flat[z % 3],
+                    &self.across,
+                    Some(&self.down),
+                    words,
+                );
             }
             Source::Runs(values, runs) => {
                 let slice = &values[z * plane..][..plane];
@@ -103,9 +122,10 @@ impl<'a> Uniform<'a> {
                     for y in 0..ny {
                         let across = &mut self.across[y * words..][..words];
                         within(b, &slice[y * nx..][..nx], run, across);
-                        both_sides_of_set(across);
+                        after_in_set(across);
+                        without_first(across);
                     }
-                    flatten(&mut ring.flat[z % 3], &self.across, None, words);
+                    flatten(Unit::Cell, &mut ring.flat[z % 3], &self.across, None, words);
                 }
             }
         }
@@ -119,14 +139,19 @@ impl<'a> Uniform<'a> {
         out.fill(0);
         let mut any = 0;
         for ring in &self.rings {
+            // A cell has nothing to do with the slice before.
+            let first = match self.source {
+                Source::Labels(_, Unit::Voxel) => before,
+                _ => here,
+            };
             let [a, c, e] = [
-                &ring.flat[before][at.clone()],
+                &ring.flat[first][at.clone()],
                 &ring.flat[here][at.clone()],
                 &ring.flat[after][at.clone()],
             ];
             for (n, out) in out.iter_mut().enumerate() {
                 let mut all = a[n] & c[n] & e[n];
-                if let Some(alike) = ring.alike[before].get(at.clone()) {
+                if let Some(alike) = ring.alike[first].get(at.clone()) {
                     all &= alike[n] & ring.alike[here][at.start + n];
                 }
                 *out |= all;
@@ -137,17 +162,38 @@ impl<'a> Uniform<'a> {
     }
 }
 
-/// `flat[y] = across[y - 1 ..= y + 1]`, and with `down` rows equal to the next; no bits in the first and last row.
+/// `flat[y] = across[y - 1 ..= y + 1]`, of cells `across[y ..= y + 1]`, and with `down` rows equal to the next; no bits in the
+/// first and last row.
 #[inline(always)]
-fn flatten(flat: &mut [u64], across: &[u64], down: Option<&[u64]>, words: usize) {
+fn flatten(unit: Unit, flat: &mut [u64], across: &[u64], down: Option<&[u64]>, words: usize) {
+    let before = if unit == Unit::Voxel { words } else { 0 };
     let count = flat.len();
     for n in words..count - words {
-        flat[n] = across[n - words] & across[n] & across[n + words];
+        flat[n] = across[n - before] & across[n] & across[n + words];
     }
     if let Some(down) = down {
         for n in words..count - words {
-            flat[n] &= down[n - words] & down[n];
+            flat[n] &= down[n - before] & down[n];
         }
+    }
+}
+
+/// Nothing at a row's first voxel: what lies before it is missing.
+#[inline(always)]
+fn without_first(row: &mut [u64]) {
+    row[0] &= !1;
+}
+
+/// From "in the run" to "in it, with the one after it".
+#[inline(always)]
+fn after_in_set(row: &mut [u64]) {
+    for n in 0..row.len() {
+        let next = if n + 1 < row.len() {
+            row[n + 1] << 63
+        } else {
+            0
+        };
+        row[n] &= row[n] >> 1 | next;
     }
 }
 
@@ -159,22 +205,6 @@ fn both_sides(row: &mut [u64]) {
         let after = *word;
         *word &= after << 1 | carry;
         carry = after >> 63;
-    }
-}
-
-/// From "in the run" to "in it, with both beside it".
-#[inline(always)]
-fn both_sides_of_set(row: &mut [u64]) {
-    let mut carry = 0;
-    for n in 0..row.len() {
-        let word = row[n];
-        let next = if n + 1 < row.len() {
-            row[n + 1] << 63
-        } else {
-            0
-        };
-        row[n] = word & (word << 1 | carry) & (word >> 1 | next);
-        carry = word >> 63;
     }
 }
 

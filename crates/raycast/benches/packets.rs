@@ -1,7 +1,7 @@
 //! Packets against the scalar casters, interleaved in one process, on one thread: medians and ratios.
 //!
 //! `cargo bench -p carina-raycast --bench packets` casts a forked tube. With folders as arguments it casts what each
-//! holds: `NAME.i16` (HU, `[z, y, x]`), `NAME.u8` (radius map) and `NAME.txt` (shape, `lps_from_ijk`, table, transfer
+//! holds: `NAME.i16` (HU, `[z, y, x]`), `NAME.u8` (map of cells) and `NAME.txt` (shape, `lps_from_ijk`, table, transfer
 //! function, light, poses), given as `FOLDER/NAME`. `--quick` casts shaded leaps only, without the scalar caster;
 //! `--shaded`, `--flat`, `--leap`, `--brute` narrow the choice; `--repeats=N`; `--size=N`.
 //!
@@ -10,7 +10,7 @@
 use std::{env, fs};
 
 use carina_grid::{Affine, Camera, Grid, VolumeView};
-use carina_isoregion::{class_labels, radius_map};
+use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{
     CastStats, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, Transfer,
     TransferTable, cast_rows, cast_rows_scalar,
@@ -104,7 +104,7 @@ fn forked_tube() -> Case {
     let labels = class_labels(&hu, -1100, &transfer.range(-1100, 3100), true)
         .expect("labels")
         .labels;
-    let radius = radius_map(&labels, [n; 3]).expect("a map");
+    let radius = cell_map(&labels, [n; 3]).expect("a map");
     Case {
         name: "forked tube".to_owned(),
         radius,

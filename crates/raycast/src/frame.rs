@@ -231,11 +231,11 @@ impl<'a> Frame<'a> {
         [self.origin[0], self.origin[1], self.origin[2]]
     }
 
-    /// Place in memory of the voxel that the camera stands in; `None` outside the volume.
-    pub(crate) fn camera_voxel(&self) -> Option<usize> {
+    /// The camera's centre if it lies in the volume, voxels.
+    pub(crate) fn inside(&self) -> Option<Lanes> {
         let n = self.grid.shape_ijk();
         let inside = (0..3).all(|a| (-0.5..=n[a] as f64 - 0.5).contains(&self.origin_ijk[a]));
-        inside.then(|| self.field.nearest(self.origin).0)
+        inside.then_some(self.origin)
     }
 
     /// No ray has more steps than this: the way to the farthest corner of the box and back over it.

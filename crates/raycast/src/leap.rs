@@ -26,6 +26,10 @@ pub(crate) const FAR: f32 = 1e30;
 /// More steps than any ray has within a cube of 511 voxels.
 pub(crate) const MAX_STEPS: f32 = 1e9;
 
+/// How far a leap from a cell of radius 0 would reach from the cell's middle: what is known of a cell ends half a voxel before
+/// its radius.
+pub(crate) const CELL_REACH: f32 = -0.5;
+
 /// Samples after the first look-up that did not pay: at half a voxel a step two samples share a voxel.
 pub(crate) const LEAST_PATIENCE: u32 = 2;
 /// At most this many samples between look-ups: the price of one is then below 1 percent of the samples' reads.
@@ -63,14 +67,11 @@ pub(crate) struct Start {
 
 impl Start {
     pub(crate) fn of(frame: &Frame<'_>, method: Method<'_>) -> Self {
-        let radius = match method {
-            Method::Brute => &[],
-            Method::LeapTransparent(radius) => radius,
-            Method::LeapClasses(map) => map.radius,
-        };
-        let in_region = frame
-            .camera_voxel()
-            .is_some_and(|index| radius.get(index).is_some_and(|&r| r > 0));
+        let in_region = frame.inside().is_some_and(|p| match method {
+            Method::Brute => false,
+            Method::LeapTransparent(radius) => radius[frame.field.cell_of(p).0] > 0,
+            Method::LeapClasses(map) => map.radius[frame.field.nearest(p).0] > 0,
+        });
         if in_region {
             Self {
                 wait: 0,
@@ -151,7 +152,7 @@ impl Pace {
         pace
     }
 
-    /// The largest n with `|p + n delta - v| <= reach` on every axis.
+    /// The largest n with `|p + n delta - v| <= reach` on every axis; `v` is a voxel, or a cell's middle.
     #[inline(always)]
     fn steps(&self, p: Lanes, v: Lanes, reach: f32) -> u32 {
         let on: Lanes =
@@ -169,7 +170,7 @@ impl Pace {
 /// Leaps over transparent classes only. Skipped samples would have added nothing, so the picture is brute force's, bit
 /// for bit.
 ///
-/// `radius` is the map of the transparent classes, 0 elsewhere.
+/// `radius` is the map of the transparent classes' cells, 0 elsewhere.
 #[inline(always)]
 pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
@@ -187,15 +188,15 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
     while k < ray.end {
         let p = ray.at(k);
         if k >= asking.at {
-            let (index, v) = frame.field.nearest(p);
+            let (index, v) = frame.field.cell_of(p);
             counts[0] += 1;
-            // SAFETY: `cast_rows` has checked that the map has the volume's voxels; `nearest` clamps to them.
+            // SAFETY: `cast_rows` has checked that the map has the volume's voxels; `cell_of` clamps to them.
             // Benchmark: this is the look-up that decides the speed of a leap.
             let r = unsafe { *radius.get_unchecked(index) };
             if r > 0 {
                 // All corners of this sample and of the next n lie in the cube.
                 let n = pace
-                    .steps(p, v, f32::from(r) - frame.guard_vox)
+                    .steps(p, v, f32::from(r) + (CELL_REACH - frame.guard_vox))
                     .saturating_add(1)
                     .min(ray.end - k);
                 counts[1] += 1;

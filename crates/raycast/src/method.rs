@@ -9,7 +9,8 @@ use crate::{Frame, Interpolation, composite::Gathered};
 pub enum Method<'a> {
     /// Every sample.
     Brute,
-    /// Leaps over transparent classes; the radius map of these classes alone.
+    /// Leaps over transparent classes; the map of the cells between voxels of these classes alone
+    /// ([`carina_isoregion::cell_map`]).
     LeapTransparent(&'a [u8]),
     /// Leaps over all classes by the step table; only without shading.
     LeapClasses(ClassMap<'a>),

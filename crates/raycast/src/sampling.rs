@@ -193,6 +193,14 @@ impl<'a> Field<'a> {
         (self.index(ijk), ijk.map(|v| v as f32))
     }
 
+    /// The cell that holds a point, clamped to the volume: the place in memory of its lower corner, and its middle. Where a
+    /// point lies at the volume's upper face or beyond it, that of the face, which no map of cells knows.
+    #[inline(always)]
+    pub(crate) fn cell_of(&self, p: Lanes) -> (usize, Lanes) {
+        let ijk = clamp(p, self.last).map(whole);
+        (self.index(ijk), ijk.map(|v| v as f32 + 0.5))
+    }
+
     /// The value of a voxel that [`Self::nearest`] found.
     #[inline(always)]
     pub(crate) fn voxel(&self, index: usize) -> i16 {

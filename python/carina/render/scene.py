@@ -172,8 +172,8 @@ class SceneKeeper:
     def _build_maps(self, scene: Scene, cancel: Cancel | None) -> Maps:
         runs = _runs(scene.transfer)
         found = self._get_or_build(
-            MapName(scene.values, ("transparent", runs)),
-            lambda: CachedMap((_core.build_run_map(scene.values, runs, cancel=cancel),)),
+            MapName(scene.values, ("clear cells", runs)),
+            lambda: CachedMap((_core.build_cell_map(scene.values, runs, cancel=cancel),)),
         )
         return Maps(values=scene.values, radius=found.arrays[0], runs=runs)
 

@@ -59,7 +59,7 @@ def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.floa
     return TreeField(
         values=values,
         lps_from_ijk=place,
-        radius=_core.build_run_map(values, _core.transparent_runs(SURFACE)),
+        radius=_core.build_cell_map(values, _core.transparent_runs(SURFACE)),
         centre_lps=centre,
         radius_mm=geometry.bounding_radius_mm(inside, centre) + float(spacing.max()),
         step_mm=0.4 * float(spacing.min()),

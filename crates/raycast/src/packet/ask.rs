@@ -55,8 +55,8 @@ impl Scene<'_> {
         asked: L::M,
     ) -> L::M {
         let p = packet.at(l, packet.k, self.frame.origin3());
-        let (index, v) = self.voxels.nearest(l, p);
-        // SAFETY: the map has the volume's voxels, and `nearest` clamps to them in all lanes. Benchmark:
+        let (index, v) = self.voxels.cell_of(l, p);
+        // SAFETY: the map has the volume's voxels, and `cell_of` clamps to them in all lanes. Benchmark:
         // docs/decisions/0005-loads.md.
         let r = unsafe { l.bytes(self.radius.as_ptr(), index) };
         let leaps = l.and(asked, l.less_i(l.splat_i(0), r));

@@ -37,7 +37,7 @@ use carina_isoregion::SegmentTable;
 use crate::{
     CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method,
     composite::Gathered,
-    leap::{Price, Start, class_margin},
+    leap::{CELL_REACH, Price, Start, class_margin},
 };
 #[cfg(target_arch = "x86_64")]
 use gathers::gathers_pay;
@@ -91,7 +91,7 @@ impl<'a> Packets<'a> {
             Method::LeapTransparent(radius) => (
                 TRANSPARENT,
                 ClassMap { radius, ..none },
-                -frame.guard_vox,
+                CELL_REACH - frame.guard_vox,
                 1,
             ),
             Method::LeapClasses(map) if map.segments.entries().is_empty() => return None,

@@ -144,6 +144,18 @@ impl<'a> Voxels<'a> {
         (self.index(l, ijk), v)
     }
 
+    /// The cells that hold points, clamped to the volume; as in `Field::cell_of`.
+    #[inline(always)]
+    pub(super) fn cell_of<L: Lanes>(&self, l: L, p: [L::F; 3]) -> (L::I, [L::F; 3]) {
+        let mut v = self.clamp(l, p);
+        let mut ijk = [l.splat_i(0); 3];
+        for a in 0..3 {
+            ijk[a] = l.whole(v[a]);
+            v[a] = l.add(l.to_f(ijk[a]), l.splat(0.5));
+        }
+        (self.index(l, ijk), v)
+    }
+
     /// Values of voxels given by their places.
     #[inline(always)]
     pub(super) fn at<L: Lanes>(&self, l: L, index: L::I) -> L::I {

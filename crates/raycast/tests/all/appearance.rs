@@ -3,7 +3,7 @@
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, cross, unit};
-use carina_isoregion::{class_labels, radius_map};
+use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{
     Appearance, Frame, FrameOptions, InstructionSet, Interpolation, Method, Transfer,
     TransferTable, cast_rows, cast_rows_scalar, cast_surface,
@@ -55,7 +55,7 @@ proptest! {
         let frame = Frame::new(volume, &table, scene.camera.clone(), lit(look)).unwrap();
         let entries = scene.transfer(false).range(-1100, 3100);
         let labels = class_labels(&scene.hu, -1100, &entries, true).unwrap().labels;
-        let radius = radius_map(&labels, scene.grid.shape_zyx()).unwrap();
+        let radius = cell_map(&labels, scene.grid.shape_zyx()).unwrap();
         let truth = cast_rows_scalar(&frame, Method::Brute, 0..size.1, InstructionSet::Portable).unwrap().0;
         let rows = (cut * size.1 as f64) as usize;
         for simd in InstructionSet::available() {

@@ -5,7 +5,7 @@
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{VolumeView, clip_line_to_box};
-use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
+use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
     CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method, TransferTable, cast_rows,
 };
@@ -30,7 +30,7 @@ fn transparent_radius(scene: &Scene, nearest: bool) -> Vec<u8> {
     let labels = class_labels(&scene.hu, -1100, &entries, true)
         .unwrap()
         .labels;
-    radius_map(&labels, scene.grid.shape_zyx()).unwrap()
+    cell_map(&labels, scene.grid.shape_zyx()).unwrap()
 }
 
 /// Colour of a whole class, read at its first HU.

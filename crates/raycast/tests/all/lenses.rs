@@ -7,7 +7,7 @@ use carina_grid::{
     Affine, Camera, Distortion, FieldShape, ImageField, Lens, LensRays, Optics, VolumeView, cross,
     unit,
 };
-use carina_isoregion::{class_labels, radius_map};
+use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows};
 use proptest::prelude::*;
 
@@ -62,7 +62,7 @@ proptest! {
         let camera = Camera::with_lens(*scene.camera.lps_from_camera(), Arc::new(rays)).unwrap();
         let entries = scene.transfer(false).range(-1100, 3100);
         let labels = class_labels(&scene.hu, -1100, &entries, true).unwrap().labels;
-        let radius = radius_map(&labels, scene.grid.shape_zyx()).unwrap();
+        let radius = cell_map(&labels, scene.grid.shape_zyx()).unwrap();
         let brute = cast(&scene, &camera, Method::Brute, shaded, InstructionSet::Portable);
         let method = if leaps { Method::LeapTransparent(&radius) } else { Method::Brute };
         let truth = cast(&scene, &camera, method, shaded, InstructionSet::Portable);

@@ -1,7 +1,7 @@
 //! Leaping never costs more reads than brute force, to 3 percent, and saves most of them where there is room.
 
 use carina_grid::{Affine, Camera, Grid, VolumeView};
-use carina_isoregion::{SegmentTable, class_labels, radius_map};
+use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map};
 use carina_raycast::{
     CastStats, ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method,
     Transfer, TransferTable, cast_rows,
@@ -185,7 +185,8 @@ fn stats(view: &View, reading: Reading, classes: bool) -> (CastStats, CastStats)
         .unwrap()
         .leaping_always();
     let out = class_labels(&view.hu, -1100, &transfer.range(-1100, 3000), !classes).unwrap();
-    let radius = radius_map(&out.labels, [N; 3]).unwrap();
+    let map = if classes { radius_map } else { cell_map };
+    let radius = map(&out.labels, [N; 3]).unwrap();
     let colours: Vec<_> = out.classes.iter().map(|c| table.entry(c.lo_hu)).collect();
     let segments = SegmentTable::new(&colours);
     let method = if classes {
@@ -255,7 +256,7 @@ fn leaps_are_spared_where_they_do_not_pay_in_every_strip_alike() {
         };
         let frame = Frame::new(volume, &table, camera([47.5, 47.5, 20.0]), options).unwrap();
         let out = class_labels(&hu, -1400, &transfer.range(-1400, 1400), true).unwrap();
-        let clear = radius_map(&out.labels, [N; 3]).unwrap();
+        let clear = cell_map(&out.labels, [N; 3]).unwrap();
         let method = Method::LeapTransparent(&clear);
         let cast = |rows| cast_rows(&frame, method, rows, InstructionSet::best()).unwrap();
         let (whole, stats) = cast(0..64);

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
-use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
+use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
     CastStats, ClassMap, Frame, InstructionSet, Method, cast_rows, cast_rows_scalar,
 };
@@ -37,7 +37,7 @@ fn any_kind() -> impl Strategy<Value = (Kind, bool, bool)> {
     .prop_map(|(kind, shaded, nearest)| (kind, shaded, nearest && !shaded))
 }
 
-/// Radii and labels of a volume, and a value of each class.
+/// Radii (of cells, unless all classes are leaped) and labels of a volume, and a value of each class.
 struct Maps {
     radius: Vec<u8>,
     labels: Vec<u8>,
@@ -52,8 +52,13 @@ fn maps(scene: &Scene, case: &Case) -> Maps {
     } else {
         class_labels(&scene.hu, -1100, &entries, only_transparent).unwrap()
     };
+    let map = if case.kind == Kind::Classes {
+        radius_map
+    } else {
+        cell_map
+    };
     Maps {
-        radius: radius_map(&out.labels, scene.grid.shape_zyx()).unwrap(),
+        radius: map(&out.labels, scene.grid.shape_zyx()).unwrap(),
         labels: out.labels,
         values: out.classes.iter().map(|class| class.lo_hu).collect(),
     }

@@ -4,7 +4,7 @@
 use carina_grid::{
     Affine, Camera, FieldShape, Grid, ImageField, Lens, LensRays, Optics, VolumeView,
 };
-use carina_isoregion::{class_labels, radius_map};
+use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{
     Appearance, Frame, FrameOptions, InstructionSet, Method, Transfer, TransferTable, cast_rows,
     cast_rows_scalar, cast_surface,
@@ -69,7 +69,7 @@ fn spur() -> Spur {
     let points = vec![[-700.0, 0.9, 0.6, 0.5, 0.0], [-300.0, 0.9, 0.6, 0.5, 0.97]];
     let transfer = Transfer::new(points, 1.0, 1).unwrap();
     let labels = class_labels(&hu, -1024, &transfer.range(-1024, 3071), true).unwrap();
-    let radius = radius_map(&labels.labels, grid.shape_zyx()).unwrap();
+    let radius = cell_map(&labels.labels, grid.shape_zyx()).unwrap();
     let table = TransferTable::new(&transfer, 0.3, -1024, 100).unwrap();
     Spur {
         grid,

@@ -2,7 +2,7 @@
 
 use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, dot, length, unit};
-use carina_isoregion::{SegmentTable, class_labels, radius_map};
+use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map};
 use carina_raycast::{
     ClassMap, Frame, Hit, InstructionSet, Method, Transfer, TransferTable, cast_surface, pick,
 };
@@ -13,7 +13,7 @@ fn transparent_radius(scene: &Scene) -> Vec<u8> {
     let labels = class_labels(&scene.hu, -1100, &entries, true)
         .unwrap()
         .labels;
-    radius_map(&labels, scene.grid.shape_zyx()).unwrap()
+    cell_map(&labels, scene.grid.shape_zyx()).unwrap()
 }
 
 proptest! {

@@ -9,7 +9,7 @@ use std::ops::AddAssign;
 use crate::anatomy::{Chest, Dice, looks};
 use crate::reference::{Matrix, Shares, View, World, to_8_bit};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
-use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
+use carina_isoregion::{SegmentTable, cell_map, class_labels, radius_map, value_labels};
 use carina_raycast::{
     CastStats, ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method,
     Transfer, TransferTable, cast_rows, cast_rows_scalar,
@@ -126,7 +126,7 @@ fn against_f64(num_poses: u64, seed: u64, (width, height): (usize, usize), stop:
                 let transfer = Transfer::new(points.clone(), 1.0, 1).unwrap();
                 let table = TransferTable::new(&transfer, step_mm, LO as i16, HI as i16).unwrap();
                 let labels = class_labels(&chest.hu, LO, &transfer.range(LO, HI), true).unwrap();
-                let radius = radius_map(&labels.labels, grid.shape_zyx()).unwrap();
+                let radius = cell_map(&labels.labels, grid.shape_zyx()).unwrap();
                 let view = chest.view(&mut dice, width, height);
                 let options = FrameOptions {
                     interpolation: Interpolation::Trilinear,
@@ -370,7 +370,7 @@ fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
             let step_mm = 0.5 * spacing.into_iter().fold(f64::INFINITY, f64::min);
             let table = TransferTable::new(&transfer, step_mm, LO as i16, HI as i16).unwrap();
             let labels = class_labels(&chest.hu, LO, &transfer.range(LO, HI), true).unwrap();
-            let radius = radius_map(&labels.labels, grid.shape_zyx()).unwrap();
+            let radius = cell_map(&labels.labels, grid.shape_zyx()).unwrap();
             for (at, place) in places.iter().enumerate() {
                 for axis in 0..3 {
                     for sign in [1.0, -1.0] {
