@@ -66,22 +66,24 @@ impl<'a> DepthRows<'a> {
 
 /// Inverse depths of a row in ray steps; 0 for a ray that meets no wall. A wall within the first step touches the lens.
 /// Pixels outside the outline of a scope's picture have no ray and are no wall's edge: with NaN no comparison holds.
-fn inverses(frame: &Frame<'_>, depths: &[f32], row: usize) -> Vec<f32> {
-    let mut inverse = depths.to_vec();
-    // Without a branch: several pixels at a time.
-    for v in &mut inverse {
-        let near = 1.0 / if *v > 1.0 { *v } else { 1.0 };
-        *v = if *v < 0.0 { 0.0 } else { near };
+///
+/// No closures and no branches, here and in what marks pixels: several pixels at a time, with the caller's instructions.
+#[inline(always)]
+fn inverses(frame: &Frame<'_>, depths: &[f32], row: usize, out: &mut [f32]) {
+    let count = out.len().min(depths.len());
+    for n in 0..count {
+        let v = depths[n];
+        let near = 1.0 / if v > 1.0 { v } else { 1.0 };
+        out[n] = if v < 0.0 { 0.0 } else { near };
     }
     if let Some(rays) = frame.camera().lens_rays() {
-        let [x, y, z] = rays.directions_of(row);
-        for (((v, x), y), z) in inverse.iter_mut().zip(x).zip(y).zip(z) {
+        let [x, y, z] = rays.directions_of(row).map(|of_row| &of_row[..count]);
+        for n in 0..count {
             // Unit directions, or none.
-            let has_ray = x * x + y * y + z * z > 0.5;
-            *v = if has_ray { *v } else { f32::NAN };
+            let has_ray = x[n] * x[n] + y[n] * y[n] + z[n] * z[n] > 0.5;
+            out[n] = if has_ray { out[n] } else { f32::NAN };
         }
     }
-    inverse
 }
 
 /// The pixels (column, row) of some rows that lie on a silhouette.
@@ -90,44 +92,96 @@ fn pixels_of(
     light: &Lighting,
     rows: &DepthRows<'_>,
     wanted: Range<usize>,
+    simd: InstructionSet,
 ) -> Vec<(usize, usize)> {
-    let known = |row: Option<usize>| {
-        rows.row(row)
-            .map(|pixels| inverses(frame, pixels, row.unwrap_or(0)))
-    };
+    match simd {
+        InstructionSet::Portable | InstructionSet::Neon => search(frame, light, rows, wanted),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: these sets are only handed out where the machine has AVX2. Benchmark: docs/decisions/0078.
+        InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
+            search_avx2(frame, light, rows, wanted)
+        },
+        #[cfg(not(target_arch = "x86_64"))]
+        InstructionSet::Avx2 | InstructionSet::Avx512 => search(frame, light, rows, wanted),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn search_avx2(
+    frame: &Frame<'_>,
+    light: &Lighting,
+    rows: &DepthRows<'_>,
+    wanted: Range<usize>,
+) -> Vec<(usize, usize)> {
+    search(frame, light, rows, wanted)
+}
+
+#[inline(always)]
+fn search(
+    frame: &Frame<'_>,
+    light: &Lighting,
+    rows: &DepthRows<'_>,
+    wanted: Range<usize>,
+) -> Vec<(usize, usize)> {
     // Where the light that comes back, `exposure / depth^2`, is faint.
     let least = (FAINT / light.exposure.max(1e-9)).sqrt() * light.step_mm;
     let mut found = Vec::new();
-    let mut above = known(wanted.start.checked_sub(1));
-    let mut here = known(Some(wanted.start));
-    let mut on = vec![false; rows.width];
+    // The row above, the row itself and the row below, by turns.
+    let mut inverse = [(); 3].map(|()| vec![0.0f32; rows.width]);
+    let mut known = [false; 3];
+    for (n, row) in [wanted.start.checked_sub(1), Some(wanted.start)]
+        .into_iter()
+        .enumerate()
+    {
+        if let Some(depths) = rows.row(row) {
+            inverses(frame, depths, row.unwrap_or(0), &mut inverse[n]);
+            known[n] = true;
+        }
+    }
+    let mut on = vec![0u8; rows.width];
     for row in wanted {
-        let below = known(Some(row + 1));
-        let Some(middle) = here else {
+        let depths = rows.row(Some(row + 1));
+        known[2] = depths.is_some();
+        if let Some(depths) = depths {
+            inverses(frame, depths, row + 1, &mut inverse[2]);
+        }
+        if !known[1] {
             break;
-        };
-        on.fill(false);
+        }
+        on.fill(0);
+        let [above, middle, below] = &inverse;
         if let [_, between @ .., _] = &mut on[..] {
-            mark_bends([&middle, &middle[1..], &middle[2..]], least, between);
+            mark_bends([middle, &middle[1..], &middle[2..]], least, between);
         }
-        if let (Some(above), Some(below)) = (&above, &below) {
-            mark_bends([above, &middle, below], least, &mut on);
+        if known[0] && known[2] {
+            mark_bends([above, middle, below], least, &mut on);
         }
-        let columns = on.iter().enumerate();
-        found.extend(columns.filter_map(|(column, &on)| on.then_some((column, row))));
-        (above, here) = (Some(middle), below);
+        // Few pixels are marked: eight are looked at together.
+        for (n, eight) in on.chunks(8).enumerate() {
+            if eight.iter().fold(0, |any, &on| any | on) != 0 {
+                let columns = eight.iter().enumerate().filter(|&(_, &on)| on != 0);
+                found.extend(columns.map(|(at, _)| (8 * n + at, row)));
+            }
+        }
+        inverse.rotate_left(1);
+        known.rotate_left(1);
     }
     found
 }
 
 /// Marks where the inverse depth bends from the first over the second to the third.
-fn mark_bends(three: [&[f32]; 3], least: f32, on: &mut [bool]) {
-    let [before, middle, after] = three.map(|row| &row[..on.len()]);
-    let larger = |a: f32, b: f32| if a > b { a } else { b };
-    for n in 0..on.len() {
-        let nearest = larger(larger(before[n], middle[n]), after[n]);
-        let bend = (before[n] - 2.0 * middle[n] + after[n]).abs();
-        on[n] |= nearest > least && bend > BEND * nearest;
+#[inline(always)]
+fn mark_bends(three: [&[f32]; 3], least: f32, on: &mut [u8]) {
+    let [before, middle, after] = three;
+    let count = on.len();
+    let (before, middle, after) = (&before[..count], &middle[..count], &after[..count]);
+    for n in 0..count {
+        let (a, b, c) = (before[n], middle[n], after[n]);
+        let nearest = if a > b { a } else { b };
+        let nearest = if nearest > c { nearest } else { c };
+        let bend = (a - 2.0 * b + c).abs();
+        on[n] |= u8::from(nearest > least) & u8::from(bend > BEND * nearest);
     }
 }
 
@@ -150,7 +204,7 @@ pub(crate) fn smooth_silhouettes(
         .flat_map_iter(|n| {
             let from = n * ROWS_AT_A_TIME;
             let to = (from + ROWS_AT_A_TIME).min(num_rows);
-            pixels_of(frame, light, rows, first + from..first + to)
+            pixels_of(frame, light, rows, first + from..first + to, simd)
         })
         .collect();
     let mut round = light.clone();
