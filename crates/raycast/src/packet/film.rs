@@ -4,13 +4,12 @@ use std::array::from_fn;
 
 use super::{
     lanes::Lanes,
-    texture::{ASKEW, noise},
-    vectors::{along, dot, smooth, turn, unit},
+    texture::{ASKEW, WRINKLES_PER_MM, noise},
+    vectors::{along, dot, scaled, smooth, turn, unit},
 };
 use crate::appearance::Appearance;
 
-/// Cells of the noise per mm: droplets, pools of secretions, bubbles.
-const DROPS_PER_MM: f32 = 0.9;
+/// Cells of the noise per mm: pools of secretions, bubbles.
 const POOLS_PER_MM: f32 = 0.2;
 const BUBBLES_PER_MM: f32 = 1.5;
 /// The highlight's exponent on a droplet is 2 to this: it is rounder than the film, so that its glint has a size.
@@ -37,24 +36,15 @@ pub(super) struct Film<L: Lanes> {
     pub pool: L::F,
 }
 
-/// A bump of the noise: how far it stands above `from`, 0..1, and the normal of its sides.
+/// A bump of noise with this value and slope: how far it stands above `from`, 0..1, and the normal of its sides.
 #[inline(always)]
 fn bump<L: Lanes>(
     l: L,
-    q: [L::F; 3],
-    (per_mm, seed, from): (f32, i32, f32),
+    (height, slope): (L::F, [L::F; 3]),
+    from: f32,
     n: [L::F; 3],
 ) -> (L::F, [L::F; 3]) {
     let s = |v: f32| l.splat(v);
-    let (height, slope) = noise(
-        l,
-        [
-            l.mul(q[0], s(per_mm)),
-            l.mul(q[1], s(per_mm)),
-            l.mul(q[2], s(per_mm)),
-        ],
-        seed,
-    );
     let back = from_fn::<_, 3, _>(|x| from_fn(|a| ASKEW[a][x]));
     let tilted = along(l, n, s(-DROP_SLOPE), turn(l, &back, slope));
     let above = smooth(l, l.mul(l.sub(height, s(from)), s(3.0)));
@@ -69,7 +59,8 @@ fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
 }
 
 /// The wet surface at patient points `lps` with normals `n` on the scope's side. Droplets finer than two pixels, whose
-/// width there is `footprint_mm`, fade out.
+/// width there is `footprint_mm`, fade out. They hang where the coarse relief, of which `bumps` are value and slope, stands out:
+/// noise of their own would cost more than all else of them.
 #[inline(always)]
 pub(super) fn film<L: Lanes>(
     l: L,
@@ -77,6 +68,7 @@ pub(super) fn film<L: Lanes>(
     lps: [L::F; 3],
     n: [L::F; 3],
     footprint_mm: L::F,
+    bumps: (L::F, [L::F; 3]),
 ) -> Film<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);
@@ -85,23 +77,20 @@ pub(super) fn film<L: Lanes>(
         drop: n,
         pool: s(0.0),
     };
-    let near = fades(l, footprint_mm, DROPS_PER_MM);
+    let near = fades(l, footprint_mm, WRINKLES_PER_MM);
     if look.specks > 0.0 && l.bits(l.less(s(0.0), near)) != 0 {
-        let (above, drop) = bump(l, q, (DROPS_PER_MM, 53, 0.3), n);
+        let (above, drop) = bump(l, bumps, 0.3, n);
         film.drop = drop;
         film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * look.specks));
     }
     if look.secretions > 0.0 {
         // The floor of an airway in a supine patient: the wall that looks to the front, LPS -y.
         let floor = smooth(l, l.fma(n[1], s(-2.5), s(-0.6)));
-        let mut at = q;
-        for a in 0..3 {
-            at[a] = l.mul(q[a], s(POOLS_PER_MM));
-        }
-        let (level, _) = noise(l, at, 61);
+        let (level, _) = noise(l, scaled(l, s(POOLS_PER_MM), q), 61);
         let filled = l.add(level, s(look.secretions.mul_add(1.2, -0.8)));
         film.pool = l.mul(floor, smooth(l, l.mul(filled, s(5.0))));
-        let (above, bubble) = bump(l, q, (BUBBLES_PER_MM, 67, 0.25), n);
+        let bubbles = noise(l, scaled(l, s(BUBBLES_PER_MM), q), 67);
+        let (above, bubble) = bump(l, bubbles, 0.25, n);
         let here = l.mul(
             l.mul(above, fades(l, footprint_mm, BUBBLES_PER_MM)),
             film.pool,

@@ -105,12 +105,14 @@ fn lit<L: Lanes>(
     let mut n_film = n;
     let mut thick = s(0.75);
     let mut tint = [s(1.0); 3];
+    let mut bumps = (s(0.0), [s(0.0); 3]);
     let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
     let footprint = l.mul(depth, s(light.pixel_mm));
     let decoration = decoration.filter(|_| look.knows_anatomy());
-    if look.texture > 0.0 || look.vessels > 0.0 || decoration.is_some() {
+    let textured = look.texture > 0.0 || look.vessels > 0.0 || look.specks > 0.0;
+    if textured || decoration.is_some() {
         let skin = texture(l, look, lps, footprint);
-        (thick, tint) = (skin.film, skin.tint);
+        (thick, tint, bumps) = (skin.film, skin.tint, skin.bumps);
         if let Some(field) = decoration {
             let wall = Wall {
                 lps,
@@ -136,7 +138,7 @@ fn lit<L: Lanes>(
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
     // No closure: it would be compiled without the instruction set, with a call for each operation.
     let wet = if look.specks > 0.0 || look.secretions > 0.0 {
-        Some(film(l, look, lps, n, footprint))
+        Some(film(l, look, lps, n, footprint, bumps))
     } else {
         None
     };

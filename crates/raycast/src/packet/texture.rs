@@ -10,7 +10,7 @@ use crate::appearance::Appearance;
 
 /// Cells of the texture's noise per mm: mottling, coarse and fine micro relief.
 const MOTTLE_PER_MM: f32 = 0.23;
-const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
+pub(super) const WRINKLES_PER_MM: f32 = 0.45 * RELIEF_PER_MM;
 const RELIEF_PER_MM: f32 = 1.9;
 /// Half the width of a vessel's stem and of a branch where it leaves, mm.
 const VESSEL_MM: f32 = 0.17;
@@ -109,6 +109,8 @@ pub(super) struct Texture<L: Lanes> {
     pub film: L::F,
     /// The mottling's noise, -1..1, whatever its strength.
     pub mottle: L::F,
+    /// The noise of the coarse relief, -1..1, and its slope per cell of its lattice, whatever its strength.
+    pub bumps: (L::F, [L::F; 3]),
 }
 
 /// The lattice lies askew in the patient, so that no row of it runs along an airway.
@@ -216,5 +218,6 @@ pub(super) fn texture<L: Lanes>(
         relief: turn(l, &back, relief),
         film: l.min(l.max(film, s(0.0)), s(1.0)),
         mottle: mottled,
+        bumps: (wrinkle, coarse),
     }
 }
