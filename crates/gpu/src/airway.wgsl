@@ -118,8 +118,8 @@ fn nearest(p: vec3<f32>) -> vec3<i32> {
     return vec3<i32>(held(p) + 0.5);
 }
 
-// The lower corner of the cell that holds p.
-fn cell_of(p: vec3<f32>) -> vec3<i32> {
+// The lower corner of the cell that holds p, also of the one beyond the last voxel, which no map of cells knows.
+fn corner_of(p: vec3<f32>) -> vec3<i32> {
     return vec3<i32>(held(p));
 }
 
@@ -281,7 +281,7 @@ fn steps_within(ray: Ray, p: vec3<f32>, v: vec3<f32>, reach: f32) -> u32 {
 // True where the camera stands in a region of the map; the same for all rays.
 fn starts_in_region() -> bool {
     let inside = all(frame.between_faces.xyz == vec3<u32>(1u));
-    return inside && textureLoad(radius, cell_of(frame.origin.xyz), 0).x > 0u;
+    return inside && textureLoad(radius, corner_of(frame.origin.xyz), 0).x > 0u;
 }
 
 @compute @workgroup_size(8, 8)
@@ -311,7 +311,7 @@ fn cast_airway(
             let p = place(ray, k);
             if LEAP {
                 if k >= ask_at {
-                    let v = cell_of(p);
+                    let v = corner_of(p);
                     lookups += 1u;
                     let r = textureLoad(radius, v, 0).x;
                     if r > 0u {

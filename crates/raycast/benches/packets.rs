@@ -7,13 +7,13 @@
 //!
 //! Times are those of the thread on its processor, so that a busy machine disturbs them less.
 
-use std::{env, fs};
+use std::{env, fs, sync::Arc};
 
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{
-    CastStats, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, Transfer,
-    TransferTable, cast_rows, cast_rows_scalar,
+    CastStats, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, SampleBricks,
+    Transfer, TransferTable, cast_rows, cast_rows_scalar,
 };
 
 struct Case {
@@ -222,7 +222,10 @@ fn bench(case: &Case, choice: &Choice) {
             };
             let camera = Camera::new(*pose, std::f64::consts::FRAC_PI_2, choice.size, choice.size)
                 .expect("camera");
-            let frame = Frame::new(volume, &case.table, camera, options).expect("a frame");
+            let samples = Arc::new(SampleBricks::of(case.grid.shape_ijk()));
+            let frame = Frame::new(volume, &case.table, camera, options)
+                .and_then(|frame| frame.with_samples(samples))
+                .expect("a frame");
             let mut methods = vec![];
             if choice.leap {
                 methods.push(("leap", Method::LeapTransparent(&case.radius)));
