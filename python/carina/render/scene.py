@@ -172,7 +172,7 @@ class SceneKeeper:
     def _build_maps(self, scene: Scene, cancel: Cancel | None) -> Maps:
         runs = _runs(scene.transfer)
         found = self._get_or_build(
-            MapName(scene.values, ("clear cells", runs)),
+            MapName(scene.values, ("clear-cells", runs)),
             lambda: CachedMap((_core.build_cell_map(scene.values, runs, cancel=cancel),)),
         )
         return Maps(values=scene.values, radius=found.arrays[0], runs=runs)
