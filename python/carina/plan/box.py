@@ -124,9 +124,12 @@ def smoothed(values: Values, sigma_vox: float) -> Values:
         pad = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
         wide = np.pad(out, pad, mode="edge")
         num = out.shape[axis]
-        total = np.zeros_like(out)
+        total, part = np.zeros_like(out), np.empty_like(out)
+        where = [slice(None)] * 3
         for n, weight in enumerate(kernel):
-            total += np.float32(weight) * wide.take(range(n, n + num), axis=axis)
+            where[axis] = slice(n, n + num)
+            np.multiply(wide[tuple(where)], np.float32(weight), out=part)
+            total += part
         out = total
     return out
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import NoResultError
-from carina.plan.box import Box, ball_distance
+from carina.plan.box import Box, ball_distance, extent
 from carina.plan.fissures import FissureBox, fissures
 from carina.plan.surroundings import lung_box
 from carina.track import AirwayTree, branch_side_and_lobe
@@ -142,10 +144,17 @@ def nearest_lobe(
         near_seen = seen.on_grid(inside.shape, lps_from_ijk, STEP_MM)
         speed[near_seen & inside] = 1.0 / FISSURE_SLOWS
     times = np.full((len(LOBE_NAMES), *inside.shape), np.inf, dtype=np.float32)
-    for n, (lobe, at) in enumerate(seeds.items()):
-        if progress is not None:
-            progress(n / len(seeds))
-        times[LOBE_NAMES.index(lobe)] = _arrival(speed, at)
+    pieces = _pieces(speed > 0.0)
+    # As many fronts at once as there are processors; a march hands the interpreter's lock back.
+    pool = ThreadPoolExecutor(min(os.cpu_count() or 1, len(seeds)))
+    try:
+        fronts = {lobe: pool.submit(_arrival, speed, pieces, at) for lobe, at in seeds.items()}
+        for n, (lobe, front) in enumerate(fronts.items()):
+            if progress is not None:
+                progress(n / len(seeds))
+            times[LOBE_NAMES.index(lobe)] = front.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
     best = times.argmin(axis=0)
     reached = np.isfinite(times.min(axis=0)) & inside
     label = np.where(reached, best + 1, 0).astype(np.uint8)
@@ -192,13 +201,28 @@ def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) ->
     return {lobe: np.unique(np.concatenate(parts), axis=0) for lobe, parts in found.items()}
 
 
-def _arrival(speed: Values, at: NDArray[np.intp]) -> Values:
+def _pieces(mask: Mask) -> NDArray[np.uint32]:
+    """Numbers from 1 on of the pieces of a mask that hang together by faces, as a front spreads."""
     import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
 
+    found: NDArray[np.uint32] = sitk.GetArrayFromImage(
+        sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), False)
+    )
+    return found
+
+
+def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) -> Values:
+    """How long a front takes from some voxels; it is looked at no further than the pieces go that they lie in."""
+    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+
+    part = extent(np.isin(pieces, np.unique(pieces[tuple(at.T)])), 1)
+    first = [axis.start for axis in part]
     march = sitk.FastMarchingImageFilter()
-    march.SetTrialPoints([(int(i), int(j), int(k)) for k, j, i in at])
-    times: Values = sitk.GetArrayFromImage(march.Execute(sitk.GetImageFromArray(speed))).astype(np.float64)
-    return np.where(times < 1e6, times, np.inf).astype(np.float32)
+    march.SetTrialPoints([(int(i), int(j), int(k)) for k, j, i in at - first])
+    times: Values = sitk.GetArrayFromImage(march.Execute(sitk.GetImageFromArray(speed[part]))).astype(np.float64)
+    found = np.full(speed.shape, np.inf, dtype=np.float32)
+    found[part] = np.where(times < 1e6, times, np.inf)
+    return found
 
 
 def _border_mm(label: NDArray[np.uint8]) -> Values:
