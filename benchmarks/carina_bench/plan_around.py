@@ -1,13 +1,15 @@
 """What lies round targets, against truth: vessels, fissures and lobes on phantoms and on CTs painted from masks.
 
-``python -m carina_bench.plan_around vessels|fissures|lobes [CASE ...]`` prints a line of JSON per case. Painting needs
-scipy and scikit-image; what is painted is kept in the folder of ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to 3
-(painted), ``lobes-Patient1`` to 3 (masks of lobes).
+``python -m carina_bench.plan_around vessels|lungs|fissures|lobes [CASE ...]`` prints a line of JSON per case: vessels
+round needle lines (*vessels*) or of whole lungs (*lungs*). Painting needs scipy and scikit-image; what is painted is
+kept in the folder of ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to 3 (painted), ``lobes-Patient1`` to 3 (masks
+of lobes).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import itertools
 import json
@@ -16,22 +18,25 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.config import load_settings
+from carina.errors import CancelledError
 from carina.phantom import generate_phantom
 from carina.plan import surroundings
 from carina.plan.box import ball_distance
 from carina.plan.lobes import LOBE_NAMES, STEP_MM, lobes, nearest_lobe
+from carina.plan.lung_map import LungMap, map_lungs
 from carina.scopes import WallField
-from carina.track import AirwayTree, find_airways, lumen_mesh
+from carina.track import Airways, AirwayTree, find_airways, lumen_mesh
 from carina.volume import Volume, VolumeSource
 
-__all__ = ["Known", "fissures_row", "known_case", "lobes_row", "vessel_row"]
+__all__ = ["Known", "fissures_row", "known_case", "lobes_row", "lungs_row", "vessel_row"]
 
 Mask = NDArray[np.bool_]
 Points = NDArray[np.float64]
@@ -92,15 +97,7 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
         true_mm = float(_read(away, grid, at).min())
         found_mm = float(around.read(around.vessel_mm, at).min())
         pairs.append((true_mm, found_mm))
-        # Truth's middle lines, by the distance to their edge.
-        depth = ball_distance(vessels, float(min(grid.spacing_mm)))
-        widest = depth
-        for _ in range(4):
-            widest = _dilated(widest)
-        # A bump of a wide vessel's edge is no thin vessel.
-        ridge = vessels & judged & (depth >= _dilated(depth) - 1e-6) & (depth >= 0.6 * widest)
-        places = grid.to_lps(np.argwhere(ridge)[:, ::-1].astype(np.float64))
-        places_mm = 2.0 * depth[ridge]
+        places, places_mm = _middle_lines(grid, vessels, judged)
         inside = around.holds(places) & (known.wall.distance_mm(places) < -0.5)
         seen = around.read(around.vessel_mm, places) <= NEAR_MM
         for low, high in CLASSES_MM:
@@ -127,6 +124,66 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
         "danger_missed": f"{int((found[true <= 1.0] > 2.0).sum())} of {int((true <= 1.0).sum())}",
         "false_alarm": f"{int((found[true > 2.0] <= 1.0).sum())} of {int((true > 2.0).sum())}",
         "box_s": round(float(np.median(seconds)), 2),
+    }
+
+
+def _middle_lines(grid: Volume, vessels: Mask, judged: Mask) -> tuple[Points, NDArray[np.float32]]:
+    """Places on the middle lines of true vessels, and how wide those are."""
+    depth = ball_distance(vessels, float(min(grid.spacing_mm)))
+    widest = depth
+    for _ in range(4):
+        widest = _dilated(widest)
+    # A bump of a wide vessel's edge is no thin vessel.
+    ridge = vessels & judged & (depth >= _dilated(depth) - 1e-6) & (depth >= 0.6 * widest)
+    return grid.to_lps(np.argwhere(ridge)[:, ::-1].astype(np.float64)), 2.0 * depth[ridge]
+
+
+def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
+    """Recall and precision of the vessels of whole lungs, as the window shows them, in boxes here and there."""
+    made: list[LungMap] = []
+
+    def stop(lungs: LungMap) -> None:
+        made.append(lungs)
+        raise CancelledError("the vessels are known")
+
+    begun = time.perf_counter()
+    with contextlib.suppress(CancelledError):
+        # Of the airways only their tree is looked at.
+        map_lungs(known.volume, cast(Airways, SimpleNamespace(tree=known.tree)), known.wall, found=stop)
+    seconds = time.perf_counter() - begun
+    mask = made[0].vessels
+    assert mask is not None
+    shown = Volume(np.where(mask.inside_zyx, 1, 0).astype(np.int16), mask.lps_from_ijk)
+    shown_mm = _away_mm(mask.inside_zyx, mask.spacing_mm)
+    found_of = dict.fromkeys(CLASSES_MM, 0)
+    all_of = dict(found_of)
+    right = told = 0
+    rng = np.random.default_rng(6)
+    tips = np.concatenate([b.points[b.radius > 0.8] for b in known.tree.branches if b.generation >= 2])
+    half = 20.0
+    for middle in tips[rng.choice(len(tips), num)] + rng.normal(0.0, 8.0, (num, 3)):
+        if not known.in_lung(middle[None]).all():
+            continue
+        grid, vessels, judged = known.tissue(middle, half)
+        places, places_mm = _middle_lines(grid, vessels, judged)
+        inside = known.wall.distance_mm(places) < -0.5
+        seen = _holds(shown, places) & (_read(shown_mm, shown, places) <= NEAR_MM)
+        for low, high in CLASSES_MM:
+            these = inside & (places_mm >= low) & (places_mm < high)
+            all_of[low, high] += int(these.sum())
+            found_of[low, high] += int((these & seen).sum())
+        points = shown.to_lps(np.argwhere(shown.hu_zyx)[:, ::-1].astype(np.float64))
+        points = points[_holds(grid, points)]
+        points = points[_read(judged, grid, points) != 0]
+        told += len(points)
+        right += int((_read(_away(vessels, grid), grid, points) <= NEAR_MM).sum())
+    return {
+        "case": known.name,
+        "ml": round(mask.ml, 1),
+        "recall": {f"{a}-{b} mm": round(found_of[a, b] / max(all_of[a, b], 1), 3) for a, b in CLASSES_MM},
+        "num": {f"{a}-{b} mm": all_of[a, b] for a, b in CLASSES_MM},
+        "precision": round(right / max(told, 1), 3),
+        "seconds": round(seconds, 1),
     }
 
 
@@ -405,13 +462,14 @@ def _draw(mask: Mask, grid: Volume, points: Points, radius: Points) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["vessels", "fissures", "lobes"])
+    parser.add_argument("what", choices=["vessels", "lungs", "fissures", "lobes"])
     parser.add_argument("cases", nargs="*")
     parser.add_argument("--keep", type=Path, default=Path("around-cases"))
     parser.add_argument("--lines", type=int, default=NUM_LINES)
     asked = parser.parse_args(arguments)
     usual = {
         "vessels": ["phantom-3", "Patient1"],
+        "lungs": ["phantom-3", "Patient1"],
         "fissures": ["Patient1"],
         "lobes": ["lobes-Patient1", "lobes-Patient2", "lobes-Patient3"],
     }
@@ -420,6 +478,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             row = lobes_row(name)
         elif asked.what == "fissures":
             row = fissures_row(known_case(name, asked.keep))
+        elif asked.what == "lungs":
+            row = lungs_row(known_case(name, asked.keep), asked.lines)
         else:
             row = vessel_row(known_case(name, asked.keep), asked.lines)
         print(json.dumps(row), flush=True)
