@@ -1,0 +1,17 @@
+//! The shader holds together. No adapter and no `wgpu` is needed to see that it does not: a device would refuse it, and
+//! pictures would silently be cast by the processor.
+
+use naga::{
+    front::wgsl::parse_str,
+    valid::{Capabilities, ValidationFlags, Validator},
+};
+
+#[test]
+fn the_shader_is_one_that_a_device_takes() {
+    let source = include_str!("../src/airway.wgsl");
+    let module =
+        parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));
+    Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));
+}
