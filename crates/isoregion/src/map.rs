@@ -252,6 +252,23 @@ mod tests {
             .collect()
     }
 
+    fn every_builder_gives(
+        expected: &[u8],
+        build: impl Fn(MapBuilder<'_>, &mut [u8]) -> Result<(), IsoRegionError>,
+    ) {
+        for builder in builders() {
+            // What `out` held before does not matter.
+            let mut out = vec![77; expected.len()];
+            build(builder, &mut out).unwrap();
+            assert!(
+                out == expected,
+                "{:?}, {} slabs",
+                builder.simd,
+                builder.num_slabs
+            );
+        }
+    }
+
     proptest! {
         #[test]
         fn the_fast_map_equals_the_papers(
@@ -265,12 +282,7 @@ mod tests {
             let shape = [shape.0, shape.1, shape.2];
             let labels = random_labels(shape, num_labels, num_odd, block, seed);
             let expected = paper_radius_map(&labels, shape).unwrap();
-            for builder in builders() {
-                // What `out` held before does not matter.
-                let mut out = vec![77; labels.len()];
-                builder.radius_map(&labels, shape, &mut out).unwrap();
-                prop_assert!(out == expected, "{:?}, {} slabs", builder.simd, builder.num_slabs);
-            }
+            every_builder_gives(&expected, |builder, out| builder.radius_map(&labels, shape, out));
         }
 
         #[test]
@@ -284,11 +296,7 @@ mod tests {
             let shape = [shape.0, shape.1, shape.2];
             let labels = random_labels(shape, num_labels, num_odd, block, seed);
             let expected = reference_cell_map(&labels, shape).unwrap();
-            for builder in builders() {
-                let mut out = vec![77; labels.len()];
-                builder.cell_map(&labels, shape, &mut out).unwrap();
-                prop_assert!(out == expected, "{:?}, {} slabs", builder.simd, builder.num_slabs);
-            }
+            every_builder_gives(&expected, |builder, out| builder.cell_map(&labels, shape, out));
         }
 
         #[test]
@@ -311,11 +319,7 @@ mod tests {
                 .map(|v| runs.iter().position(|(lo, hi)| (lo..=hi).contains(&v)).map_or(0, |n| n as u8 + 1))
                 .collect();
             let expected = reference_cell_map(&labels, shape).unwrap();
-            for builder in builders() {
-                let mut out = vec![77; hu.len()];
-                builder.run_cell_map(&hu, shape, &runs, &mut out).unwrap();
-                prop_assert!(out == expected, "{:?}, {} slabs", builder.simd, builder.num_slabs);
-            }
+            every_builder_gives(&expected, |builder, out| builder.run_cell_map(&hu, shape, &runs, out));
         }
     }
 

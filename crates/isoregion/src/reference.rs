@@ -65,7 +65,7 @@ pub fn reference_cell_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8
         for y in 0..ny {
             for x in 0..nx {
                 let label = labels[(z * ny + y) * nx + x];
-                // Between the faces: all of them but the lower ones.
+                // No cube reaches the first voxels of an axis, nor beyond the last.
                 let room = z
                     .min(y)
                     .min(x)
