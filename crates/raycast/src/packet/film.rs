@@ -15,7 +15,9 @@ const BUBBLES_PER_MM: f32 = 1.5;
 /// The highlight's exponent on a droplet is 2 to this: it is rounder than the film, so that its glint has a size.
 const DROP_LOG2: u32 = 5;
 /// Glint of a droplet as part of what a guide gives head on.
-const DROP_GLINT: f32 = 1.6;
+const DROP_GLINT: f32 = 1.2;
+/// How much lower a bump may be to carry a droplet where the film is 1 thicker: droplets gather, and leave walls dry between.
+const GATHER: f32 = 1.0;
 const BUBBLE_GLINT: f32 = 2.4;
 /// Slope of a droplet's side. Along an airway only a steep side faces the scope, which is why a smooth film has no
 /// highlight there.
@@ -41,13 +43,13 @@ pub(super) struct Film<L: Lanes> {
 fn bump<L: Lanes>(
     l: L,
     (height, slope): (L::F, [L::F; 3]),
-    from: f32,
+    from: L::F,
     n: [L::F; 3],
 ) -> (L::F, [L::F; 3]) {
     let s = |v: f32| l.splat(v);
     let back = from_fn::<_, 3, _>(|x| from_fn(|a| ASKEW[a][x]));
     let tilted = along(l, n, s(-DROP_SLOPE), turn(l, &back, slope));
-    let above = smooth(l, l.mul(l.sub(height, s(from)), s(3.0)));
+    let above = smooth(l, l.mul(l.sub(height, from), s(3.0)));
     (above, unit(l, tilted).0)
 }
 
@@ -59,8 +61,8 @@ fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
 }
 
 /// The wet surface at patient points `lps` with normals `n` on the scope's side. Droplets finer than two pixels, whose
-/// width there is `footprint_mm`, fade out. They hang where the coarse relief, of which `bumps` are value and slope, stands out:
-/// noise of their own would cost more than all else of them.
+/// width there is `footprint_mm`, fade out. They hang where the film is `thick` and the coarse relief, of which `bumps` are value
+/// and slope, stands out: noise of their own would cost more than all else of them.
 #[inline(always)]
 pub(super) fn film<L: Lanes>(
     l: L,
@@ -68,7 +70,7 @@ pub(super) fn film<L: Lanes>(
     lps: [L::F; 3],
     n: [L::F; 3],
     footprint_mm: L::F,
-    bumps: (L::F, [L::F; 3]),
+    (thick, bumps): (L::F, (L::F, [L::F; 3])),
 ) -> Film<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);
@@ -79,7 +81,8 @@ pub(super) fn film<L: Lanes>(
     };
     let near = fades(l, footprint_mm, WRINKLES_PER_MM);
     if look.specks > 0.0 && l.bits(l.less(s(0.0), near)) != 0 {
-        let (above, drop) = bump(l, bumps, 0.3, n);
+        let from = l.fma(thick, s(-GATHER), s(0.3 + 0.75 * GATHER));
+        let (above, drop) = bump(l, bumps, from, n);
         film.drop = drop;
         film.glint = l.mul(l.mul(above, near), s(DROP_GLINT * look.specks));
     }
@@ -90,7 +93,7 @@ pub(super) fn film<L: Lanes>(
         let filled = l.add(level, s(look.secretions.mul_add(1.2, -0.8)));
         film.pool = l.mul(floor, smooth(l, l.mul(filled, s(5.0))));
         let bubbles = noise(l, scaled(l, s(BUBBLES_PER_MM), q), 67);
-        let (above, bubble) = bump(l, bubbles, 0.25, n);
+        let (above, bubble) = bump(l, bubbles, s(0.25), n);
         let here = l.mul(
             l.mul(above, fades(l, footprint_mm, BUBBLES_PER_MM)),
             film.pool,

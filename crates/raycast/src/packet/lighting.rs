@@ -138,7 +138,7 @@ fn lit<L: Lanes>(
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
     // No closure: it would be compiled without the instruction set, with a call for each operation.
     let wet = if look.specks > 0.0 || look.secretions > 0.0 {
-        Some(film(l, look, lps, n, footprint, bumps))
+        Some(film(l, look, lps, n, footprint, (thick, bumps)))
     } else {
         None
     };

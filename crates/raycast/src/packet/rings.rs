@@ -22,9 +22,11 @@ const STRAY: [f32; 2] = [0.09, 0.30];
 /// the circumference.
 const BACK: [f32; 2] = [0.28, 0.70];
 /// Folds of the membranous wall across one radius, and along one ring's distance.
-const FOLDS: [f32; 2] = [9.0, 0.16];
+const FOLDS: [f32; 2] = [9.0, 0.26];
+/// How far folds stray across, in folds.
+const WINDING: f32 = 1.6;
 /// Slope of the folds.
-const FOLD: f32 = 0.28;
+const FOLD: f32 = 0.26;
 /// How far the membranous wall's normal is laid flat.
 const FLAT: f32 = 0.60;
 
@@ -250,7 +252,9 @@ pub(super) fn decorate<L: Lanes>(
     // Too far away to be told apart, rings and intervals have one colour.
     let ring = lerp(l, seen, s(2.0 * HALF_WIDTH), ring);
     pale = l.fma(l.mul(strength, ring), s(0.34), pale);
-    let interval = l.mul(strength, l.sub(one, ring));
+    // No two intervals are equally red, nor is one all round.
+    let red = l.fma(skin.mottle, s(0.7), s(0.8));
+    let interval = l.mul(l.mul(strength, red), l.sub(one, ring));
 
     // Folds along the membranous wall, which is flat: across it the normal turns less than on a round tube.
     let membrane = l.mul(
@@ -260,16 +264,21 @@ pub(super) fn decorate<L: Lanes>(
     let mut fold = s(0.0);
     if l.bits(l.less(s(0.0), membrane)) != 0 {
         let (side, _) = unit(l, [l.sub(s(0.0), axis[2]), s(0.0), axis[0]]);
+        // They wind and merge: what bends them is the mottling, which all walls have.
         let q = [
-            l.mul(left, s(FOLDS[0])),
+            l.fma(left, s(FOLDS[0]), l.mul(skin.mottle, s(WINDING))),
             l.mul(place.phase, s(FOLDS[1])),
             l.mul(back, s(0.8)),
         ];
         let (value, slope) = noise(l, q, 53);
         let near = sharp(l, wall.footprint_mm, 0.7);
         fold = l.mul(l.mul(value, near), membrane);
-        let turned = l.mul(l.mul(dot(l, wall.normal, side), s(FLAT)), membrane);
-        let lean = l.fma(l.mul(l.mul(slope[0], near), membrane), s(FOLD), turned);
+        let sideways = dot(l, wall.normal, side);
+        let turned = l.mul(l.mul(sideways, s(FLAT)), membrane);
+        // Folds lean across the wall, not into it: a wall that faces sideways would be turned from the light.
+        let across = l.fma(l.sub(s(0.0), sideways), sideways, one);
+        let lean = l.mul(l.mul(l.mul(slope[0], near), membrane), across);
+        let lean = l.fma(lean, s(FOLD), turned);
         form = along(l, form, lean, side);
     }
 

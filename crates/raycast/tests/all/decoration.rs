@@ -2,7 +2,7 @@
 //! is moved.
 
 use crate::scene::{Scene, any_scene, options};
-use carina_grid::VolumeView;
+use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{cell_map, class_labels};
 use carina_raycast::{
     Appearance, DECORATION_CHANNELS, Decoration, Frame, FrameOptions, InstructionSet, Method,
@@ -127,6 +127,64 @@ fn decoration_changes_light_and_colour_and_moves_no_wall() {
         .unwrap();
         assert!(found.0 == cast_rows(&bare, Method::Brute, 0..50, simd).unwrap().0);
     }
+}
+
+#[test]
+fn folds_leave_a_wall_that_faces_sideways_in_the_light() {
+    // Two walls, to the left and right of a camera that looks along them. As in a trachea with corners they are told to be
+    // its back.
+    let grid = Grid::new([48, 24, 24], Affine::IDENTITY).unwrap();
+    let hu: Vec<i16> = (0..grid.num_voxels())
+        .map(|at| {
+            let side = grid.voxel(at)[0].abs_diff(12);
+            [40, -950][usize::from(side < 6)]
+        })
+        .collect();
+    let pose = Affine::from_columns(
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [12.0, 12.0, 2.0],
+    );
+    let scene = Scene {
+        camera: Camera::new(pose, 1.5, 96, 64).unwrap(),
+        grid,
+        hu,
+        ..Scene::fixed([0.0; 3], [0.0; 3])
+    };
+    let cells: Vec<f32> = (0..6 * 4 * 4)
+        .flat_map(|n| {
+            let (across, along) = (n / 4 % 4, n / 16);
+            let [phase, left] = [along as f32 * 1.8, across as f32 * 1.1 - 1.0];
+            [phase, left, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0]
+        })
+        .collect();
+    let field = Decoration::new(&cells, [6, 4, 4], [-1.0; 3], 10.0).unwrap();
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(false);
+    let look = Appearance {
+        texture: 0.0,
+        vessels: 0.0,
+        specks: 0.0,
+        secretions: 0.0,
+        gloss: 0.0,
+        silhouettes: false,
+        exposure: Some(60.0),
+        ..LOOK
+    };
+    let plain = Frame::new(volume, &table, scene.camera.clone(), lit(look)).unwrap();
+    let [with, without] = [plain.clone().decorated_by(field), plain].map(|frame| {
+        let simd = InstructionSet::Portable;
+        cast_rows(&frame, Method::Brute, 0..64, simd).unwrap().0
+    });
+    let darkest = with
+        .iter()
+        .zip(&without)
+        .filter(|(_, plain)| **plain > 100)
+        .map(|(with, plain)| f32::from(*with) / f32::from(*plain))
+        .fold(1.0, f32::min);
+    assert!(with != without);
+    assert!(darkest > 0.7, "{darkest}");
 }
 
 const LOOK_WITHOUT_ANATOMY: Appearance = Appearance {
