@@ -1,0 +1,51 @@
+"""Blind reading: the key tells where the back is in a turned picture, and readers are scored by the clock."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import carina
+from carina.errors import UsageError
+from carina_bench import blind
+
+
+def test_the_back_is_below_in_an_upright_picture_and_goes_round_with_the_scope():
+    upright = carina.Pose.looking((0, 0, 0), (0, 0, -1))
+    assert blind.back_hour(upright) == pytest.approx(6.0)
+    # The scope turned clockwise, as its holder sees it: the picture turns the other way.
+    assert blind.back_hour(blind.turned(upright, np.pi / 2)) == pytest.approx(3.0)
+
+
+def test_hours_are_scored_round_the_clock_and_none_may_lack(tmp_path, capsys):
+    key = {
+        "00": {"decorated": True, "hour": 11.5},
+        "01": {"decorated": True, "hour": 6.0},
+        "02": {"decorated": False, "hour": 3.0},
+    }
+    told = {"00": 0.5, "01": 6.2, "02": 9.0}
+    for name, content in (("key", key), ("told", told)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    blind.main(["score", str(tmp_path / "key.json"), str(tmp_path / "told.json")])
+    rows = json.loads(capsys.readouterr().out)
+    assert rows["decorated"] == {"pictures": 2, "median_h": 0.6, "worst_h": 1.0, "within_1_h": 2}
+    assert rows["plain"] == {"pictures": 1, "median_h": 6.0, "worst_h": 6.0, "within_1_h": 0}
+    with pytest.raises(UsageError, match="02"):
+        blind.scores(key, {"00": 0.5, "01": 6.2})
+
+
+def test_pictures_hold_no_pose_and_each_has_an_answer(tmp_path):
+    num = blind.draw(tmp_path, ["patient"], seed=3)
+    key = json.loads((tmp_path / "key.json").read_text())
+    assert sorted(key) == [f"{n:02d}" for n in range(num)]
+    assert {answer["decorated"] for answer in key.values()} == {True, False}
+    for picture in key:
+        assert b"carina-pose" not in (tmp_path / f"{picture}.png").read_bytes()
+
+
+def test_cases_without_a_long_trachea_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(blind, "BEFORE_CARINA_MM", (1000.0,))
+    with pytest.raises(UsageError, match="trachea"):
+        blind.draw(tmp_path, ["patient"])
