@@ -70,7 +70,8 @@ pub(super) fn film<L: Lanes>(
     lps: [L::F; 3],
     n: [L::F; 3],
     footprint_mm: L::F,
-    (thick, bumps): (L::F, (L::F, [L::F; 3])),
+    thick: L::F,
+    bumps: (L::F, [L::F; 3]),
 ) -> Film<L> {
     let s = |v: f32| l.splat(v);
     let q = turn(l, &ASKEW, lps);

@@ -3,12 +3,11 @@
 use std::array::from_fn;
 
 #[cfg(target_arch = "x86_64")]
-use super::{avx2::Avx2, avx512::Avx512};
+use super::{avx2::Avx2, avx512::Avx512, pair::Pair};
 use super::{
     film::film,
     lanes::{Array, Lanes, MAX_LANES},
     mist::{MIST_RGB, mist},
-    pair::Pair,
     portable::Portable,
     rings::{Wall, decorate},
     setup::rays_of,
@@ -138,7 +137,7 @@ fn lit<L: Lanes>(
     let n_matt = unit(l, along(l, n, s(1.0), n_film)).0;
     // No closure: it would be compiled without the instruction set, with a call for each operation.
     let wet = if look.specks > 0.0 || look.secretions > 0.0 {
-        Some(film(l, look, lps, n, footprint, (thick, bumps)))
+        Some(film(l, look, lps, n, footprint, thick, bumps))
     } else {
         None
     };

@@ -19,6 +19,7 @@ mod lighting;
 mod loads;
 mod mist;
 mod out;
+#[cfg(target_arch = "x86_64")]
 mod pair;
 mod plane;
 mod pool;
@@ -43,6 +44,7 @@ use crate::{
 use gathers::gathers_pay;
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
+#[cfg(target_arch = "x86_64")]
 use pair::Pair;
 pub(crate) use plane::{PlaneTiles, TILE_ROWS};
 use pool::Source;

@@ -1,5 +1,14 @@
 //! Pixels of a plane, as many at once as a register has lanes: [`crate::sample_plane`] lane by lane, tile by tile.
 
+#![cfg_attr(
+    not(target_arch = "x86_64"),
+    expect(
+        dead_code,
+        unused_variables,
+        reason = "elsewhere than with AVX2 pixels are taken one by one"
+    )
+)]
+
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512, gathers::gathers_pay};
 use super::{
