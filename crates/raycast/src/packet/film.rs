@@ -53,11 +53,11 @@ fn bump<L: Lanes>(
     (above, unit(l, tilted).0)
 }
 
-/// 1 while a cell of the noise has two pixels or more, 0 when it has hardly one.
+/// 1 while a cell of the noise has ten pixels or more, 0 when it has hardly three: farther away a droplet is a white dot.
 #[inline(always)]
 fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     let cells = l.mul(footprint_mm, l.splat(per_mm));
-    smooth(l, l.fma(cells, l.splat(-3.0), l.splat(1.6)))
+    smooth(l, l.fma(cells, l.splat(-5.0), l.splat(1.5)))
 }
 
 /// The wet surface at patient points `lps` with normals `n` on the scope's side. Droplets finer than two pixels, whose

@@ -26,7 +26,7 @@ const FOLDS: [f32; 2] = [9.0, 0.26];
 /// How far folds stray across, in folds.
 const WINDING: f32 = 1.6;
 /// Slope of the folds.
-const FOLD: f32 = 0.26;
+const FOLD: f32 = 0.32;
 /// How far the membranous wall's normal is laid flat.
 const FLAT: f32 = 0.60;
 
@@ -226,7 +226,7 @@ pub(super) fn decorate<L: Lanes>(
         l.mul(wall.footprint_mm, per_mm),
         l.max(wall.facing, s(0.08)),
     );
-    let seen = smooth(l, l.fma(width, s(-3.5), s(2.0)));
+    let seen = smooth(l, l.fma(width, s(-4.5), s(2.0)));
     let stray = lerp(l, place.regular, s(STRAY[1]), s(STRAY[0]));
     let phase = l.fma(skin.mottle, stray, place.phase);
     let t = l.sub(l.sub(phase, l.floor(phase)), s(0.5));
