@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import mmap
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from carina.volume.sparse_mask import empty_mask
 
 __all__ = ["TILE", "TILE_BYTES", "from_tiles", "to_tiles"]
 
@@ -55,9 +55,8 @@ def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes
     ValueError
         If a tile contains lumen outside the volume.
     """
-    # Memory of the system's own, in small pages: NumPy asks for large ones, and a lumen lies in nearly all of those.
-    voxels = np.frombuffer(mmap.mmap(-1, math.prod(shape_zyx)), dtype=np.uint8)
-    lumen = voxels.reshape(shape_zyx)
+    lumen = empty_mask(shape_zyx)
+    voxels = lumen.ravel()
     _, num_y, num_x = grid_of(shape_zyx)
     nz, ny, nx = shape_zyx
     for place, bits in tiles:

@@ -20,6 +20,7 @@ from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty
 from carina.volume.model import Volume
+from carina.volume.sparse_mask import empty_mask
 
 __all__ = ["FoldedAirways", "PackedAirways", "fold_airways"]
 
@@ -76,8 +77,9 @@ class PackedAirways(FoldedAirways):
         bits = np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8)
         i, j, k = self.first_ijk
         nz, ny, nx = self.shape_zyx
-        lumen = np.zeros(volume.shape_zyx, dtype=np.uint8)
-        lumen[k : k + nz, j : j + ny, i : i + nx] = np.unpackbits(bits, count=count).reshape(self.shape_zyx)
+        lumen = empty_mask(volume.shape_zyx)
+        box = lumen[k : k + nz, j : j + ny, i : i + nx]
+        np.copyto(box, np.uint8(1), where=np.unpackbits(bits, count=count).reshape(self.shape_zyx) != 0)
         lumen.flags.writeable = False
         levels, root_ijk = self.base.wall_levels, self.root_ijk
         tracker = PathTracker(volume, lambda: edited_core(volume, lumen, root_ijk, levels), root_ijk=root_ijk)

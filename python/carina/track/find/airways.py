@@ -26,6 +26,7 @@ from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty, find_uncertain, with_confidence
 from carina.volume.model import Note, Volume
+from carina.volume.sparse_mask import sparse_mask
 
 __all__ = ["Airways", "find_airways"]
 
@@ -181,11 +182,10 @@ def _found(
     if core.num_settled < core.num_nodes:
         loose = core.num_nodes - core.num_settled
         found_notes.append(f"{loose} lumen voxels are not connected to the start of the tree")
-    lumen.flags.writeable = False
     root_at = branches[0].points[0].copy()
     stage.begin("airways segmented", 1.0)
     return Airways(
-        lumen_zyx=lumen,
+        lumen_zyx=sparse_mask(lumen),
         root_lps=root_at,
         tree=tree,
         tracker=tracker,
@@ -193,7 +193,7 @@ def _found(
         notes=(*found_notes, *(badge.words for badge in badges)),
         wall_levels=levels,
         uncertain=uncertain,
-        upper_airway_zyx=None if top is None else top.upper_zyx,
+        upper_airway_zyx=None if top is None or top.upper_zyx is None else sparse_mask(top.upper_zyx),
     )
 
 

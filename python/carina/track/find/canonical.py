@@ -14,6 +14,7 @@ from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume.digest import CanonicalAxes, canonical_axes, canonical_geometry
 from carina.volume.model import Volume
+from carina.volume.sparse_mask import empty_mask
 
 __all__ = ["CanonicalOrder"]
 
@@ -50,6 +51,12 @@ class CanonicalOrder:
         """A mask on the stored grid, in this order."""
         return lumen_zyx if self.is_stored else np.ascontiguousarray(self._axes.view(lumen_zyx))
 
+    def _put_back(self, mask_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        mask = empty_mask(self.stored.shape_zyx)
+        np.copyto(self._axes.view(mask), np.uint8(1), where=mask_zyx != 0)
+        mask.flags.writeable = False
+        return mask
+
     def put_back(self, airways: Airways) -> Airways:
         """Airways that were found in this order, on the stored grid.
 
@@ -58,14 +65,8 @@ class CanonicalOrder:
         if self.is_stored:
             return airways
         stored = self.stored
-        lumen = np.empty(stored.shape_zyx, dtype=np.uint8)
-        self._axes.view(lumen)[...] = airways.lumen_zyx
-        lumen.flags.writeable = False
-        upper: NDArray[np.uint8] | None = None
-        if airways.upper_airway_zyx is not None:
-            upper = np.empty(stored.shape_zyx, dtype=np.uint8)
-            self._axes.view(upper)[...] = airways.upper_airway_zyx
-            upper.flags.writeable = False
+        lumen = self._put_back(airways.lumen_zyx)
+        upper = None if airways.upper_airway_zyx is None else self._put_back(airways.upper_airway_zyx)
         i, j, k = (int(v) for v in np.rint(stored.to_ijk(self.volume.to_lps(np.array(airways.tracker.root_ijk)))))
         levels = airways.wall_levels
         tracker = PathTracker(stored, lambda: edited_core(stored, lumen, (i, j, k), levels), root_ijk=(i, j, k))

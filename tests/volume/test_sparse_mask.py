@@ -1,0 +1,63 @@
+"""Masks that take memory only where they are set."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from carina.volume.sparse_mask import empty_mask, sparse_mask
+
+LARGE = (64, 1024, 1024)
+
+
+def resident_bytes(mask):
+    """How much memory the system has given to what a mask lies in; its neighbour may be there, too."""
+    at = mask.__array_interface__["data"][0]
+    found = None
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        first = line.split(maxsplit=1)[0]
+        if "-" in first and not first.endswith(":"):
+            low, high = (int(end, 16) for end in first.split("-"))
+            found = low <= at < high
+        elif found and line.startswith("Rss:"):
+            return 1024 * int(line.split()[1])
+    raise AssertionError("the mask lies in no mapping")
+
+
+@given(arrays(np.uint8, st.tuples(*[st.integers(1, 9)] * 3), elements=st.sampled_from([0, 1, 255])))
+def test_a_copy_is_set_where_the_mask_is_and_cannot_be_written(mask):
+    before = mask.copy()
+    copy = sparse_mask(mask)
+    assert copy.dtype == np.uint8
+    assert copy.flags.c_contiguous
+    assert np.array_equal(copy, (mask != 0).astype(np.uint8))
+    assert np.array_equal(mask, before)
+    with pytest.raises(ValueError, match="read-only"):
+        copy[0, 0, 0] = 1
+
+
+def test_a_mask_in_any_order_of_its_axes_is_copied_as_it_is_seen():
+    mask = np.zeros((3, 4, 5), bool)
+    mask[2, 0, 4] = mask[1, 3, 0] = True
+    seen = mask.transpose(2, 0, 1)[::-1]
+    assert np.array_equal(sparse_mask(seen), seen)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system tells its memory in /proc")
+def test_pages_that_are_not_set_take_no_memory_when_the_mask_is_read():
+    empty = empty_mask(LARGE)
+    before = resident_bytes(empty)
+    assert not empty.any()
+    assert resident_bytes(empty) == before
+    mask = np.zeros(LARGE, np.uint8)
+    mask[:, 500:504, 600:640] = 1
+    copy = sparse_mask(mask)
+    assert copy.sum() == mask.sum()
+    # 64 pieces of 4 rows of a KB: a page each, or two.
+    assert resident_bytes(copy) <= before + 64 * 2 * 4096
