@@ -47,11 +47,16 @@ def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, Wal
     lo, hi = points.min(axis=0) - 4.0, points.max(axis=0) + 4.0
     step = 0.5
     num = np.ceil((hi - lo) / step).astype(int) + 1
-    grid = np.stack(np.meshgrid(*(lo[a] + step * np.arange(num[a]) for a in range(3)), indexing="ij"), axis=-1)
-    off = np.full(num, np.inf, dtype=np.float32)
+    axes = [lo[a] + step * np.arange(num[a]) for a in range(3)]
+    # Farther from the middle line no scope comes, and one distance does for all.
+    far = 8.0
+    off = np.full(num, far, dtype=np.float32)
     at = np.arange(0.0, len(points) - 1.0, 0.25)
     for point in np.stack([np.interp(at, np.arange(len(points)), points[:, axis]) for axis in range(3)], axis=1):
-        off = np.minimum(off, np.linalg.norm(grid - point, axis=-1))
+        x, y, z = (slice(*np.searchsorted(axes[a], [point[a] - far, point[a] + far])) for a in range(3))
+        ways = [np.square(axis[near] - p) for axis, near, p in zip(axes, (x, y, z), point, strict=True)]
+        away = np.sqrt(ways[0][:, None, None] + ways[1][:, None] + ways[2])
+        np.minimum(off[x, y, z], away, out=off[x, y, z], casting="same_kind")
     place = np.diag([step, step, step, 1.0])
     place[:3, 3] = lo
     field = WallField.from_distances(np.ascontiguousarray((RADIUS_MM - off).transpose(2, 1, 0)), place)
