@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from painted_nodules import Scene, painted
 
-from carina.errors import NoResultError
+from carina.errors import CancelledError, NoResultError
 from carina.plan import PlanTarget, grow_nodule, sphere, whereabouts
 from carina.scopes import WallField
 from carina.volume import Volume
@@ -137,6 +137,19 @@ def test_places_without_a_nodule_are_told_apart(at, code, words):
     with pytest.raises(NoResultError, match=words) as error:
         grow_nodule(chest(), at)
     assert error.value.code == code
+
+
+def test_growing_can_be_stopped_between_its_steps():
+    told = []
+
+    def stop(what, share):
+        told.append((what, share))
+        if len(told) == 3:
+            raise CancelledError("stopped")
+
+    with pytest.raises(CancelledError):
+        grow_nodule(chest(), (0.0, 0.0, 0.0), progress=stop)
+    assert told == 3 * [("looking for a nodule", None)]
 
 
 def test_where_a_target_lies_is_told():

@@ -20,6 +20,7 @@ from carina.commands import (
     AddTarget,
     AimTarget,
     BrushTarget,
+    Cancel,
     ChoosePlannedRoute,
     DescribeTarget,
     FlyFlight,
@@ -41,9 +42,11 @@ from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import Phantom, write_phantom
 from carina.plan import PlanTarget
 from carina.server.plan_words import plans_message
+from carina.session import JobEnded, JobProgress
 from carina.session.plan_values import shown_surface
 from carina.volume import write_grid
 from made import found_airways, made_phantom
+from small_case import small_bench, small_lps
 
 
 @pytest.fixture(autouse=True)
@@ -349,3 +352,31 @@ def test_a_turn_of_the_list_is_seen_from_where_its_hour_is_told(case: carina.Cas
     ends = {branch.id: branch.points[-1] for branch in case.state.document.airways.tree.branches}
     for one, turn in zip(message.turns, turns.turns, strict=True):
         assert np.allclose(ends[one.fork_branch_id], turn.fork_lps)
+
+
+def test_growing_a_nodule_is_said_while_it_lasts_and_can_be_stopped():
+    began = []
+
+    def grow(_volume, _lps, *, wall, progress):
+        progress("looking for a nodule", None)
+        began.append(True)
+        if len(began) == 2:
+            job = next(e for e in reversed(bench.events) if isinstance(e, JobProgress))
+            bench.session.do(Cancel(job.job_id))
+            progress("looking for a nodule", None)
+        raise NoResultError("there is no nodule at this point", code="plan.no-nodule")
+
+    bench = small_bench(grow_nodule=grow)
+    bench.open()
+    bench.background.run_all()
+    beside = small_lps((2.0, 25.0, 30.0))
+    bench.session.do(AddTarget(beside))
+    bench.background.run_all()
+    told = [e for e in bench.events if isinstance(e, JobProgress)]
+    assert (told[-1].title, told[-1].what) == ("finding the path to Target 1", "looking for a nodule")
+    assert len(bench.session._core.case.document.targets) == 1
+    bench.session.do(AddTarget(beside))
+    bench.background.run_all()
+    assert len(bench.session._core.case.document.targets) == 1
+    ended = [e for e in bench.events if isinstance(e, JobEnded)]
+    assert ended[-1].outcome == "cancelled"

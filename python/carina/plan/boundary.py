@@ -6,6 +6,7 @@ the chest wall beside it (docs/decisions/0064).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -88,8 +89,10 @@ def no_boundary() -> NoResultError:
 class Boundary:
     """A nodule in one box."""
 
-    def __init__(self, box: Box, point: NDArray[np.float64], coarsest_mm: float) -> None:
+    def __init__(self, box: Box, point: NDArray[np.float64], coarsest_mm: float, look: Callable[[], None]) -> None:
         self.box = box
+        self._look = look
+        """Called before each of its steps; it may raise CancelledError."""
         # Thick slices blur as well.
         self.blur = max(1.0, coarsest_mm / 1.5)
         self.smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
@@ -146,6 +149,7 @@ class Boundary:
 
     def _grow(self, level: float) -> None:
         """The part round the seed that is denser than half-way to ``level``, without what enters it."""
+        self._look()
         self.bar_hu = 0.5 * (self.lung_hu + level)
         self.dense = self.smooth > self.bar_hu
         self.dense[self.seed] = True
@@ -161,6 +165,7 @@ class Boundary:
                     self._leave_the_wall(cut)
                 self.wall = wall
                 whole = component_at(cut | _only(self.seed, cut.shape), self.seed)
+        self._look()
         depth = ball_distance(whole, self.box.step_mm)
         # The middle of the largest ball.
         peak = uphill(depth, self.seed)

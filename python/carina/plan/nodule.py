@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,7 +23,13 @@ MOST_STEPS = 60
 """Voxels from the middle of a box to its side: a mass needs no finer ones."""
 
 
-def grow_nodule(volume: Volume, at_lps: ArrayLike, *, wall: WallField | None = None) -> Nodule:
+def grow_nodule(
+    volume: Volume,
+    at_lps: ArrayLike,
+    *,
+    wall: WallField | None = None,
+    progress: Callable[[str, float | None], None] | None = None,
+) -> Nodule:
     """The nodule at a place in the lung, or the lesion at a place in an airway.
 
     Parameters
@@ -33,6 +41,8 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike, *, wall: WallField | None = N
     wall
         The airways' wall where it is at hand (`carina.wall_field`): what stands into an airway is a lesion of its own
         then, and a click into a lumen is said to be one.
+    progress
+        Told what is done (how far is not known); it may raise CancelledError.
 
     Returns
     -------
@@ -47,6 +57,8 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike, *, wall: WallField | None = N
         If nothing there stands out of the lung (code ``plan.no-nodule``), or what does has no end within 5 cm: a
         consolidation, the chest wall, the heart (``plan.no-boundary``); if the point lies in an airway and nothing
         stands into it there (``plan.in-airway``), or outside the body (``plan.outside-body``).
+    CancelledError
+        If ``progress`` raised it.
 
     Examples
     --------
@@ -80,12 +92,17 @@ def grow_nodule(volume: Volume, at_lps: ArrayLike, *, wall: WallField | None = N
                 "its wall, or on the nodule beside it",
                 code="plan.in-airway",
             )
+
+    def look() -> None:
+        if progress is not None:
+            progress("looking for a nodule", None)
+
     coarsest_mm = max(volume.spacing_mm)
     problem = no_boundary()
     for half_mm in HALVES_MM:
         box = Box.around(volume, point, half_mm, least_step_mm=half_mm / MOST_STEPS)
         try:
-            grown = Boundary(box, point, coarsest_mm)
+            grown = Boundary(box, point, coarsest_mm, look)
         except NoResultError as error:
             # In a larger box a cavity ends, and a mass has lung round it.
             if half_mm == HALVES_MM[0] or problem.code != error.code:

@@ -110,7 +110,7 @@ class Parts:
     open_mask: Callable[..., Mask] = _open_mask
     """``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
     grow_nodule: Callable[..., Nodule] = _grow_nodule
-    """``grow_nodule(volume, at_lps, wall=)``."""
+    """``grow_nodule(volume, at_lps, wall=, progress=)``."""
     plan_route: Callable[..., Plan] = _plan_route
     """``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
     judge_scopes: Callable[..., tuple[Verdict, ...]] = _judge_scopes

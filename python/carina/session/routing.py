@@ -56,7 +56,7 @@ class Routing(Subject):
             )
 
         def work(job: Job) -> None:
-            lesion, why_none = self._lesion(case, target)
+            lesion, why_none = self._lesion(case, target, job)
             if lesion is not None and self._is_meant(case, target, lesion):
                 with self.core.lock:
                     job.check()
@@ -75,7 +75,7 @@ class Routing(Subject):
                         raise NoResultError(msg)
                     if tracked_in is document.airways:
                         if tracked.problem is not None and why_none is not None:
-                            tracked = replace(tracked, problem=f"{tracked.problem}; {why_none}")
+                            tracked = replace(tracked, problem=f"{tracked.problem}. Nor is it in a nodule: {why_none}")
                         route = tracked.route or document.route
                         changed = replace(document, targets=(*document.targets, tracked), route=route)
                         self.core.change(case, f"add {target.name}", changed)
@@ -111,7 +111,7 @@ class Routing(Subject):
         def work(job: Job) -> None:
             with self.core.lock:
                 target = needed_target(case.document, command.target_id)
-            lesion, why_none = self._lesion(case, target)
+            lesion, why_none = self._lesion(case, target, job)
             if lesion is None:
                 raise NoResultError(why_none or f"{name} lies in an airway: nothing to be grown there")
             with self.core.lock:
@@ -128,14 +128,14 @@ class Routing(Subject):
 
         return self.core.jobs.start(f"grow {command.target_id}", f"growing {name}", work)
 
-    def _lesion(self, case: OpenCase, target: Target) -> tuple[Lesion | None, str | None]:
+    def _lesion(self, case: OpenCase, target: Target, job: Job) -> tuple[Lesion | None, str | None]:
         """What lies outside the airways there, or why nothing was found; neither for a place in a lumen."""
         volume, airways, lps = case.info.volume, case.document.airways, target.lps
         if not volume.is_hu or (airways is not None and in_lumen(volume, airways.lumen_zyx, np.asarray(lps))):
             return None, None
         try:
             wall = _wall_at_hand(case)
-            nodule = self.core.parts.grow_nodule(volume, lps, wall=wall)
+            nodule = self.core.parts.grow_nodule(volume, lps, wall=wall, progress=job.progress)
             where = whereabouts(volume, nodule, wall=wall)
             return Lesion(PlanTarget(target.target_id, target.name, nodule, lps, "click", where)), None
         except NoResultError as trouble:

@@ -19,15 +19,43 @@ export function coordinates(lps: Vec3): string {
   return `${part(lps[0], "L", "R")}  ${part(lps[1], "P", "A")}  ${part(lps[2], "S", "I")} mm`;
 }
 
-/** `x, y, z` typed by a person (commas, semicolons or spaces; minus as hyphen or true minus), LPS mm; null if it is not three numbers. */
+const SIDES: Readonly<Record<string, readonly [axis: 0 | 1 | 2, sign: 1 | -1]>> = {
+  L: [0, 1],
+  R: [0, -1],
+  P: [1, 1],
+  A: [1, -1],
+  S: [2, 1],
+  I: [2, -1],
+};
+
+/**
+ * `x, y, z` typed by a person, LPS mm (commas, semicolons or spaces; minus as hyphen or true minus), or as pictures say
+ * it, `R 17.6 P 35.3 S 12.1`; null if it is neither.
+ */
 export function parseCoordinates(text: string): Vec3 | null {
-  const parts = text
+  const plain = text
     .replaceAll(MINUS, "-")
-    .trim()
-    .split(/[\s,;]+/);
+    .replace(/\s*mm\s*$/i, "")
+    .trim();
+  const parts = plain.split(/[\s,;]+/);
   const values = parts.map(Number);
-  if (parts.length !== 3 || parts.some((part) => part === "") || !values.every(Number.isFinite)) return null;
-  return asVec3(values);
+  if (parts.length === 3 && parts.every((part) => part !== "") && values.every(Number.isFinite)) return asVec3(values);
+  return fromSides(plain);
+}
+
+/** Each axis once, by its side, and no sign: of two one would be wrong. */
+function fromSides(text: string): Vec3 | null {
+  const said = [...text.toUpperCase().matchAll(/([LRPASI])\s*(\d+(?:\.\d+)?)/g)];
+  const rest = text.toUpperCase().replace(/([LRPASI])\s*(\d+(?:\.\d+)?)/g, "");
+  if (said.length !== 3 || /[^\s,;]/.test(rest)) return null;
+  const found: (number | null)[] = [null, null, null];
+  for (const [, side, mm] of said) {
+    const place = SIDES[side ?? ""];
+    if (place === undefined || found[place[0]] !== null) return null;
+    found[place[0]] = place[1] * Number(mm);
+  }
+  const [x, y, z] = found;
+  return x == null || y == null || z == null ? null : [x, y, z];
 }
 
 /** `about 40 s left`, in words no more exact than the guess is. */

@@ -202,6 +202,20 @@ describe("numbers", () => {
     expect(parseCoordinates("")).toBeNull();
   });
 
+  it("are read as pictures say them, each axis once and without a sign", () => {
+    expect(parseCoordinates("R 89.3 A 127.0 S 390.6")).toEqual([-89.3, -127, 390.6]);
+    expect(parseCoordinates("s 390.6, l89.3; P 0 mm")).toEqual([89.3, 0, 390.6]);
+    for (const wrong of [
+      "R 89.3 L 1 S 390.6",
+      "R 89.3 A 127",
+      "R -89.3 A 127 S 390",
+      "R 1 A 2 S 3 4",
+      "R 1.2.3 A 2 S 3",
+    ]) {
+      expect(parseCoordinates(wrong), wrong).toBeNull();
+    }
+  });
+
   it("do not promise seconds that nobody knows", () => {
     expect(timeLeft(1)).toBe("almost done");
     expect(timeLeft(38)).toBe("about 40 s left");

@@ -22,7 +22,7 @@ describe("wall points", () => {
     expect(wallPointLines(picked(answer([-12.34, -4.5, 100.2])), null, true)).toEqual([
       "R\u202f12.3  A\u202f4.5  S\u202f100.2 mm",
       "RUL, generation 2",
-      "14.3\u202fmm away",
+      "14.3\u202fmm away when clicked",
       "\u2212412 HU",
     ]);
   });
@@ -33,7 +33,7 @@ describe("wall points", () => {
     const unnamed = answer([1, 2, 3], { branch_name: null, generation: 6, voxel_value: null });
     expect(wallPointLines(picked(unnamed), "branch 17", true).slice(1)).toEqual([
       "branch 17, generation 6",
-      "14.3\u202fmm away",
+      "14.3\u202fmm away when clicked",
     ]);
   });
 

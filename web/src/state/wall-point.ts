@@ -47,7 +47,8 @@ export function wallPointLines(points: readonly WallPoint[], label: string | nul
   if (branch !== null) {
     lines.push(newest.generation === null ? branch : `${branch}, generation ${newest.generation}`);
   }
-  lines.push(`${mm(newest.depthMm)} away`);
+  // The tip goes on, and this stays as it was measured.
+  lines.push(`${mm(newest.depthMm)} away when clicked`);
   if (newest.voxelValue !== null) lines.push(`${fixed(newest.voxelValue)}${isHu ? " HU" : " (not HU)"}`);
   const apart = pointsApartMm(points);
   if (apart !== null) lines.push(`${mm(apart)} apart`);

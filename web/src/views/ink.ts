@@ -156,16 +156,18 @@ export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: num
 export class NamePlaces {
   readonly #taken: { left: number; right: number; top: number; bottom: number }[] = [];
 
-  /** False where it was left out. */
-  name(ink: Ink, text: string, at: ScreenPoint, colour: string, within: { width: number; height: number }): boolean {
+  /** False where it was left out. `sides`: 1 to the right of its mark, -1 to the left, in the order they are tried. */
+  name(
+    ink: Ink,
+    text: string,
+    at: ScreenPoint,
+    colour: string,
+    within: { width: number; height: number },
+    sides: readonly (1 | -1)[] = [1, -1],
+  ): boolean {
     ink.font = `11px ${FONT}`;
     const width = ink.measureText(text).width;
-    for (const [side, lift] of [
-      [1, -9],
-      [1, 9],
-      [-1, -9],
-      [-1, 9],
-    ] as const) {
+    for (const [side, lift] of sides.flatMap((side) => [-9, 9].map((lift) => [side, lift] as const))) {
       const left = side > 0 ? at.x + 10 : at.x - 10 - width;
       const box = { left, right: left + width, top: at.y + lift - 7, bottom: at.y + lift + 7 };
       const inside = box.left >= 2 && box.right <= within.width - 2 && box.top >= 2 && box.bottom <= within.height - 2;

@@ -63,7 +63,11 @@ function bandOf(
   return { points: seen.map((pixel) => viewport.screenAt(pixel)), width: Math.max(width, 1.5) };
 }
 
-/** Names at the middle of their branches, large branches first; those of targets and stations are there before. */
+/**
+ * Names at the middle of their branches, large branches first; those of targets and stations are there before. A bronchus
+ * in several pieces is named once. Names stand on the side away from the trachea: across the tree they would name the
+ * airways of the other lung.
+ */
 export function paintNames(
   ink: Ink,
   viewport: Viewport,
@@ -72,13 +76,19 @@ export function paintNames(
   places: NamePlaces,
 ): void {
   const { width, height } = viewport.size;
+  const trachea = scene.trunkEnd === null ? null : pixelFromLps(geometry, scene.trunkEnd);
+  const trunkX = trachea === null ? width / 2 : viewport.screenAt(trachea).x;
   let left = Math.floor((width * height) / PX2_A_NAME);
+  const done = new Set<string>();
   for (const node of scene.titled) {
     if (left <= 0) return;
     const middle = middleOf(node);
     const seen = middle === null ? null : pixelFromLps(geometry, middle);
-    if (seen === null) continue;
-    if (places.name(ink, node.label, viewport.screenAt(seen), INK.text, viewport.size)) left -= 1;
+    if (seen === null || done.has(node.label)) continue;
+    const at = viewport.screenAt(seen);
+    if (!places.name(ink, node.label, at, INK.text, viewport.size, [at.x < trunkX ? -1 : 1])) continue;
+    done.add(node.label);
+    left -= 1;
   }
 }
 

@@ -77,6 +77,8 @@ export interface Scene {
   named: readonly BranchNode[];
   /** Branches with an anatomical name or a person's, large ones first. */
   titled: readonly BranchNode[];
+  /** Where the first branch, as a rule the trachea, ends. */
+  trunkEnd: Vec3 | null;
   uncertain: readonly Uncertainty[];
   /** The branch that is pointed at. */
   hovered: { node: BranchNode; place: TreePlace | null } | null;
@@ -136,11 +138,21 @@ function needleOf(state: AppState): Scene["needle"] {
 }
 
 let partsOf: BranchTree | null = null;
-let parts: Pick<Scene, "drawn" | "named" | "titled"> = { drawn: [], named: [], titled: [] };
+let parts: Pick<Scene, "drawn" | "named" | "titled" | "trunkEnd"> = {
+  drawn: [],
+  named: [],
+  titled: [],
+  trunkEnd: null,
+};
 let liveOf: LiveAnswer | null = null;
 let live: Scene["live"] = null;
 let previewOf: readonly EditLine[] = [];
 let previewRuns: readonly PreviewRun[] = [];
+
+function endOf(tree: BranchTree | null): Vec3 | null {
+  const point = tree?.root.branch.points.at(-1);
+  return point === undefined ? null : asVec3(point);
+}
 
 /** What is pointed at, and what is in the hand. */
 function pointedAt(
@@ -150,6 +162,7 @@ function pointedAt(
   | "drawn"
   | "named"
   | "titled"
+  | "trunkEnd"
   | "uncertain"
   | "hovered"
   | "selected"
@@ -169,6 +182,7 @@ function pointedAt(
       drawn: nodes.filter((node) => node.branch.kind !== "tracked"),
       named: nodes.filter((node) => node.lobe !== null),
       titled: nodes.filter((node) => node.branch.name !== null).sort((a, b) => b.diameterMm - a.diameterMm),
+      trunkEnd: endOf(tree),
     };
   }
   if (livePath !== liveOf) {

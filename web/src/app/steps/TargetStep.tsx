@@ -215,7 +215,9 @@ function Coordinates() {
       >
         <Label>or type x, y, z (LPS mm)</Label>
         <Input placeholder="-17.6, 35.3, 12.1" spellCheck="false" autoComplete="off" inputMode="text" />
-        <FieldError>Three numbers: left, posterior, superior</FieldError>
+        <FieldError>
+          Three numbers, left, posterior and superior, or as pictures say them: R 17.6 P 35.3 S 12.1
+        </FieldError>
       </TextField>
       <span className="row">
         <Act
