@@ -33,7 +33,7 @@ def test_a_click_on_the_wall_tells_its_place_and_marks_it_and_a_second_one_the_d
     assert first["branchName"] == "Trachea"
     reading = workstation.page.locator("[data-testid=wall-point]")
     assert re.search(
-        r"[LR].\d+\.\d\s+[AP].\d+\.\d\s+[SI].\d+\.\d mm\nTrachea, generation 0\n[\d.]+.mm away\n.?\d+ HU",
+        r"[LR].\d+\.\d\s+[AP].\d+\.\d\s+[SI].\d+\.\d mm\nTrachea, generation 0\n[\d.]+.mm away when clicked\n.?\d+ HU",
         reading.inner_text(),
     )
     assert workstation.overlay("airway") != unmarked
