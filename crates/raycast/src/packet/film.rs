@@ -60,8 +60,8 @@ fn fades<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     smooth(l, l.fma(cells, l.splat(-5.0), l.splat(1.5)))
 }
 
-/// The wet surface at patient points `lps` with normals `n` on the scope's side. Droplets finer than two pixels, whose
-/// width there is `footprint_mm`, fade out. They hang where the film is `thick` and the coarse relief, of which `bumps` are value
+/// The wet surface at patient points `lps` with normals `n` on the scope's side. Droplets finer than a few pixels,
+/// whose width there is `footprint_mm`, fade out. They hang where the film is `thick` and the coarse relief, of which `bumps` are value
 /// and slope, stands out: noise of their own would cost more than all else of them.
 #[inline(always)]
 pub(super) fn film<L: Lanes>(

@@ -109,8 +109,13 @@ impl Scene<'_> {
                     break;
                 }
                 if band.searching.is_empty() && !band.source.is_empty() {
-                    band.source
-                        .set_up(self.frame, self.start, &mut band.searching);
+                    let Band {
+                        source,
+                        searching,
+                        out,
+                        ..
+                    } = band;
+                    source.set_up(self.frame, self.start, searching, out);
                 }
                 if !band.searching.is_empty() {
                     band.searching.give_to(l, &mut packet, O::HITS);

@@ -1,6 +1,6 @@
 //! Lighting of the first walls: see `appearance`.
 
-use std::array::from_fn;
+use std::{array::from_fn, iter::once};
 
 #[cfg(target_arch = "x86_64")]
 use super::{avx2::Avx2, avx512::Avx512, pair::Pair};
@@ -10,7 +10,7 @@ use super::{
     mist::{MIST_RGB, mist},
     portable::Portable,
     rings::{Wall, decorate},
-    setup::rays_of,
+    setup::{Directions, deltas_of},
     slopes::rise,
     texture::texture,
     vectors::{along, dot, scaled, smooth, splat, turn, unit},
@@ -263,10 +263,9 @@ fn light_row<L: Lanes>(
             }
             continue;
         }
-        let last = frame.camera().width() - 1;
-        let columns = from_fn(|n| (block * L::N + n).min(last) as i32);
-        let rays = rays_of(frame, &columns, &[row as i32; MAX_LANES]);
-        let walls = gather(l, &rays.delta, pixels);
+        let columns = block * L::N..block * L::N + pixels.len();
+        let directions = Directions::of(frame, once((columns, row..row + 1)));
+        let walls = gather(l, &deltas_of(frame, &directions), pixels);
         let decoration = frame.decoration.as_ref();
         let colour = lit(l, light, decoration, (values, &frame.field), &walls);
         let veil = if misty {
@@ -366,14 +365,12 @@ pub(crate) fn brightness(
     (plain.look.gloss, plain.exposure) = (0.0, 1.0);
     let mut out = Vec::with_capacity(pixels.len());
     for pixels in pixels.chunks(Portable::N) {
-        let place = |n: usize| pixels[n.min(pixels.len() - 1)];
-        let (column, row) = (
-            from_fn(|n| place(n).0 as i32),
-            from_fn(|n| place(n).1 as i32),
-        );
-        let rays = rays_of(frame, &column, &row);
+        let places = pixels
+            .iter()
+            .map(|&(column, row, _)| (column..column + 1, row..row + 1));
+        let directions = Directions::of(frame, places);
         let gathered: Vec<Gathered> = pixels.iter().map(|pixel| pixel.2).collect();
-        let walls = gather(l, &rays.delta, &gathered);
+        let walls = gather(l, &deltas_of(frame, &directions), &gathered);
         let [r, g, b] = lit(l, &plain, None, (&frame.field, &frame.field), &walls);
         // About the eye's weights.
         let weights = [l.splat(0.3), l.splat(0.6), l.splat(0.1)];

@@ -1,5 +1,7 @@
 //! Where packets write what their rays have gathered.
 
+use std::ops::Range;
+
 use super::{
     lanes::{Lanes, MAX_LANES, each_lane},
     pool::Packet,
@@ -13,6 +15,9 @@ pub(super) trait Out {
 
     /// Writes the pixels of some lanes.
     fn write<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32);
+
+    /// Writes pixels that have no ray.
+    fn write_nothing(&mut self, pixels: Range<usize>);
 }
 
 /// 8-bit colours over a background.
@@ -47,6 +52,12 @@ impl Out for Rgb8<'_> {
             ]);
         });
     }
+
+    #[inline(always)]
+    fn write_nothing(&mut self, pixels: Range<usize>) {
+        let (rgb, _) = self.rgb.as_chunks_mut::<3>();
+        rgb[pixels].fill(Gathered::NOTHING.to_rgb8(self.background));
+    }
 }
 
 /// All that is gathered, first walls included.
@@ -71,5 +82,36 @@ impl Out for Walls<'_> {
                 hit: hit[n],
             };
         });
+    }
+
+    #[inline(always)]
+    fn write_nothing(&mut self, pixels: Range<usize>) {
+        self.0[pixels].fill(Gathered::NOTHING);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Gathered, Out, Rgb8, Walls};
+
+    #[test]
+    fn pixels_without_a_ray_show_the_background_whatever_was_there() {
+        let mut rgb = [7; 12];
+        let background = [0.0, 0.5, 1.0];
+        Rgb8 {
+            rgb: &mut rgb,
+            background,
+        }
+        .write_nothing(1..3);
+        assert_eq!(rgb, [7, 7, 7, 0, 128, 255, 0, 128, 255, 7, 7, 7]);
+
+        let wall = Gathered {
+            hit: 3.0,
+            ..Gathered::NOTHING
+        };
+        let mut walls = [wall; 4];
+        Walls(&mut walls).write_nothing(1..3);
+        let expected = [wall, Gathered::NOTHING, Gathered::NOTHING, wall];
+        assert!(walls == expected);
     }
 }

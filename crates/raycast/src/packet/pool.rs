@@ -1,15 +1,19 @@
 //! Rays between the lanes: those that search and those that wait for shading.
 
 use super::{
+    BAND_ROWS,
     lanes::{Array, Lanes, MAX_LANES, each_lane},
-    setup::rays_of,
+    out::Out,
+    setup::{Directions, Patch, count_up, rays_of},
 };
 use crate::{Frame, composite::NO_HIT, leap::Start};
 
-/// Rays set up at a time.
+/// Rays set up at a time, at least; fewer than 32 more are.
 const BATCH: usize = 64;
+/// Rays of a patch of pixels, at most: the lanes of a packet with AVX2, half of those with AVX-512.
+const PATCH: usize = MAX_LANES / 2;
 /// Rays that a pool holds at most. A batch is set up when none waits to search; then fewer than 96 + 32 wait for shading
-/// and 64 are in lanes, so there are never more than 256. Thirty-two more are for writing whole registers.
+/// and 64 are in lanes, so there are never more than 288. Thirty-two more are for writing whole registers.
 const CAPACITY: usize = 384;
 
 /// The rays in the lanes of an instruction set.
@@ -176,13 +180,12 @@ impl Pool {
     }
 }
 
-/// The rays of a band of rows that are not set up yet, column by column, so that a packet covers a square of pixels.
+/// The rays of a band of rows that are not set up yet: patch by patch, so that a packet covers a square of pixels.
 pub(super) struct Source {
     width: usize,
     first_row: usize,
     num_rows: usize,
-    next: usize,
-    /// Place of the next ray in the band.
+    /// Place of the next rays in the band.
     column: usize,
     row: usize,
     sum_of_first: u64,
@@ -194,7 +197,6 @@ impl Source {
             width,
             first_row,
             num_rows,
-            next: 0,
             column: 0,
             row: 0,
             sum_of_first: 0,
@@ -207,7 +209,7 @@ impl Source {
 
     #[inline(always)]
     pub(super) fn is_empty(&self) -> bool {
-        self.next == self.num_rays()
+        self.row == self.num_rows
     }
 
     /// Sum of the first sample numbers of the rays set up so far.
@@ -215,24 +217,57 @@ impl Source {
         self.sum_of_first
     }
 
-    /// Sets rays up in an empty pool.
+    /// The next pixels of the band: a square of them in a band of four rows. Empty at the end.
     #[inline(always)]
-    pub(super) fn set_up(&mut self, frame: &Frame<'_>, start: Start, pool: &mut Pool) {
+    fn next_patch(&mut self) -> Patch {
+        let num_rows = (self.num_rows - self.row).min(BAND_ROWS);
+        let num_columns = (PATCH / num_rows.max(1)).min(self.width - self.column);
+        let columns = self.column..self.column + num_columns;
+        let rows = self.row..self.row + num_rows;
+        self.column = columns.end;
+        if self.column == self.width {
+            (self.column, self.row) = (0, rows.end);
+        }
+        (columns, rows)
+    }
+
+    /// Sets rays up in an empty pool. Where none of some pixels has a ray, `out` is told at once.
+    #[inline(always)]
+    pub(super) fn set_up<O: Out>(
+        &mut self,
+        frame: &Frame<'_>,
+        start: Start,
+        pool: &mut Pool,
+        out: &mut O,
+    ) {
         pool.len = 0;
         while pool.len < BATCH && !self.is_empty() {
-            let (mut column, mut row, mut pixel) = ([0; MAX_LANES], [0; MAX_LANES], [0; MAX_LANES]);
-            let count = (self.num_rays() - self.next).min(MAX_LANES);
-            for n in 0..count {
-                column[n] = self.column as i32;
-                row[n] = (self.first_row + self.row) as i32;
-                pixel[n] = (self.row * self.width + self.column) as i32;
-                self.row += 1;
-                if self.row == self.num_rows {
-                    self.row = 0;
-                    self.column += 1;
+            let patches = [self.next_patch(), self.next_patch()];
+            let mut in_picture = patches.clone();
+            for (_, rows) in &mut in_picture {
+                *rows = self.first_row + rows.start..self.first_row + rows.end;
+            }
+            let directions = Directions::of(frame, in_picture.into_iter());
+            if directions.are_none() {
+                for (columns, rows) in patches {
+                    for row in rows {
+                        let at = row * self.width;
+                        out.write_nothing(at + columns.start..at + columns.end);
+                    }
+                }
+                continue;
+            }
+            let mut pixel = [0; MAX_LANES];
+            let mut count = 0;
+            for (columns, rows) in patches {
+                for row in rows {
+                    let end = count + columns.len();
+                    let first = row * self.width + columns.start;
+                    count_up(&mut pixel[count..end], first as i32, 1);
+                    count = end;
                 }
             }
-            let rays = rays_of(frame, &column, &row);
+            let rays = rays_of(frame, &directions);
             let at = pool.len;
             for a in 0..3 {
                 write(&mut pool.delta[a], at, rays.delta[a]);
@@ -253,7 +288,6 @@ impl Source {
                 self.sum_of_first += rays.first[n] as u64;
             }
             pool.len += count;
-            self.next += count;
         }
     }
 }

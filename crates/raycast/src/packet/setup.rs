@@ -1,6 +1,8 @@
 //! Rays of many pixels at once: the operations of [`Frame::ray`] in loops that the compiler turns into vector
 //! instructions, since f64 is enough work here to need them (a seventh of a frame when done ray by ray).
 
+use std::ops::Range;
+
 use super::lanes::{Array, MAX_LANES};
 use crate::Frame;
 
@@ -11,36 +13,125 @@ pub(super) struct Rays {
     pub end: Array<i32>,
 }
 
-/// The rays of pixels given by column and row; as in [`Frame::ray`] and `clip_line_to_box`.
-#[inline(always)]
-pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) -> Rays {
-    let camera = frame.camera();
-    let (half_width, half_height) = (camera.width() as f64 / 2.0, camera.height() as f64 / 2.0);
-    let z = camera.focal_px();
-    let step_mm = frame.table.step_mm();
-    let matrix = frame.ijk_from_camera.rows();
-    let shape = frame.grid.shape_ijk();
-    let mut scaled = [[0.0; MAX_LANES]; 3];
-    // All have a ray but those that a lens or a mask leaves without.
-    let mut bare = [false; MAX_LANES];
-    if let Some(rays) = camera.lens_rays() {
-        for n in 0..MAX_LANES {
-            let dir = rays.direction(column[n] as usize, row[n] as usize);
-            for a in 0..3 {
-                scaled[a][n] = f64::from(dir[a]) * step_mm;
+/// Steps of rays in camera space, mm, by axis; all 0 where a lens or a mask leaves a pixel without a ray.
+#[derive(Clone, Copy)]
+pub(super) struct Directions([[f64; MAX_LANES]; 3]);
+
+/// Some columns of some rows.
+pub(super) type Patch = (Range<usize>, Range<usize>);
+
+impl Directions {
+    /// Those of some patches, one after the other and each row by row: no more pixels than there are lanes.
+    #[inline(always)]
+    pub(super) fn of(frame: &Frame<'_>, patches: impl Iterator<Item = Patch>) -> Self {
+        let camera = frame.camera();
+        let step_mm = frame.table.step_mm();
+        let mut directions = Self([[0.0; MAX_LANES]; 3]);
+        let mut lane = 0;
+        if let Some(rays) = camera.lens_rays() {
+            for (columns, rows) in patches {
+                for row in rows {
+                    let end = lane + columns.len();
+                    let from = rays.directions_of(row);
+                    for a in 0..3 {
+                        let to = &mut directions.0[a][lane..end];
+                        scaled(to, &from[a][columns.clone()], step_mm);
+                    }
+                    lane = end;
+                }
             }
-            bare[n] = dir == [0.0; 3];
+            return directions;
         }
-    } else {
+        let (mut column, mut row) = ([0; MAX_LANES], [0; MAX_LANES]);
+        for (columns, rows) in patches {
+            for in_row in rows {
+                let end = lane + columns.len();
+                count_up(&mut column[lane..end], columns.start as i32, 1);
+                count_up(&mut row[lane..end], in_row as i32, 0);
+                lane = end;
+            }
+        }
+        let (half_width, half_height) = (camera.width() as f64 / 2.0, camera.height() as f64 / 2.0);
+        let z = camera.focal_px();
+        let [to_x, to_y, to_z] = &mut directions.0;
         for n in 0..MAX_LANES {
             let x = (f64::from(column[n]) + 0.5) - half_width;
             let y = (f64::from(row[n]) + 0.5) - half_height;
             let scale = step_mm / (x * x + y * y + z * z).sqrt();
-            scaled[0][n] = x * scale;
-            scaled[1][n] = y * scale;
-            scaled[2][n] = z * scale;
+            to_x[n] = x * scale;
+            to_y[n] = y * scale;
+            to_z[n] = z * scale;
+        }
+        directions
+    }
+
+    /// True if no lane has a ray.
+    #[inline(always)]
+    pub(super) fn are_none(&self) -> bool {
+        self.0.iter().flatten().all(|&d| d == 0.0)
+    }
+
+    /// Steps of the rays in voxels along an axis.
+    #[inline(always)]
+    fn along(&self, frame: &Frame<'_>, axis: usize) -> [f64; MAX_LANES] {
+        let [mx, my, mz, _] = frame.ijk_from_camera.rows()[axis];
+        let [x, y, z] = &self.0;
+        let mut d = [0.0; MAX_LANES];
+        for n in 0..MAX_LANES {
+            d[n] = mx * x[n] + my * y[n] + mz * z[n];
+        }
+        d
+    }
+}
+
+/// Numbers from the first one on, each so much greater than the one before. In fours, as in `scaled`.
+#[inline(always)]
+pub(super) fn count_up(to: &mut [i32], mut first: i32, by: i32) {
+    let (fours, rest) = to.as_chunks_mut::<4>();
+    for four in fours {
+        for n in 0..4 {
+            four[n] = first + n as i32 * by;
+        }
+        first += 4 * by;
+    }
+    for one in rest {
+        *one = first;
+        first += by;
+    }
+}
+
+/// Numbers times a factor. Four at a time: for fewer, a loop costs more than its operations.
+#[inline(always)]
+fn scaled(to: &mut [f64], from: &[f32], factor: f64) {
+    let (to, to_rest) = to.as_chunks_mut::<4>();
+    let (from, from_rest) = from.as_chunks::<4>();
+    for (to, from) in to.iter_mut().zip(from) {
+        for n in 0..4 {
+            to[n] = f64::from(from[n]) * factor;
         }
     }
+    for (to, &from) in to_rest.iter_mut().zip(from_rest) {
+        *to = f64::from(from) * factor;
+    }
+}
+
+/// Steps of rays in voxels.
+#[inline(always)]
+pub(super) fn deltas_of(frame: &Frame<'_>, directions: &Directions) -> [Array<f32>; 3] {
+    let mut delta = [[0.0; MAX_LANES]; 3];
+    for a in 0..3 {
+        let d = directions.along(frame, a);
+        for n in 0..MAX_LANES {
+            delta[a][n] = d[n] as f32;
+        }
+    }
+    delta
+}
+
+/// Rays in these directions; as in [`Frame::ray`] and `clip_line_to_box`.
+#[inline(always)]
+pub(super) fn rays_of(frame: &Frame<'_>, directions: &Directions) -> Rays {
+    let shape = frame.grid.shape_ijk();
     let mut delta = [[0.0; MAX_LANES]; 3];
     let mut t_out = [f64::INFINITY; MAX_LANES];
     let (mut first, mut end) = ([0; MAX_LANES], [0; MAX_LANES]);
@@ -52,12 +143,12 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
     if is_inside {
         // The nearer face of each axis lies behind the camera, or in it: every ray starts at 0, and one division is enough.
         for a in 0..3 {
-            let [mx, my, mz, _] = matrix[a];
+            let d = directions.along(frame, a);
             let origin = frame.origin_ijk[a];
             let (lo, hi) = box_of(a);
             let (behind, ahead) = (lo - origin, hi - origin);
             for n in 0..MAX_LANES {
-                let d = mx * scaled[0][n] + my * scaled[1][n] + mz * scaled[2][n];
+                let d = d[n];
                 delta[a][n] = d as f32;
                 let far = (if d < 0.0 { behind } else { ahead }) / d;
                 let far = if d == 0.0 { f64::INFINITY } else { far };
@@ -66,13 +157,14 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
         }
         for n in 0..MAX_LANES {
             let to = (t_out[n] + 0.5).floor().max(0.0) as i32;
-            end[n] = if bare[n] { 0 } else { to };
+            // What stands still along all axes is no ray.
+            end[n] = if t_out[n] < f64::INFINITY { to } else { 0 };
         }
         return Rays { delta, first, end };
     }
     let mut t_in = [f64::NEG_INFINITY; MAX_LANES];
     for a in 0..3 {
-        let [mx, my, mz, _] = matrix[a];
+        let d = directions.along(frame, a);
         let origin = frame.origin_ijk[a];
         let (lo, hi) = box_of(a);
         // An axis along which a ray stands still holds it for ever, or never.
@@ -82,7 +174,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
             f64::NEG_INFINITY
         };
         for n in 0..MAX_LANES {
-            let d = mx * scaled[0][n] + my * scaled[1][n] + mz * scaled[2][n];
+            let d = d[n];
             delta[a][n] = d as f32;
             let (u, v) = ((lo - origin) / d, (hi - origin) / d);
             let near = if u < v { u } else { v };
@@ -95,7 +187,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
     }
     for n in 0..MAX_LANES {
         // What lies behind the camera starts at 0. `Packets::of` has checked that no ray has 2^30 steps.
-        let hit = t_in[n] <= t_out[n] && !bare[n];
+        let hit = t_in[n] <= t_out[n];
         let from = (t_in[n] - 0.5).ceil().max(0.0) as i32;
         let to = (t_out[n] + 0.5).floor().max(0.0) as i32;
         first[n] = if hit { from } else { 0 };
