@@ -71,6 +71,9 @@ struct Slab<'a> {
 trait Values: Copy {
     /// Values in a register.
     const N: usize;
+    /// Two rows are taken at a time, and memory is asked for ahead. Else the machine sees by itself that slices are read
+    /// line by line, which it does not when asked: on Zen 4 with AVX2 it reads 18 GB/s then, and 10 when asked.
+    const ASKS: bool;
     type V: Copy;
     fn least(self) -> Self::V;
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
@@ -94,6 +97,7 @@ struct One;
 
 impl Values for One {
     const N: usize = 1;
+    const ASKS: bool = false;
     type V = i16;
     #[inline(always)]
     fn least(self) -> i16 {
@@ -119,13 +123,14 @@ impl Values for One {
 
 #[cfg(target_arch = "x86_64")]
 macro_rules! registers {
-    ($name:ident, $what:literal, $v:ident, $n:literal, $set1:ident, $max:ident, $load:ident, $store:ident) => {
+    ($name:ident, $what:literal, $v:ident, $n:literal, $asks:literal, $set1:ident, $max:ident, $load:ident, $store:ident) => {
         #[doc = $what]
         #[derive(Clone, Copy)]
         struct $name(());
 
         impl Values for $name {
             const N: usize = $n;
+            const ASKS: bool = $asks;
             type V = std::arch::x86_64::$v;
             #[inline(always)]
             fn least(self) -> Self::V {
@@ -164,6 +169,7 @@ registers!(
     "SSE2, which every `x86_64` has.",
     __m128i,
     8,
+    false,
     _mm_set1_epi16,
     _mm_max_epi16,
     _mm_loadu_si128,
@@ -175,6 +181,7 @@ registers!(
     "The machine has AVX2.",
     __m256i,
     16,
+    false,
     _mm256_set1_epi16,
     _mm256_max_epi16,
     _mm256_loadu_si256,
@@ -186,6 +193,7 @@ registers!(
     "The machine has AVX-512 F and BW.",
     __m512i,
     32,
+    true,
     _mm512_set1_epi16,
     _mm512_max_epi16,
     _mm512_loadu_si512,
@@ -272,11 +280,12 @@ fn project_slices<V: Values, const S: usize>(
         along_k,
     };
     // Two rows at a time: what is written along j is written once for both.
-    for j in (0..nj / 2).map(|pair| 2 * pair) {
+    let in_pairs = if V::ASKS { nj - nj % 2 } else { 0 };
+    for j in (0..in_pairs).step_by(2) {
         rows.project::<V, S, 2>(v, j);
     }
-    if nj % 2 == 1 {
-        rows.project::<V, S, 1>(v, nj - 1);
+    for j in in_pairs..nj {
+        rows.project::<V, S, 1>(v, j);
     }
 }
 
@@ -307,7 +316,9 @@ impl Rows<'_> {
                     for s in 0..S {
                         let at = self.data.as_ptr().add((s * nj + j + r) * ni + i);
                         let values = v.load(at);
-                        v.fetch(at.wrapping_add(AHEAD));
+                        if V::ASKS {
+                            v.fetch(at.wrapping_add(AHEAD));
+                        }
                         most[r][s] = v.max(most[r][s], values);
                         all = v.max(all, values);
                         down[s] = if r == 0 {
@@ -357,6 +368,49 @@ fn raise(to: &mut [i16], by: &[i16]) {
 mod tests {
     use super::*;
     use carina_grid::{Affine, Grid};
+
+    // Registers that every machine has, read as the largest ones are.
+    #[cfg(target_arch = "x86_64")]
+    registers!(
+        Asking,
+        "SSE2, asking ahead.",
+        __m128i,
+        8,
+        true,
+        _mm_set1_epi16,
+        _mm_max_epi16,
+        _mm_loadu_si128,
+        _mm_storeu_si128
+    );
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn asking_ahead_changes_no_value() {
+        for shape in [[4, 2, 32], [9, 3, 71], [6, 5, 64]] {
+            let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
+            let [nk, nj, ni] = shape;
+            let data: Vec<i16> = (0..nk * nj * ni)
+                .map(|n| (n.wrapping_mul(2_654_435_761) >> 7) as i16)
+                .collect();
+            let expected = maximum_projections(VolumeView::new(&data, &grid).unwrap());
+            let [mut along_i, mut along_j, mut along_k] =
+                [nk * nj, nk * ni, nj * ni].map(|count| vec![i16::MIN; count]);
+            let slab = Slab {
+                data: &data,
+                shape_ji: [nj, ni],
+                along_i: &mut along_i,
+                along_j: &mut along_j,
+                along_k: &mut along_k,
+            };
+            slab.run(Asking(()));
+            let found = Projections {
+                along_i,
+                along_j,
+                along_k,
+            };
+            assert!(found == expected);
+        }
+    }
 
     #[test]
     fn each_projection_is_the_largest_value_along_its_axis() {
