@@ -195,14 +195,18 @@ function Coordinates() {
   const use = (what: (lps: Vec3) => void) => {
     if (point !== null) what(point);
   };
+  const add = () =>
+    use((lps) => {
+      station.addTarget(lps);
+      setText("");
+    });
   return (
     <Form
       className="coordinates"
       onSubmit={(event) => {
         event.preventDefault();
         if (point === null) return;
-        station.addTarget(point);
-        setText("");
+        add();
         // Done with typing: the keys fly again.
         if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
       }}
@@ -225,7 +229,7 @@ function Coordinates() {
           words="Add this point as a target"
           keys="Enter"
           disabled={point === null}
-          onPress={() => use((lps) => station.addTarget(lps))}
+          onPress={add}
         />
         <Act
           label="Show"
