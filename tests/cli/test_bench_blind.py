@@ -17,6 +17,10 @@ def test_the_back_is_below_in_an_upright_picture_and_goes_round_with_the_scope()
     assert blind.back_hour(upright) == pytest.approx(6.0)
     # The scope turned clockwise, as its holder sees it: the picture turns the other way.
     assert blind.back_hour(blind.turned(upright, np.pi / 2)) == pytest.approx(3.0)
+    # An oblique view: 1 mm to the back is so far to the right, and so far down.
+    oblique = blind.turned(carina.Pose.looking((0, 0, 0), (0.5, 0.2, -1.0)), 1.0)
+    right, down = oblique.lps_from_camera[1, :2]
+    assert blind.back_hour(oblique) == pytest.approx(np.degrees(np.arctan2(right, -down)) / 30.0 % 12.0)
 
 
 def test_hours_are_scored_round_the_clock_and_none_may_lack(tmp_path, capsys):

@@ -51,9 +51,10 @@ function fromSides(text: string): Vec3 | null {
   const found: (number | null)[] = [null, null, null];
   for (const [, side, mm] of said) {
     const place = SIDES[side ?? ""];
-    if (place === undefined || found[place[0]] !== null) return null;
+    if (place === undefined) return null;
     found[place[0]] = place[1] * Number(mm);
   }
+  // Of three, one named twice leaves another without a number.
   const [x, y, z] = found;
   return x == null || y == null || z == null ? null : [x, y, z];
 }
