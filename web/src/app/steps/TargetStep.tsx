@@ -224,13 +224,7 @@ function Coordinates() {
         </FieldError>
       </TextField>
       <span className="row">
-        <Act
-          label="Add"
-          words="Add this point as a target"
-          keys="Enter"
-          disabled={point === null}
-          onPress={add}
-        />
+        <Act label="Add" words="Add this point as a target" keys="Enter" disabled={point === null} onPress={add} />
         <Act
           label="Show"
           words="Move the crosshair to this point"
