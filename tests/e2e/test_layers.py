@@ -4,6 +4,7 @@ of a verdict, kept as a flight and flown."""
 from __future__ import annotations
 
 import pytest
+from workstation import PICTURE_MS
 
 import carina
 from made import made_phantom
@@ -66,7 +67,8 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     assert workstation.overlay("coronal") == plain
 
     ask.click()
-    workstation.wait_for("window.__carina.state.lungs.standing === 'had'")
+    # The longest job there is: half a minute alone, some two minutes beside other tests.
+    workstation.wait_for("window.__carina.state.lungs.standing === 'had'", timeout_ms=3 * PICTURE_MS)
     ask.wait_for(state="detached")
     rows = page.locator(".layers > li")
     assert [row.get_attribute("data-testid") for row in rows.all()] == [f"layer-{layer}" for layer in LAYERS]

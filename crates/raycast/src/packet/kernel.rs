@@ -7,8 +7,9 @@ use super::{
     ask::Pace,
     lanes::Lanes,
     out::Out,
-    pool::{Packet, Pool, Source},
+    pool::{Packet, Pool},
     scene::{BRUTE, CLASSES, Scene, TRANSPARENT},
+    source::Source,
 };
 use crate::CastStats;
 

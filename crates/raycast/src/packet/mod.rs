@@ -29,6 +29,7 @@ mod sample;
 mod scene;
 mod setup;
 mod slopes;
+mod source;
 mod texture;
 mod vectors;
 mod voxels;
@@ -47,8 +48,9 @@ use out::{Out, Rgb8, Walls};
 #[cfg(target_arch = "x86_64")]
 use pair::Pair;
 pub(crate) use plane::{PlaneTiles, TILE_ROWS};
-use pool::Source;
 use scene::{BRUTE, CLASSES, Scene, TRANSPARENT};
+pub(crate) use source::BAND_ROWS;
+use source::Source;
 use voxels::Voxels;
 
 pub(crate) use lighting::{brightness, light_rows};
@@ -56,9 +58,6 @@ pub(crate) use lighting::{brightness, light_rows};
 pub(crate) use {
     lanes::Lanes as TestLanes, portable::Portable as TestSet, slopes::rise as test_rise,
 };
-
-/// Rows of a picture that are cast together: packets cover squares of pixels.
-pub(crate) const BAND_ROWS: usize = 4;
 
 /// A picture that packets can cast.
 #[derive(Clone, Copy)]

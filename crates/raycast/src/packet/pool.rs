@@ -1,17 +1,13 @@
 //! Rays between the lanes: those that search and those that wait for shading.
 
 use super::{
-    BAND_ROWS,
     lanes::{Array, Lanes, MAX_LANES, each_lane},
-    out::Out,
-    setup::{Directions, Patch, count_up, rays_of},
+    setup::Rays,
 };
-use crate::{Frame, composite::NO_HIT, leap::Start};
+use crate::{composite::NO_HIT, leap::Start};
 
 /// Rays set up at a time, at least; fewer than 32 more are.
-const BATCH: usize = 64;
-/// Rays of a patch of pixels, at most: the lanes of a packet with AVX2, half of those with AVX-512.
-const PATCH: usize = MAX_LANES / 2;
+pub(super) const BATCH: usize = 64;
 /// Rays that a pool holds at most. A batch is set up when none waits to search; then fewer than 96 + 32 wait for shading
 /// and 64 are in lanes, so there are never more than 288. Thirty-two more are for writing whole registers.
 const CAPACITY: usize = 384;
@@ -126,6 +122,28 @@ impl Pool {
         self.len == 0
     }
 
+    /// Adds rays that have taken no sample yet, the first `count` of them.
+    #[inline(always)]
+    pub(super) fn add(&mut self, rays: &Rays, pixel: &Array<i32>, count: usize, start: Start) {
+        let at = self.len;
+        for a in 0..3 {
+            write(&mut self.delta[a], at, rays.delta[a]);
+            write(&mut self.rgb[a], at, [0.0; MAX_LANES]);
+        }
+        write(&mut self.transparency, at, [1.0; MAX_LANES]);
+        write(&mut self.hit, at, [NO_HIT; MAX_LANES]);
+        write(&mut self.k, at, rays.first);
+        write(&mut self.end, at, rays.end);
+        write(&mut self.pixel, at, *pixel);
+        write(
+            &mut self.ask_at,
+            at,
+            rays.first.map(|first| first + start.wait as i32),
+        );
+        write(&mut self.patience, at, [start.patience as i32; MAX_LANES]);
+        self.len += count;
+    }
+
     /// Takes rays out of some lanes, which are free then; with `hits` their first walls, too.
     #[inline(always)]
     pub(super) fn take_from<L: Lanes>(
@@ -177,117 +195,5 @@ impl Pool {
         packet.ask_at = l.fill_i(packet.ask_at, lanes, &self.ask_at[at..]);
         packet.patience = l.fill_i(packet.patience, lanes, &self.patience[at..]);
         packet.occupied |= lanes;
-    }
-}
-
-/// The rays of a band of rows that are not set up yet: patch by patch, so that a packet covers a square of pixels.
-pub(super) struct Source {
-    width: usize,
-    first_row: usize,
-    num_rows: usize,
-    /// Place of the next rays in the band.
-    column: usize,
-    row: usize,
-    sum_of_first: u64,
-}
-
-impl Source {
-    pub(super) fn new(width: usize, first_row: usize, num_rows: usize) -> Self {
-        Self {
-            width,
-            first_row,
-            num_rows,
-            column: 0,
-            row: 0,
-            sum_of_first: 0,
-        }
-    }
-
-    pub(super) fn num_rays(&self) -> usize {
-        self.width * self.num_rows
-    }
-
-    #[inline(always)]
-    pub(super) fn is_empty(&self) -> bool {
-        self.row == self.num_rows
-    }
-
-    /// Sum of the first sample numbers of the rays set up so far.
-    pub(super) fn sum_of_first(&self) -> u64 {
-        self.sum_of_first
-    }
-
-    /// The next pixels of the band: a square of them in a band of four rows. Empty at the end.
-    #[inline(always)]
-    fn next_patch(&mut self) -> Patch {
-        let num_rows = (self.num_rows - self.row).min(BAND_ROWS);
-        let num_columns = (PATCH / num_rows.max(1)).min(self.width - self.column);
-        let columns = self.column..self.column + num_columns;
-        let rows = self.row..self.row + num_rows;
-        self.column = columns.end;
-        if self.column == self.width {
-            (self.column, self.row) = (0, rows.end);
-        }
-        (columns, rows)
-    }
-
-    /// Sets rays up in an empty pool. Where none of some pixels has a ray, `out` is told at once.
-    #[inline(always)]
-    pub(super) fn set_up<O: Out>(
-        &mut self,
-        frame: &Frame<'_>,
-        start: Start,
-        pool: &mut Pool,
-        out: &mut O,
-    ) {
-        pool.len = 0;
-        while pool.len < BATCH && !self.is_empty() {
-            let patches = [self.next_patch(), self.next_patch()];
-            let mut in_picture = patches.clone();
-            for (_, rows) in &mut in_picture {
-                *rows = self.first_row + rows.start..self.first_row + rows.end;
-            }
-            let directions = Directions::of(frame, in_picture.into_iter());
-            if directions.are_none() {
-                for (columns, rows) in patches {
-                    for row in rows {
-                        let at = row * self.width;
-                        out.write_nothing(at + columns.start..at + columns.end);
-                    }
-                }
-                continue;
-            }
-            let mut pixel = [0; MAX_LANES];
-            let mut count = 0;
-            for (columns, rows) in patches {
-                for row in rows {
-                    let end = count + columns.len();
-                    let first = row * self.width + columns.start;
-                    count_up(&mut pixel[count..end], first as i32, 1);
-                    count = end;
-                }
-            }
-            let rays = rays_of(frame, &directions);
-            let at = pool.len;
-            for a in 0..3 {
-                write(&mut pool.delta[a], at, rays.delta[a]);
-                write(&mut pool.rgb[a], at, [0.0; MAX_LANES]);
-            }
-            write(&mut pool.transparency, at, [1.0; MAX_LANES]);
-            write(&mut pool.hit, at, [NO_HIT; MAX_LANES]);
-            write(&mut pool.k, at, rays.first);
-            write(&mut pool.end, at, rays.end);
-            write(&mut pool.pixel, at, pixel);
-            write(
-                &mut pool.ask_at,
-                at,
-                rays.first.map(|first| first + start.wait as i32),
-            );
-            write(&mut pool.patience, at, [start.patience as i32; MAX_LANES]);
-            for n in 0..count {
-                self.sum_of_first += rays.first[n] as u64;
-            }
-            pool.len += count;
-        }
     }
 }

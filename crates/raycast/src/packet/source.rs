@@ -1,0 +1,109 @@
+//! Where the rays of a band come from.
+
+use super::{
+    lanes::MAX_LANES,
+    out::Out,
+    pool::{BATCH, Pool},
+    setup::{Directions, Patch, count_up, rays_of},
+};
+use crate::{Frame, leap::Start};
+
+/// Rows of a picture that are cast together: packets cover squares of pixels.
+pub(crate) const BAND_ROWS: usize = 4;
+/// Rays of a patch of pixels, at most: the lanes of a packet with AVX2, half of those with AVX-512.
+const PATCH: usize = MAX_LANES / 2;
+
+/// The rays of a band of rows that are not set up yet: patch by patch, so that a packet covers a square of pixels.
+pub(super) struct Source {
+    width: usize,
+    first_row: usize,
+    num_rows: usize,
+    /// Place of the next rays in the band.
+    column: usize,
+    row: usize,
+    sum_of_first: u64,
+}
+
+impl Source {
+    pub(super) fn new(width: usize, first_row: usize, num_rows: usize) -> Self {
+        Self {
+            width,
+            first_row,
+            num_rows,
+            column: 0,
+            row: 0,
+            sum_of_first: 0,
+        }
+    }
+
+    pub(super) fn num_rays(&self) -> usize {
+        self.width * self.num_rows
+    }
+
+    #[inline(always)]
+    pub(super) fn is_empty(&self) -> bool {
+        self.row == self.num_rows
+    }
+
+    /// Sum of the first sample numbers of the rays set up so far.
+    pub(super) fn sum_of_first(&self) -> u64 {
+        self.sum_of_first
+    }
+
+    /// The next pixels of the band: a square of them in a band of four rows. Empty at the end.
+    #[inline(always)]
+    fn next_patch(&mut self) -> Patch {
+        let num_rows = (self.num_rows - self.row).min(BAND_ROWS);
+        let num_columns = (PATCH / num_rows.max(1)).min(self.width - self.column);
+        let columns = self.column..self.column + num_columns;
+        let rows = self.row..self.row + num_rows;
+        self.column = columns.end;
+        if self.column == self.width {
+            (self.column, self.row) = (0, rows.end);
+        }
+        (columns, rows)
+    }
+
+    /// Sets rays up in an empty pool. Where none of some pixels has a ray, `out` is told at once.
+    #[inline(always)]
+    pub(super) fn set_up<O: Out>(
+        &mut self,
+        frame: &Frame<'_>,
+        start: Start,
+        pool: &mut Pool,
+        out: &mut O,
+    ) {
+        while pool.len() < BATCH && !self.is_empty() {
+            let patches = [self.next_patch(), self.next_patch()];
+            let mut in_picture = patches.clone();
+            for (_, rows) in &mut in_picture {
+                *rows = self.first_row + rows.start..self.first_row + rows.end;
+            }
+            let directions = Directions::of(frame, in_picture.into_iter());
+            if directions.are_none() {
+                for (columns, rows) in patches {
+                    for row in rows {
+                        let at = row * self.width;
+                        out.write_nothing(at + columns.start..at + columns.end);
+                    }
+                }
+                continue;
+            }
+            let mut pixel = [0; MAX_LANES];
+            let mut count = 0;
+            for (columns, rows) in patches {
+                for row in rows {
+                    let end = count + columns.len();
+                    let first = row * self.width + columns.start;
+                    count_up(&mut pixel[count..end], first as i32, 1);
+                    count = end;
+                }
+            }
+            let rays = rays_of(frame, &directions);
+            pool.add(&rays, &pixel, count, start);
+            for n in 0..count {
+                self.sum_of_first += rays.first[n] as u64;
+            }
+        }
+    }
+}
