@@ -182,14 +182,14 @@ class Workstation:
         )
         self.wait_still()
 
-    def wait_for(self, condition: str, arg: Any = None, timeout_ms: int = PICTURE_MS) -> None:
+    def wait_for(self, condition: str, arg: Any = None) -> None:
         """Wait until an expression of the page holds, or a function of ``arg``.
 
         While a value that it asks a property of is null or missing, it does not hold yet.
         """
         # The page's policy lets no bare text be evaluated.
         function = condition if FUNCTION.match(condition) else f"() => {condition}"
-        self.page.wait_for_function(AS_YET_MISSING % function, arg=arg, timeout=timeout_ms)
+        self.page.wait_for_function(AS_YET_MISSING % function, arg=arg, timeout=PICTURE_MS)
 
     def state(self, expression: str) -> Any:
         """A value out of the client's state, such as ``pose.path_mm``."""
