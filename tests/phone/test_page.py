@@ -19,7 +19,6 @@ import httpx
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidMessage
-from websockets.sync.client import connect
 
 from carina.commands import CloseCase, SetMode, Steer
 from carina.errors import CarinaError
@@ -32,6 +31,7 @@ from carina.server import messages as wire
 from carina.server.device_desk import DeviceDesk
 from carina.server.lan_server import MAX_CONNECTIONS
 from carina.server.security import TokenGate
+from encrypted_client import connected
 from simulated_serial import wait_for
 from small_case import small_bench
 
@@ -237,13 +237,8 @@ def trusting(fingerprint: str) -> ssl.SSLContext:
 @contextlib.contextmanager
 def dialled(phone, *, token=None, origin=None, hello=True):
     base = phone.url.rstrip("/")
-    with connect(
-        f"wss{base[5:]}/phone",
-        ssl=trusting(phone.page.info().sha256),
-        origin=origin or base,
-        compression=None,
-        open_timeout=WAIT_S,
-    ) as link:
+    context = trusting(phone.page.info().sha256)
+    with connected(f"wss{base[5:]}/phone", origin=origin or base, context=context, within_s=WAIT_S) as link:
         if hello:
             link.send(wire.encode_message(wire.PhoneHello(wire.WIRE_VERSION, token or phone.token)))
         yield link

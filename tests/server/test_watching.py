@@ -8,7 +8,6 @@ import ssl
 import httpx
 import pytest
 from live_server import SHOWN, WAIT_S, Window, open_case
-from websockets.sync.client import connect
 
 from carina import commands
 from carina.commands import all_commands
@@ -18,6 +17,7 @@ from carina.render import Sight
 from carina.server import messages as wire
 from carina.server.watch_page import MAX_WATCHERS
 from carina.server.watching_window import READ_ONLY
+from encrypted_client import connected
 from small_case import LEFT_TIP, small_bench
 
 pytest.importorskip("cryptography")
@@ -35,7 +35,7 @@ def insecure():
 def watching(url, *, token=None, hello=True):
     origin, _, own = url.partition("/#")
     address = origin.removeprefix("https://")
-    with connect(f"wss://{address}/ws", origin=origin, ssl=insecure(), compression=None, open_timeout=WAIT_S) as socket:
+    with connected(f"wss://{address}/ws", origin=origin, context=insecure(), within_s=WAIT_S) as socket:
         watcher = Window(socket, hello=False)
         watcher.send(wire.ClientHello(wire.WIRE_VERSION, own if token is None else token))
         if hello:
