@@ -2,6 +2,9 @@
 //!
 //! *Search*: rays leap and take samples that are surely clear. *Shade*: rays take samples that may be visible, one after
 //! the other, until one is clear or the ray ends. A lane whose ray has left takes another ray.
+//!
+//! The stages may have different numbers of lanes. A search waits: each look-up and each sample begins where the last one
+//! led to, so that more rays side by side cost little. Shading computes, and has no use for more than fit in registers.
 
 use super::{
     ask::Pace,
@@ -16,22 +19,22 @@ use crate::CastStats;
 /// Rays that wait for shading before it starts: a change of stage saves and loads all lanes.
 const SHADE_FROM: usize = 96;
 
-/// The state of a band.
-struct Band<L: Lanes, O: Out> {
+/// The state of a band, whose rays are searched with in `L` and shaded in `S`.
+struct Band<L: Lanes, S: Lanes, O: Out> {
     source: Source,
     searching: Pool,
     shading: Pool,
     search: Packet<L>,
-    shade: Packet<L>,
+    shade: Packet<S>,
     stats: CastStats,
     /// Sum of the last sample numbers of the rays that have ended.
     sum_of_end: u64,
     out: O,
 }
 
-impl<L: Lanes, O: Out> Band<L, O> {
+impl<L: Lanes, S: Lanes, O: Out> Band<L, S, O> {
     #[inline(always)]
-    fn finish(&mut self, l: L, packet: &mut Packet<L>, lanes: u32) {
+    fn finish<P: Lanes>(&mut self, l: P, packet: &mut Packet<P>, lanes: u32) {
         self.out.write(l, packet, lanes);
         self.sum_of_end += packet.finish(l, lanes);
     }
@@ -48,6 +51,7 @@ impl Scene<'_> {
     #[inline(always)]
     pub(super) fn cast<
         L: Lanes,
+        S: Lanes,
         O: Out,
         const SHADED: bool,
         const NEAREST: bool,
@@ -55,7 +59,7 @@ impl Scene<'_> {
         const STAGED: bool,
     >(
         &self,
-        l: L,
+        (l, s): (L, S),
         source: Source,
         out: O,
     ) -> CastStats {
@@ -64,17 +68,17 @@ impl Scene<'_> {
             searching: Pool::empty(),
             shading: Pool::empty(),
             search: Packet::empty(l),
-            shade: Packet::empty(l),
+            shade: Packet::empty(s),
             stats: CastStats::default(),
             sum_of_end: 0,
             out,
         };
         loop {
-            self.search::<L, O, NEAREST, LEAP, STAGED>(l, &mut band);
+            self.search::<L, S, O, NEAREST, LEAP, STAGED>(l, &mut band);
             if band.shading.is_empty() && band.shade.occupied == 0 {
                 break;
             }
-            self.shade::<L, O, SHADED>(l, &mut band);
+            self.shade::<L, S, O, SHADED>(s, &mut band);
         }
         let walked = band.sum_of_end - band.source.sum_of_first();
         band.stats.num_skipped = walked - band.stats.num_samples;
@@ -85,10 +89,17 @@ impl Scene<'_> {
     /// Leaps and clear samples, until enough rays wait for shading or none is left to search. Without shading a visible
     /// sample costs no more than a clear one and is taken here.
     #[inline(always)]
-    fn search<L: Lanes, O: Out, const NEAREST: bool, const LEAP: u8, const STAGED: bool>(
+    fn search<
+        L: Lanes,
+        S: Lanes,
+        O: Out,
+        const NEAREST: bool,
+        const LEAP: u8,
+        const STAGED: bool,
+    >(
         &self,
         l: L,
-        band: &mut Band<L, O>,
+        band: &mut Band<L, S, O>,
     ) {
         let mut packet = band.search;
         let mut pace = Pace::of(l, &packet.delta);
@@ -179,7 +190,11 @@ impl Scene<'_> {
     /// Visible samples, until no ray waits for shading and few are left in the lanes. No ray asks the map here: a sample
     /// follows one that added something, or the map has been asked.
     #[inline(always)]
-    fn shade<L: Lanes, O: Out, const SHADED: bool>(&self, l: L, band: &mut Band<L, O>) {
+    fn shade<L: Lanes, S: Lanes, O: Out, const SHADED: bool>(
+        &self,
+        l: S,
+        band: &mut Band<L, S, O>,
+    ) {
         let mut packet = band.shade;
         let mut active = packet.occupied;
         // The next sample of the lanes at work. It goes on in the others, too.
@@ -187,7 +202,7 @@ impl Scene<'_> {
         // Lanes whose last sample was clear.
         let mut clear = 0;
         loop {
-            if L::N - active.count_ones() as usize >= L::N / 4 {
+            if S::N - active.count_ones() as usize >= S::N / 4 {
                 if clear != 0 {
                     band.searching.take_from(l, &mut packet, clear, O::HITS);
                     clear = 0;
@@ -199,14 +214,14 @@ impl Scene<'_> {
                 band.shading.give_to(l, &mut packet, O::HITS);
                 k = packet.k;
                 active = packet.occupied;
-                let least = if band.may_search() { L::N * 3 / 4 } else { 1 };
+                let least = if band.may_search() { S::N * 3 / 4 } else { 1 };
                 if (active.count_ones() as usize) < least {
                     break;
                 }
             }
             band.stats.num_samples += u64::from(active.count_ones());
             let take = l.mask(active);
-            let (lit, goes_on) = self.take_samples::<L, O, SHADED, false>(l, &mut packet, k, take);
+            let (lit, goes_on) = self.take_samples::<S, O, SHADED, false>(l, &mut packet, k, take);
             k = l.add_i(k, l.splat_i(1));
             let (lit, goes_on) = (l.bits(lit), l.bits(goes_on));
             if SHADED {

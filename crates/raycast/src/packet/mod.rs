@@ -153,7 +153,7 @@ impl<'a> Packets<'a> {
             // SAFETY: as above.
             InstructionSet::Avx2 => unsafe { self.cast_avx2(source, out) },
             InstructionSet::Portable | InstructionSet::Neon => {
-                self.cast(portable::Portable, source, out)
+                self.cast((portable::Portable, portable::Portable), source, out)
             }
             #[cfg(not(target_arch = "x86_64"))]
             InstructionSet::Avx2 | InstructionSet::Avx512 => {
@@ -166,42 +166,47 @@ impl<'a> Packets<'a> {
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
-        self.cast(
-            Pair(unsafe { avx512::Avx512::new(gathers_pay(self.simd)) }),
-            source,
-            out,
-        )
+        let l = Pair(unsafe { avx512::Avx512::new(gathers_pay(self.simd)) });
+        self.cast((l, l), source, out)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
-        self.cast(Pair(unsafe { avx2::Avx2::new(false) }), source, out)
+        let l = Pair(unsafe { avx2::Avx2::new(false) });
+        // Benchmark: docs/decisions/0082-leaps-over-cells.md.
+        self.cast((Pair(l), l), source, out)
     }
 
     #[inline(always)]
-    fn cast<L: Lanes, O: Out>(&self, l: L, source: Source, out: O) -> CastStats {
+    fn cast<L: Lanes, S: Lanes, O: Out>(&self, l: (L, S), source: Source, out: O) -> CastStats {
         let scene = &self.scene;
         if O::HITS {
             return match self.leap {
-                BRUTE => scene.cast::<L, O, false, false, BRUTE, true>(l, source, out),
-                _ => scene.cast::<L, O, false, false, TRANSPARENT, true>(l, source, out),
+                BRUTE => scene.cast::<L, S, O, false, false, BRUTE, true>(l, source, out),
+                _ => scene.cast::<L, S, O, false, false, TRANSPARENT, true>(l, source, out),
             };
         }
         match (self.shaded, self.nearest, self.leap) {
-            (true, _, BRUTE) => scene.cast::<L, O, true, false, BRUTE, true>(l, source, out),
-            (true, _, _) => scene.cast::<L, O, true, false, TRANSPARENT, true>(l, source, out),
-            (false, false, BRUTE) => scene.cast::<L, O, false, false, BRUTE, true>(l, source, out),
+            (true, _, BRUTE) => scene.cast::<L, S, O, true, false, BRUTE, true>(l, source, out),
+            (true, _, _) => scene.cast::<L, S, O, true, false, TRANSPARENT, true>(l, source, out),
+            (false, false, BRUTE) => {
+                scene.cast::<L, S, O, false, false, BRUTE, true>(l, source, out)
+            }
             (false, false, TRANSPARENT) => {
-                scene.cast::<L, O, false, false, TRANSPARENT, true>(l, source, out)
+                scene.cast::<L, S, O, false, false, TRANSPARENT, true>(l, source, out)
             }
-            (false, false, _) => scene.cast::<L, O, false, false, CLASSES, false>(l, source, out),
-            (false, true, BRUTE) => scene.cast::<L, O, false, true, BRUTE, false>(l, source, out),
+            (false, false, _) => {
+                scene.cast::<L, S, O, false, false, CLASSES, false>(l, source, out)
+            }
+            (false, true, BRUTE) => {
+                scene.cast::<L, S, O, false, true, BRUTE, false>(l, source, out)
+            }
             (false, true, TRANSPARENT) => {
-                scene.cast::<L, O, false, true, TRANSPARENT, false>(l, source, out)
+                scene.cast::<L, S, O, false, true, TRANSPARENT, false>(l, source, out)
             }
-            (false, true, _) => scene.cast::<L, O, false, true, CLASSES, false>(l, source, out),
+            (false, true, _) => scene.cast::<L, S, O, false, true, CLASSES, false>(l, source, out),
         }
     }
 }
