@@ -10,7 +10,7 @@
 )]
 
 #[cfg(target_arch = "x86_64")]
-use super::{avx2, avx512, gathers::gathers_pay};
+use super::{avx2, avx512, gathers::gathers_pay, pair::Pair};
 use super::{
     lanes::{Array, Lanes, MAX_LANES},
     voxels::Voxels,
@@ -22,6 +22,8 @@ use crate::{Field, InstructionSet, Window};
 /// the next row.
 pub(crate) const TILE_ROWS: usize = 64;
 const TILE_COLUMNS: usize = 16;
+/// Memory is asked for so many rows before it is read.
+const ROWS_AHEAD: usize = 8;
 
 /// What all tiles of a plane share.
 #[derive(Clone, Copy)]
@@ -132,7 +134,7 @@ impl<'a> PlaneTiles<'a> {
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn sample_avx2(&self, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
         // SAFETY: this function runs only where the machine has the instructions.
-        let l = unsafe { avx2::Avx2::new(self.gathers) };
+        let l = Pair(unsafe { avx2::Avx2::new(self.gathers) });
         self.tiles(l, starts, grey, inside);
     }
 
@@ -155,6 +157,16 @@ impl<'a> PlaneTiles<'a> {
         if between { Tile::Between } else { Tile::Any }
     }
 
+    /// Voxel coordinates of pixels `t` columns from where a row starts.
+    #[inline(always)]
+    fn places<L: Lanes>(&self, l: L, t: L::F, start: &[f32; 3]) -> [L::F; 3] {
+        let mut p = [t; 3];
+        for a in 0..3 {
+            p[a] = l.fma(t, l.splat(self.along_row[a]), l.splat(start[a]));
+        }
+        p
+    }
+
     #[inline(always)]
     fn tiles<L: Lanes>(&self, l: L, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
         let mut centres: Array<f32> = [0.0; MAX_LANES];
@@ -174,10 +186,16 @@ impl<'a> PlaneTiles<'a> {
                     let mut column = first;
                     while column < end {
                         let t = l.add(l.splat(column as f32), centres);
-                        let mut p = [t; 3];
-                        for a in 0..3 {
-                            p[a] = l.fma(t, l.splat(self.along_row[a]), l.splat(starts[row][a]));
+                        // What is read soon: rows further down, and at a tile's end those of the tile beside it.
+                        let soon = row + ROWS_AHEAD;
+                        if soon < starts.len() {
+                            self.voxels.ask_for(l, self.places(l, t, &starts[soon]));
+                        } else {
+                            let t = l.add(t, l.splat(TILE_COLUMNS as f32));
+                            let soon = soon % starts.len();
+                            self.voxels.ask_for(l, self.places(l, t, &starts[soon]));
                         }
+                        let p = self.places(l, t, &starts[row]);
                         let at = row * width + column;
                         if whole {
                             let pixels = at..at + L::N;

@@ -132,6 +132,18 @@ impl<'a> Voxels<'a> {
         }
     }
 
+    /// Asks for the memory of the cells that hold points: two of their four rows, of which neighbours ask for the others.
+    #[inline(always)]
+    pub(super) fn ask_for<L: Lanes>(&self, l: L, p: [L::F; 3]) {
+        let base = l.store_i(self.cells(l, p).base);
+        let across = (self.stride[1] + self.stride[2]) as isize;
+        for n in 0..L::N {
+            let first = self.data.as_ptr().wrapping_offset(base[n] as isize);
+            ask_for_line(first);
+            ask_for_line(first.wrapping_offset(across));
+        }
+    }
+
     /// The voxels nearest to points, clamped to the volume: their places in memory and their coordinates.
     #[inline(always)]
     pub(super) fn nearest<L: Lanes>(&self, l: L, p: [L::F; 3]) -> (L::I, [L::F; 3]) {
@@ -301,6 +313,20 @@ impl<'a> Voxels<'a> {
         }
         Rows { own, beside }
     }
+}
+
+/// Asks for the line of memory at an address, which may be any.
+#[inline(always)]
+fn ask_for_line(at: *const i16) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: every x86_64 has SSE, and asking ahead changes nothing and faults at no address. Benchmark:
+        // docs/decisions/0033-slices-by-tiles.md.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(at.cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = at;
 }
 
 /// As in `Field::value_in` and `Field::gradient_in`: numbers at the ends of the four rows of a cell.
