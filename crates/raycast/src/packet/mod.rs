@@ -179,6 +179,7 @@ impl<'a> Packets<'a> {
         self.cast((Pair(l), l), source, out)
     }
 
+    /// Searches with the first lanes and shades in the second.
     #[inline(always)]
     fn cast<L: Lanes, S: Lanes, O: Out>(&self, l: (L, S), source: Source, out: O) -> CastStats {
         let scene = &self.scene;

@@ -22,7 +22,7 @@ use crate::{Field, InstructionSet, Window};
 /// the next row.
 pub(crate) const TILE_ROWS: usize = 64;
 const TILE_COLUMNS: usize = 16;
-/// Memory is asked for so many rows before it is read.
+/// Where memory is asked for ahead, it is so many rows before it is read (docs/decisions/0033).
 const ROWS_AHEAD: usize = 8;
 
 /// What all tiles of a plane share.
@@ -127,7 +127,7 @@ impl<'a> PlaneTiles<'a> {
     fn sample_avx512(&self, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
         // SAFETY: this function runs only where the machine has the instructions.
         let l = unsafe { avx512::Avx512::new(self.gathers) };
-        self.tiles(l, starts, grey, inside);
+        self.tiles::<_, false>(l, starts, grey, inside);
     }
 
     #[cfg(target_arch = "x86_64")]
@@ -135,7 +135,7 @@ impl<'a> PlaneTiles<'a> {
     fn sample_avx2(&self, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
         // SAFETY: this function runs only where the machine has the instructions.
         let l = Pair(unsafe { avx2::Avx2::new(self.gathers) });
-        self.tiles(l, starts, grey, inside);
+        self.tiles::<_, true>(l, starts, grey, inside);
     }
 
     /// Where the pixels of some columns lie.
@@ -167,8 +167,15 @@ impl<'a> PlaneTiles<'a> {
         p
     }
 
+    /// Tile by tile; `ASKS` for memory ahead.
     #[inline(always)]
-    fn tiles<L: Lanes>(&self, l: L, starts: &[[f32; 3]], grey: &mut [u8], inside: &mut [u8]) {
+    fn tiles<L: Lanes, const ASKS: bool>(
+        &self,
+        l: L,
+        starts: &[[f32; 3]],
+        grey: &mut [u8],
+        inside: &mut [u8],
+    ) {
         let mut centres: Array<f32> = [0.0; MAX_LANES];
         for n in 0..MAX_LANES {
             centres[n] = n as f32 + 0.5;
@@ -186,14 +193,13 @@ impl<'a> PlaneTiles<'a> {
                     let mut column = first;
                     while column < end {
                         let t = l.add(l.splat(column as f32), centres);
-                        // What is read soon: rows further down, and at a tile's end those of the tile beside it.
-                        let soon = row + ROWS_AHEAD;
-                        if soon < starts.len() {
-                            self.voxels.ask_for(l, self.places(l, t, &starts[soon]));
-                        } else {
-                            let t = l.add(t, l.splat(TILE_COLUMNS as f32));
-                            let soon = soon % starts.len();
-                            self.voxels.ask_for(l, self.places(l, t, &starts[soon]));
+                        if ASKS {
+                            // Rows further down, and at a tile's end those of the tile beside it.
+                            let soon = row + ROWS_AHEAD;
+                            let beside = if soon < starts.len() { 0 } else { TILE_COLUMNS };
+                            let t = l.add(t, l.splat(beside as f32));
+                            let start = &starts[soon % starts.len()];
+                            self.voxels.ask_for(l, self.places(l, t, start));
                         }
                         let p = self.places(l, t, &starts[row]);
                         let at = row * width + column;
