@@ -23,6 +23,13 @@ class Wall:
         return self.now_s
 
 
+def put_text(path: Path, text: str, placement: Any) -> None:
+    """Write a draft and have it placed, as a real case file does."""
+    draft = path.with_name(path.name + ".draft")
+    draft.write_text(text)
+    (placement or Path.replace)(draft, path)
+
+
 class MemoryFile:
     """What a case file does, kept in memory by its path."""
 
@@ -60,10 +67,12 @@ class MemoryFile:
     def recording_text(self, recording_id: int) -> str:
         raise CarinaError("the file is damaged", code="case.damaged")
 
-    def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
+    def write_copy(
+        self, path: Path, *, ct_place: str | None = None, save_mark: Any = None, placement: Any = None
+    ) -> None:
         if self.refuses is not None:
             raise self.refuses
-        path.write_text(f"copy of {self.digest}, {ct_place}")
+        put_text(path, f"copy of {self.digest}, {ct_place}, {save_mark}", placement)
 
     def close(self) -> None:
         self.closed = True
@@ -91,8 +100,8 @@ class Desk:
         def reopen(path: Path) -> MemoryFile:
             return create(path, None, MemoryFile.kept[str(path)][0])
 
-        def write(path: Path, case: Any, ct_place: str | None) -> None:
-            path.write_text(f"{case.digest} whole, {ct_place}")
+        def write(path: Path, case: Any, ct_place: str | None, save_mark: Any, placement: Any) -> None:
+            put_text(path, f"{case.digest} whole, {ct_place}, {save_mark}", placement)
             self.written[str(path)] = case.moment
 
         self.session = Session(
@@ -124,4 +133,8 @@ class Desk:
         assert kept is not None
         if kept.held is not None:
             kept.held.release()
+        if kept._claim is not None:
+            kept._claim.release()
+        if kept.named is not None:
+            kept.named.close()
         self.session._saving._kept = None

@@ -13,7 +13,7 @@ import carina
 from carina import commands as c
 from carina.case import CaseFile
 from carina.config import load_settings
-from carina.errors import NoResultError, UsageError
+from carina.errors import CarinaError, NoResultError, UsageError
 from carina.phantom import write_phantom
 from carina.render import Renderer
 from carina.session import Session, case_files
@@ -146,13 +146,14 @@ def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
             with pytest.raises(UsageError, match="another name") as refused:
                 second.save()
             assert refused.value.code == "case.read-only"
-            with pytest.raises(UsageError, match="another name"):
+            with pytest.raises(CarinaError, match="another name") as refused:
                 second.save(saved, replace=True)
+            assert refused.value.code == "case.read-only"
             assert second.save(tmp_path / "two.carina") == second.path
             assert second.note is None
             with pytest.raises(UsageError, match="already"):
                 first.save(tmp_path / "two.carina")
-            with pytest.raises(UsageError, match="open for editing elsewhere"):
+            with pytest.raises(CarinaError, match="open for editing elsewhere"):
                 first.save(tmp_path / "two.carina", replace=True)
             assert first.path == saved
     with carina.Case.open(tmp_path / "two.carina") as case:
@@ -240,10 +241,10 @@ def test_a_window_takes_a_case_file_over_and_goes_on_from_there(saved, window, m
     assert len(records.all()) == 1
 
 
-def test_a_window_does_not_write_over_what_a_program_has_open(saved, window):
+def test_a_window_does_not_write_a_file_that_a_program_has_open(saved, window):
     opened, _ = window
-    session = opened()
     lock = NamedLock.take(saved)
+    session = opened()
     session.do(c.SetFov(100.0))
     session.do(c.SaveCase())
     session.jobs.wait_idle(None)

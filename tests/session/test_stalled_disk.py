@@ -30,10 +30,10 @@ class StalledFile(MemoryFile):
         assert self.lets_save.wait(WAIT_S)
         super().save(moment)
 
-    def write_copy(self, path, *, ct_place=None):
+    def write_copy(self, path, **options):
         self.copies.set()
         assert self.lets_copy.wait(WAIT_S)
-        super().write_copy(path, ct_place=ct_place)
+        super().write_copy(path, **options)
 
 
 class StallingDesk(Desk):

@@ -30,13 +30,14 @@ from carina.case.packed_ct import packed_volume, write_ct
 from carina.case.packing import as_checked_json, from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
+from carina.case.save_mark import SaveMark, read_save_mark, write_save_mark
 from carina.case.schema import CONTENT, check_schema, make_tables, migrated
 from carina.case.source import SourceFacts, grid_words, read_source, turn_between, write_source
 from carina.case.summary import CaseSummary, read_summary
 from carina.case.sweeping import sweep
 from carina.case.trouble import CaseFileError, damaged, refused
 from carina.case.writing import CaseWriter
-from carina.disk import ScratchFolder, disk_trouble, drafted, write_whole
+from carina.disk import Placement, ScratchFolder, disk_trouble, drafted, write_whole
 from carina.display import one_line
 from carina.navigate import Recording
 from carina.volume import Volume
@@ -336,6 +337,12 @@ class CaseFile:
         """Of the voxels of the CT that it is of."""
         return self.source.digest
 
+    @property
+    def save_mark(self) -> SaveMark | None:
+        """Identity of the save under a name that wrote this file; None for a live file or an older version's."""
+        with self._lock, told(self.path):
+            return read_save_mark(self._open())
+
     def pack(self, volume: Volume) -> None:
         """Put the CT into this file: lossless, in pieces with checksums.
 
@@ -482,7 +489,14 @@ class CaseFile:
     # ------------------------------------------------------------ copies
 
     def write_copy(
-        self, path: Path | str, *, ct_place: str | None = None, volume: Volume | None = None, private: bool = False
+        self,
+        path: Path | str,
+        *,
+        ct_place: str | None = None,
+        volume: Volume | None = None,
+        private: bool = False,
+        save_mark: SaveMark | None = None,
+        placement: Placement | None = None,
     ) -> None:
         """Write all of it as one whole file, without a journal: what a person names, shares and backs up.
 
@@ -497,6 +511,10 @@ class CaseFile:
             The CT, to be packed into the copy: lossless, in pieces with checksums.
         private
             For this person alone: a live file.
+        save_mark
+            Stored in the copy, to identify this save; None stores none.
+        placement
+            Moves the complete copy to its path; None replaces whatever file is there.
 
         Raises
         ------
@@ -504,31 +522,40 @@ class CaseFile:
             If it cannot be written; what was there before stays.
         UsageError
             ``case.other-scan``: if ``volume`` is not the case's.
+        CarinaError
+            As ``placement`` raises; what was there before stays.
         """
         target = Path(path)
         with self._lock, told(self.path):
             pages, size = (self._open().execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
         if volume is None and pages * size <= MAX_IN_MEMORY_BYTES:
             with told(self.path), contextlib.closing(connected(None)) as copy:
-                self._back_up(copy, ct_place)
+                self._back_up(copy, ct_place, save_mark)
                 content = copy.serialize()
-            write_whole(target, content, what="the case", private=private, lasting=True)
+            write_whole(target, content, what="the case", private=private, lasting=True, placement=placement)
             return
         with ScratchFolder() as folder:
             made = folder / "copy.carina"
             with told(made), contextlib.closing(connected(made, "rwc")) as copy:
-                self._back_up(copy, ct_place)
+                self._back_up(copy, ct_place, save_mark)
                 if volume is not None:
                     with transaction(copy):
                         write_ct(copy, volume)
             needed_bytes = made.stat().st_size
             with (
-                drafted(target, what="the case", needed_bytes=needed_bytes, private=private, lasting=True) as file,
+                drafted(
+                    target,
+                    what="the case",
+                    needed_bytes=needed_bytes,
+                    private=private,
+                    lasting=True,
+                    placement=placement,
+                ) as file,
                 made.open("rb") as whole,
             ):
                 shutil.copyfileobj(whole, file, 1 << 20)
 
-    def _back_up(self, copy: sqlite3.Connection, ct_place: str | None) -> None:
+    def _back_up(self, copy: sqlite3.Connection, ct_place: str | None, save_mark: SaveMark | None) -> None:
         """All of it, without what is not reached any more and without a journal."""
         with self._lock:
             self._open().backup(copy)
@@ -537,6 +564,7 @@ class CaseFile:
         copy.execute("PRAGMA synchronous=OFF")
         with transaction(copy):
             write_source(copy, replace(read_source(copy), path=ct_place))
+            write_save_mark(copy, save_mark)
             sweep(copy, all_content(copy))
         copy.execute("VACUUM")
 

@@ -324,7 +324,9 @@ class _Rescue:
     def _copy_extras(self, made: CaseFile) -> None:
         kept: dict[str, list[Any]] = {}
         with contextlib.suppress(sqlite3.Error):
-            for kind, said in self._connection.execute("SELECT kind, json FROM extra ORDER BY kind, n LIMIT 100000"):
+            for kind, said in self._connection.execute(
+                "SELECT kind, json FROM extra WHERE kind != 'save' ORDER BY kind, n LIMIT 100000"
+            ):
                 try:
                     value = from_json(said, f.decoders().extra, "extra")
                 except CaseFileError:

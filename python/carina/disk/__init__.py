@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from carina.disk.drafts import Draft, drafted, make_folder, sweep_drafts, sync_folder, write_whole
+from carina.disk.drafts import Draft, Placement, drafted, make_folder, sweep_drafts, sync_folder, write_whole
 from carina.disk.scratch import ScratchFolder, scratch_folder, sweep_scratch
 from carina.disk.trouble import disk_trouble, is_disk_trouble, say_size
 
 __all__ = [
     "Draft",
+    "Placement",
     "ScratchFolder",
     "disk_trouble",
     "drafted",

@@ -15,7 +15,7 @@ import secrets
 import stat
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -24,8 +24,10 @@ from carina.disk.trouble import disk_trouble
 from carina.display import as_words
 from carina.errors import CarinaError
 
-__all__ = ["DRAFT", "Draft", "drafted", "make_folder", "sweep_drafts", "sync_folder", "write_whole"]
+__all__ = ["DRAFT", "Draft", "Placement", "drafted", "make_folder", "sweep_drafts", "sync_folder", "write_whole"]
 
+Placement = Callable[[Path, Path], None]
+"""``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target as it was."""
 DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
 SWEEP_AGAIN_S = 60.0
 """A folder is looked through at most so often: a flight keeps thousands of pictures in one."""
@@ -35,7 +37,15 @@ _swept: dict[str, float] = {}
 _sweeping = threading.Lock()
 
 
-def write_whole(path: Path | str, content: bytes, *, what: str, private: bool = False, lasting: bool = False) -> Path:
+def write_whole(
+    path: Path | str,
+    content: bytes,
+    *,
+    what: str,
+    private: bool = False,
+    lasting: bool = False,
+    placement: Placement | None = None,
+) -> Path:
     """Write a file so that it is either complete or as it was before.
 
     Parameters
@@ -50,14 +60,20 @@ def write_whole(path: Path | str, content: bytes, *, what: str, private: bool = 
         Only this person may read it.
     lasting
         Its name is on the disk, too, when this returns: after a power cut it is there.
+    placement
+        Moves the complete draft to ``path``; None replaces whatever file is there.
 
     Raises
     ------
     DiskError
         If the folder is missing or not writable, the disk is full, or something is in the way; what was there before
         stays.
+    CarinaError
+        As ``placement`` raises; what was there before stays.
     """
-    with drafted(path, what=what, needed_bytes=len(content), private=private, lasting=lasting) as file:
+    with drafted(
+        path, what=what, needed_bytes=len(content), private=private, lasting=lasting, placement=placement
+    ) as file:
         file.write(content)
     return Path(path)
 
@@ -67,7 +83,7 @@ class Draft:
 
     Parameters
     ----------
-    path, what, private, needed_bytes, lasting
+    path, what, private, needed_bytes, lasting, placement
         As of :func:`drafted`.
 
     Raises
@@ -84,9 +100,11 @@ class Draft:
         needed_bytes: int | None = None,
         private: bool = False,
         lasting: bool = False,
+        placement: Placement | None = None,
     ) -> None:
         self._target = Path(path)
         self._lasting = lasting
+        self._placement = placement
         self._what = what
         self._needed_bytes = needed_bytes
         self._place: Path | None = None
@@ -106,12 +124,14 @@ class Draft:
         return f"Draft({as_words(str(self._target))}, what={as_words(self._what)})"
 
     def commit(self) -> None:
-        """Put it in its place, whole and on the disk.
+        """Move the complete draft to its target and flush it to the disk.
 
         Raises
         ------
         DiskError
             If that fails; what was there before stays.
+        CarinaError
+            As the placement raises; what was there before stays.
         """
         assert self._place is not None
         try:
@@ -119,7 +139,10 @@ class Draft:
             os.fsync(self.file.fileno())
             if os.name == "nt":  # pragma: no cover
                 self.file.close()  # an open file cannot be renamed there
-            self._place.replace(self._target)
+            if self._placement is None:
+                self._place.replace(self._target)
+            else:
+                self._placement(self._place, self._target)
             self._place = None
             if self._lasting:
                 sync_folder(self._target.parent)
@@ -160,13 +183,19 @@ class Draft:
 
 @contextlib.contextmanager
 def drafted(
-    path: Path | str, *, what: str, needed_bytes: int | None = None, private: bool = False, lasting: bool = False
+    path: Path | str,
+    *,
+    what: str,
+    needed_bytes: int | None = None,
+    private: bool = False,
+    lasting: bool = False,
+    placement: Placement | None = None,
 ) -> Iterator[BinaryIO]:
     """A file to write to, which takes its place when the block ends; after any error what was there before stays.
 
     Parameters
     ----------
-    path, what, private, lasting
+    path, what, private, lasting, placement
         As of :func:`write_whole`.
     needed_bytes
         How much will be written, if known: for the message.
@@ -176,7 +205,7 @@ def drafted(
     DiskError
         As :func:`write_whole`; an ``OSError`` of the block counts as the disk's.
     """
-    draft = Draft(path, what=what, needed_bytes=needed_bytes, private=private, lasting=lasting)
+    draft = Draft(path, what=what, needed_bytes=needed_bytes, private=private, lasting=lasting, placement=placement)
     try:
         yield draft.file
         draft.commit()

@@ -13,6 +13,8 @@ from carina.session.pictures import small_picture
 from carina.volume import Volume
 
 if TYPE_CHECKING:
+    from carina.case.save_mark import SaveMark
+    from carina.disk import Placement
     from carina.session.parts import Cancel, Progress
     from carina.session.records import CaseRecords
     from carina.volume import VolumeCache
@@ -37,13 +39,13 @@ def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = N
         migrate_live(path)
         return CaseFile.open(path)
 
-    def write(path: Path, case: WholeCase, ct_place: str | None) -> None:
+    def write(path: Path, case: WholeCase, ct_place: str | None, save_mark: SaveMark, placement: Placement) -> None:
         with CaseFile.in_memory(SourceFacts.of(case.volume, case.digest)) as file:
             file.save(case.moment)
             for flight in case.flights:
                 file.keep_recording(flight.writer())
             file.set_recordings([flight.facts for flight in case.flights])
-            file.write_copy(path, ct_place=ct_place)
+            file.write_copy(path, ct_place=ct_place, save_mark=save_mark, placement=placement)
 
     scans = CaseScans(
         cache, records, default_parts().open_demo, advice="put it back, or open the scan from its current location"

@@ -10,26 +10,30 @@ import logging
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carina.disk import disk_trouble
-from carina.errors import CarinaError, UsageError
+from carina.errors import CarinaError
 from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import way_between
 from carina.session.flight_copies import flight_count, whole_flights
 from carina.session.jobs import log_fault
 from carina.session.kept_files import WholeCase
-from carina.session.named_lock import NamedLock
+from carina.session.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside
 from carina.session.snapshot import SavingInfo, Topic, Trouble
 
 if TYPE_CHECKING:
+    from carina.case.save_mark import SaveMark
+    from carina.disk import Placement
     from carina.session.core import SessionCore
     from carina.session.kept_files import KeptFile, KeptFiles
-    from carina.session.records import CaseRecords, HeldCase
+    from carina.session.named_lock import NamedLock
+    from carina.session.records import CaseRecord, CaseRecords, HeldCase
 
-__all__ = ["NOT_RESPONDING", "Keeper"]
+__all__ = ["NOT_RESPONDING", "Keeper", "SavedAs"]
 
 logger = logging.getLogger(__name__)
 
@@ -51,6 +55,16 @@ ELSEWHERE = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class SavedAs:
+    """Result of a save under a name."""
+
+    num_missing: int
+    """How many recorded flights are not in the file: those that a silent or damaged disk did not return."""
+    replaced: Path | None
+    """Where other content, which was replaced, is now; None where nothing was."""
+
+
 class Keeper:
     """Keeps one case, until another takes its place.
 
@@ -66,6 +80,12 @@ class Keeper:
         Whether no other case has taken its place.
     held, file
         What was kept of it before.
+    named
+        The named file that follows the case, where the case was opened from one.
+    claim
+        The claim on the CT, released with the case.
+    case_id
+        Id of the case.
     info
         What is said of it first.
     """
@@ -82,6 +102,9 @@ class Keeper:
         is_current: Callable[[Keeper], bool],
         held: HeldCase | None = None,
         file: KeptFile | None = None,
+        named: NamedFile | None = None,
+        claim: NamedLock | None = None,
+        case_id: str,
         info: SavingInfo,
     ) -> None:
         self._core = core
@@ -93,6 +116,7 @@ class Keeper:
         self.digest = digest
         self.held = held
         self.file = file
+        self.case_id = case_id
         self.info = info
         self.is_telling = False
         """What changes now is only what is said about saving."""
@@ -113,25 +137,30 @@ class Keeper:
         """Writes: the last that was begun, the last that is on the disk, and how many failed."""
         self._num_saved = self._num_copied = 0
         """The last write that saved something, and the one that the copy is of."""
-        self._copy_path: Path | None = None
+        self._named = named
+        self._claim = claim
         self._copy_s: float | None = None
-        """When the copy is to be written again."""
+        """When the named file is to be written again."""
+        self._is_named_checked = named is None or named.is_locked
+        """Whether the named file was compared since the case was opened."""
         if held is not None and held.record.copy_path is not None:
-            self._copy_path = Path(held.record.copy_path)
+            if self._named is None:
+                self._named, self._is_named_checked = _recorded_file(held.record), False
             if held.record.used_s > (held.record.copied_s or 0.0):
                 self._num_copied = -1
         self._flights_kept: object = None
         """The flights of the case that its file lists as they are."""
         self._is_ending = self._has_ended = False
         self._pictured = False
+        self._is_use_numbered = False
         self._is_told_of = False
         """Programs know where they join it."""
         self._copier: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin; it is the current one now."""
+        """Start the threads; this case is the current one now."""
         with self._wake:
-            self._plan_copy(COPY_EVERY_S)
+            self._plan_copy(0.0 if not self._is_named_checked else COPY_EVERY_S)
         threading.Thread(target=self._run, name="carina-saving", daemon=True).start()
 
     def __repr__(self) -> str:
@@ -197,16 +226,26 @@ class Keeper:
         return self._is_elsewhere
 
     @property
-    def copy_path(self) -> Path | None:
-        """Where the copy lies that a person asked for."""
-        return self._copy_path
+    def named(self) -> NamedFile | None:
+        """The file under a name that the user chose; None where the case has none."""
+        return self._named
 
-    def call(self, alias: str | None) -> None:
-        """Call the case by a name of its person's."""
+    @property
+    def copy_path(self) -> Path | None:
+        """Path of that file."""
+        return None if self._named is None else self._named.path
+
+    @property
+    def has_conflict(self) -> bool:
+        """The named file has content that this window did not write."""
+        return self.info.copy_conflict is not None
+
+    def call(self, alias: str | None, suggested: str | None) -> None:
+        """Store the user's name of the case, and suggest a file name made from it."""
         with self._wake:
             self._notes["alias"] = alias
             self._wake.notify_all()
-        self._tell(title=alias)
+        self._tell(title=alias, suggested=suggested)
 
     def flight_text(self, number: int) -> str:
         """The lines of a recorded flight, for whoever may wait for the disk; after :meth:`settle`."""
@@ -215,31 +254,41 @@ class Keeper:
             raise CarinaError(self.info.problem or NOT_RESPONDING, code="case.not-saved")
         return file.recording_text(number)
 
-    def save_to(self, path: Path) -> int:
-        """Write all of it as one whole file, which follows from now on; for whoever may wait for that file's disk.
+    def save_to(self, path: Path, *, replace: bool = False, may_be_missing: bool = True) -> SavedAs:
+        """Write the case as one whole file under a name, and let that file follow the case from now on.
 
-        Returns
-        -------
-        int
-            How many recorded flights are not in it: those that a silent or damaged disk did not give back.
+        The caller must be able to wait for the disk of that file.
+
+        Parameters
+        ----------
+        path
+            Of the file.
+        replace
+            Replace other content, which is then kept beside the file.
+        may_be_missing
+            Write the file also where it was moved, renamed or deleted since the last save.
 
         Raises
         ------
-        UsageError
-            If somebody else has that file open.
+        NamedFileConflictError
+            If the file has other content than this window last read or wrote, or is open elsewhere. It is unchanged.
         CarinaError, OSError, sqlite3.Error
             If it cannot be written.
         """
-        if NamedLock.is_taken(path):
-            raise UsageError(f"{path.name} is open for editing elsewhere: close it there, or choose another name")
+        before = self._named
+        named = before if before is not None and before.has_path(path) else NamedFile(path, ct_digest=self.digest)
         with self._wake:
             file, num_saved = self.file, self._num_saved
             is_whole = file is not None and self.info.problem is None
         num_missing = 0
-        if is_whole:
-            assert file is not None
-            file.write_copy(path, ct_place=way_between(path, self.place))
-        else:
+
+        def write(place: Path, mark: SaveMark, placement: Placement) -> None:
+            nonlocal num_missing
+            ct_place = way_between(place, self.place)
+            if is_whole:
+                assert file is not None
+                file.write_copy(place, ct_place=ct_place, save_mark=mark, placement=placement)
+                return
             # A copy of the live file would lack what its disk has refused, or wait for it.
             with self._core.lock:
                 self._is_elsewhere = True
@@ -247,25 +296,60 @@ class Keeper:
                 listed, unwritten = self.case.flights.listed, self.case.flights.unwritten
             try:
                 flights, num_missing = whole_flights(file, listed, unwritten, SLOW_S)
-                if num_missing and path.exists():
+                if num_missing and place.exists():
                     # The file that is there may be the last that has them.
                     raise CarinaError(
-                        f"{path.name} was left as it is: {flight_count(num_missing)} cannot be read from the faulty "
+                        f"{place.name} was left as it is: {flight_count(num_missing)} cannot be read from the faulty "
                         "disk; save the case under another name",
                         code="case.not-saved",
                     )
                 whole = WholeCase(self.case.info.volume, self.digest, moment, flights)
-                self._files.write(path, whole, way_between(path, self.place))
+                self._files.write(place, whole, ct_place, mark, placement)
             except BaseException:
                 self._is_elsewhere = False
                 raise
+
+        # All that is written then is in the live file, too: the record may say already that this content is ours.
+        before_placing = self._note_next_copy if is_whole and named is before else None
+        try:
+            replaced = named.write(write, replace=replace, may_be_missing=may_be_missing, before_placing=before_placing)
+        except BaseException:
+            if named is not before:
+                named.close()
+            raise
+        mark = named.mark
+        assert mark is not None
         now_s = self._records.now_s()
-        told = {"copied_s": now_s, "copy_name": path.name, "copy_folder": str(path.parent), "copy_problem": None}
+        told = {
+            "copied_s": now_s,
+            "copy_name": path.name,
+            "copy_folder": str(path.parent),
+            "copy_problem": None,
+            "copy_conflict": None,
+            "beside": None,
+        }
         with self._news(told):
-            self._notes |= {"copy_path": str(path), "copied_s": now_s}
-            self._copy_path, self._num_copied, self._copy_s = path, max(self._num_copied, num_saved), None
+            self._notes |= {
+                "copy_path": str(path),
+                "copied_s": now_s,
+                "copy_digest": mark.digest,
+                "copy_save_id": mark.save_id,
+                "copy_generation": mark.generation,
+                "next_copy_digest": None,
+            }
+            self._named, self._num_copied, self._copy_s = named, max(self._num_copied, num_saved), None
+            self._is_named_checked = True
             self._plan_copy(COPY_EVERY_S)
-        return num_missing
+        if before is not None and before is not named:
+            before.close()
+        return SavedAs(num_missing, replaced)
+
+    def _note_next_copy(self, mark: FileMark) -> None:
+        """Store the digest of a save before it takes the file's place, so that a crash in between is recognised."""
+        if self.held is not None:
+            # A disk that refuses costs only that: after a crash the file counts as changed elsewhere.
+            with suppress(OSError, CarinaError):
+                self.held.note(next_copy_digest=mark.digest)
 
     # ------------------------------------------------------------ the thread that writes
 
@@ -335,7 +419,9 @@ class Keeper:
         """What is to be told of it."""
         volume = self.case.info.volume
         if self.held is None:
-            self.held = self._records.begin(self.digest, self.place, volume.source.title, begun_s=self.info.begun_s)
+            self.held = self._records.begin(
+                self.digest, self.place, volume.source.title, begun_s=self.info.begun_s, case_id=self.case_id
+            )
             notes = {"scanned_on": volume.source.acquired_on} | notes
         if self.file is None:
             self.held.clear()
@@ -362,6 +448,9 @@ class Keeper:
             told["saved_s"] = now_s
             place = self.place or self.held.record.place
             notes = {"used_s": now_s, "place": place, "num_changes": moment.position} | notes
+            if not self._is_use_numbered:
+                notes["use_number"] = self._records.next_use_number()
+                self._is_use_numbered = True
         self.held.note(**notes)
         return told
 
@@ -394,6 +483,10 @@ class Keeper:
                 self._copier.join()
             if self._copy_is_behind():
                 self._refresh()
+            if self.info.copy_conflict is not None and self._copy_is_behind():
+                self._core.emit(Trouble("case.changed", f"{self.info.copy_problem}"))
+            if self._named is not None:
+                self._named.close()
             if self._changed_s is not None and self.info.problem is not None and not self._is_elsewhere:
                 self._core.emit(
                     Trouble("case.not-saved", f"the latest changes have not been saved: {self.info.problem}")
@@ -406,17 +499,19 @@ class Keeper:
             finally:
                 if self.held is not None:
                     self.held.release()
+                if self._claim is not None:
+                    self._claim.release()
 
     # ------------------------------------------------------------ the thread of the copy
 
     def _copy_is_behind(self) -> bool:
-        if self._copy_path is None:
+        if self._named is None:
             return False
         return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_elsewhere)
 
     def _plan_copy(self, within_s: float) -> None:
-        """Have the copy written again if it is behind, not sooner; with ``_wake`` held."""
-        if self._copy_s is not None or not self._copy_is_behind():
+        """Plan the next look at the named file, if it is behind or was not compared yet; with ``_wake`` held."""
+        if self._copy_s is not None or not (self._copy_is_behind() or self._is_named_check_due()):
             return
         self._copy_s = self._core.clock() + within_s
         self._wake.notify_all()
@@ -435,13 +530,19 @@ class Keeper:
                         break
                     self._wake.wait(wait_s)
                 self._copy_s = None
-                if not self._copy_is_behind():
+                is_behind = self._copy_is_behind()
+                if not is_behind and not self._is_named_check_due():
                     continue
-            self._refresh()
+            self._refresh(writes=is_behind)
 
-    def _refresh(self) -> None:
-        """The copy that a person asked for follows, once a minute and when the case is closed."""
-        assert self._copy_path is not None
+    def _is_named_check_due(self) -> bool:
+        """The named file was not compared yet, or was open elsewhere when it was."""
+        return self._named is not None and (not self._is_named_checked or self.info.copy_conflict == "open-elsewhere")
+
+    def _refresh(self, *, writes: bool = True) -> None:
+        """Write the named file again, or only compare it: once a minute and when the case is closed."""
+        named = self._named
+        assert named is not None
         has_ended = threading.Event()
 
         def slow() -> None:
@@ -452,7 +553,16 @@ class Keeper:
         watch.daemon = True
         watch.start()
         try:
-            self.save_to(self._copy_path)
+            if writes:
+                self.save_to(named.path, may_be_missing=False)
+            else:
+                named.check()
+                has_ended.set()
+                with self._news({"copy_problem": None, "copy_conflict": None, "beside": None}):
+                    self._is_named_checked = True
+        except NamedFileConflictError as conflict:
+            has_ended.set()
+            self.tell_conflict(conflict)
         except Exception as trouble:
             has_ended.set()
             with self._news({"copy_problem": _words(trouble)}):
@@ -460,6 +570,22 @@ class Keeper:
         finally:
             has_ended.set()
             watch.cancel()
+
+    def tell_conflict(self, conflict: NamedFileConflictError) -> None:
+        """Show that the named file was not written, and what the user can do.
+
+        A conflict about another path than that of the named file is not shown: that file stays as it was.
+        """
+        if self._named is None or conflict.path != self._named.path:
+            return
+        values = {
+            "copy_problem": str(conflict),
+            "copy_conflict": conflict.kind,
+            "beside": str(path_beside(conflict.path)),
+        }
+        with self._news(values):
+            self._is_named_checked = True
+            self._plan_copy(COPY_EVERY_S)
 
     # ------------------------------------------------------------ what is said
 
@@ -507,6 +633,15 @@ class Keeper:
                     self._core.changed("state")
                 finally:
                     self.is_telling = False
+
+
+def _recorded_file(record: CaseRecord) -> NamedFile:
+    """The named file of a stored case, with the content that the record says is ours."""
+    assert record.copy_path is not None
+    mark = None
+    if record.copy_digest is not None:
+        mark = FileMark(record.copy_digest, record.copy_save_id, record.copy_generation)
+    return NamedFile(Path(record.copy_path), mark, ct_digest=record.digest, next_digest=record.next_copy_digest)
 
 
 def _words(trouble: BaseException) -> str:

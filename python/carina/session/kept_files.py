@@ -12,6 +12,8 @@ from carina.display import one_line
 if TYPE_CHECKING:
     from carina.case.moment import Moment
     from carina.case.recordings import RecordingFacts, RecordingWriter, WholeRecording
+    from carina.case.save_mark import SaveMark
+    from carina.disk import Placement
     from carina.session.case_scan import CaseScans
     from carina.session.parts import Cancel, Progress
     from carina.session.scene import ShownCase
@@ -41,8 +43,15 @@ class KeptFile(Protocol):
     def recording_text(self, recording_id: int) -> str:
         """The lines of one."""
 
-    def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
-        """One whole file elsewhere, with the relative way from it to its CT."""
+    def write_copy(
+        self,
+        path: Path,
+        *,
+        ct_place: str | None = None,
+        save_mark: SaveMark | None = None,
+        placement: Placement | None = None,
+    ) -> None:
+        """Write one whole file elsewhere, with the relative path from it to its CT."""
 
     def close(self) -> None:
         """Nothing more is written."""
@@ -107,8 +116,8 @@ class KeptFiles:
     create: Callable[[Path, Volume, str], KeptFile]
     """``create(path, volume, digest)``."""
     open: Callable[[Path], KeptFile]
-    write: Callable[[Path, WholeCase, str | None], None]
-    """``write(path, case, ct_place)``: all of it as one whole file, without one that lives."""
+    write: Callable[[Path, WholeCase, str | None, SaveMark, Placement], None]
+    """``write(path, case, ct_place, save_mark, placement)`` writes a case from memory as one whole file."""
     digest: Callable[[Volume], str]
     """What a CT is known by."""
     open_ct: Callable[[str, Progress, Cancel], Volume] | None = None

@@ -1,4 +1,4 @@
-"""A case file that a program has open: worked on in a copy, written back whole when the program says so."""
+"""A case file that a program has open: the program works on a copy, which is written to the file at each save."""
 
 from __future__ import annotations
 
@@ -8,27 +8,30 @@ from pathlib import Path
 
 from carina.case import CaseFile, CaseFileError, Moment, SourceFacts
 from carina.case.recordings import WholeRecording
+from carina.case.save_mark import SaveMark
 from carina.config import load_settings
-from carina.disk import ScratchFolder
+from carina.disk import Placement, ScratchFolder
 from carina.errors import UsageError
 from carina.session.case_scan import CASE_SUFFIX, CaseScans, FoundScan, way_between
-from carina.session.named_lock import NamedLock
+from carina.session.named_file import NamedFile, NamedFileConflictError, open_marked, path_beside
 from carina.session.records import CaseRecords
 from carina.volume import Volume, VolumeCache, ct_digest
 
 __all__ = ["NamedCase"]
 
+WHERE_WORK_IS = "Your changes are in this program only"
+
 
 class NamedCase:
-    """Where a program's case is saved to, and the copy that it is saved through."""
+    """The named file of a program's case, and the copy that the program works on."""
 
     def __init__(self) -> None:
         self.path: Path | None = None
         self.note: str | None = None
-        """Why it cannot be saved in its place."""
+        """Why the case cannot be saved to its file; None where it can."""
         self._scratch: ScratchFolder | None = None
         self._file: CaseFile | None = None
-        self._lock: NamedLock | None = None
+        self._named: NamedFile | None = None
         self._ct_place: str | None = None
         self._saved: Moment | None = None
         self._flights: set[int] = set()
@@ -45,24 +48,24 @@ class NamedCase:
             If the CT cannot be opened, or is another one.
         """
         self.path = path.absolute()
-        with CaseFile.open(path, read_only=True) as original:
+        original, mark = open_marked(self.path)
+        with original:
             scan = _found(original, ct)
             self._ct_place = scan.place
             if original.note is not None:
                 self.note = original.note
                 self._saved = original.load(scan.volume)
                 return scan.volume, self._saved
-            if _records().open_elsewhere(self.path) is not None:
+            self._named = NamedFile(self.path, mark, ct_digest=original.digest, where_work_is=WHERE_WORK_IS)
+            try:
+                self._named.check()
+            except NamedFileConflictError as conflict:
+                self.note = str(conflict)
+            if self.note is None and _records().open_elsewhere(self.path) is not None:
                 self.note = (
                     f"{path.name} is open in a Carina window: changes made here can only be saved under another name"
                 )
-            else:
-                self._lock = NamedLock.take(self.path)
-                if self._lock is None:
-                    self.note = (
-                        f"{path.name} is open for editing elsewhere, or cannot be written: changes made here can "
-                        "only be saved under another name"
-                    )
+                self._named.close()
             self._scratch = ScratchFolder()
             original.write_copy(self._scratch.path / f"case{CASE_SUFFIX}", ct_place=original.source.path)
         self._file = CaseFile.open(self._scratch.path / f"case{CASE_SUFFIX}")
@@ -94,49 +97,73 @@ class NamedCase:
         ------
         UsageError
             ``case.no-place``, ``case.exists`` or ``case.read-only``.
+        NamedFileConflictError
+            ``case.changed``: if the file has other content than this program last read or wrote; ``case.read-only``: if
+            another window or program has it open. The file is unchanged.
         DiskError
             If it cannot be written; what was there before stays.
         """
         target = self._target(path, replace)
-        lock = self._lock
-        if target != self.path or lock is None:
-            lock = NamedLock.take(target)
-            if lock is None:
-                if not target.parent.is_dir():
-                    raise UsageError(f"the folder {target.parent} does not exist", code="case.no-place")
-                raise UsageError(
-                    f"{target} is open for editing elsewhere, or its folder is not writable: choose another folder",
-                    code="case.read-only",
-                )
+        if not target.parent.is_dir():
+            raise UsageError(f"the folder {target.parent} does not exist", code="case.no-place")
+        before = self._named
+        is_before = before is not None and before.has_path(target)
+        file = self._needed_file(volume)
+        named = before if is_before else NamedFile(target, ct_digest=file.digest, where_work_is=WHERE_WORK_IS)
+        assert named is not None
+        file.save(moment)
+        self._keep_flights(file, flights)
+
+        def write(place: Path, mark: SaveMark, placement: Placement) -> None:
+            file.write_copy(place, ct_place=way_between(place, self._ct_place), save_mark=mark, placement=placement)
+
         try:
-            file = self._needed_file(volume)
-            file.save(moment)
-            self._keep_flights(file, flights)
-            file.write_copy(target, ct_place=way_between(target, self._ct_place))
+            named.write(write, replace=replace, may_be_missing=True)
         except BaseException:
-            if lock is not self._lock:
-                lock.release()
+            if not is_before:
+                named.close()
             raise
-        if lock is not self._lock and self._lock is not None:
-            self._lock.release()
-        self.path, self._lock, self._saved, self.note = target, lock, moment, None
+        if before is not None and not is_before:
+            before.close()
+        self.path, self._named, self._saved, self.note = target, named, moment, None
         return target
+
+    def save_at_end(self, volume: Volume, moment: Moment, flights: Sequence[WholeRecording]) -> None:
+        """Save when the program ends: where its file has other content, under a new name beside the file.
+
+        Raises
+        ------
+        NamedFileConflictError
+            If the case was saved under a new name; the message names it.
+        CarinaError
+            As :meth:`save`.
+        """
+        try:
+            self.save(volume, moment, None, replace=False, flights=flights)
+        except NamedFileConflictError as conflict:
+            beside = self.save(volume, moment, path_beside(conflict.path), replace=False, flights=flights)
+            raise NamedFileConflictError(
+                f"{conflict.path.name} was not written, because its content was changed elsewhere. This program's "
+                f"changes are saved in {beside}",
+                conflict.path,
+                conflict.kind,
+            ) from conflict
 
     def close(self) -> None:
         """Give the file back."""
         file, self._file = self._file, None
         scratch, self._scratch = self._scratch, None
-        lock, self._lock = self._lock, None
+        named, self._named = self._named, None
         if file is not None:
             file.close()
         if scratch is not None:
             scratch.remove()
-        if lock is not None:
-            lock.release()
+        if named is not None:
+            named.close()
 
     def is_behind(self, moment: Moment) -> bool:
-        """Whether the case has a place of its own, and a moment is not the one that lies there."""
-        if self.path is None or self._lock is None:
+        """Whether the case has a file that it may write, and the file has an earlier moment."""
+        if self.path is None or self._named is None or self.note is not None:
             return False
         saved = self._saved
         if saved is None:
@@ -165,9 +192,10 @@ class NamedCase:
         target = Path(path).expanduser().absolute()
         if target.suffix.lower() != CASE_SUFFIX:
             target = target.with_name(target.name + CASE_SUFFIX)
-        if target == self.path and self.note is not None:
+        if target == self.path and self.note is not None and not replace:
             raise UsageError(self.note, code="case.read-only")
-        if target != self.path and target.exists() and not replace:
+        is_own = self._named is not None and self._named.has_path(target)
+        if not is_own and target.exists() and not replace:
             raise UsageError(
                 f"{target} already exists; choose another name, or pass replace=True to replace it",
                 code="case.exists",

@@ -16,6 +16,7 @@ from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.finding import AirwayFinding
 from carina.session.holding import ScopeHolding
 from carina.session.jobs import Job
+from carina.session.named_file import FileMark, open_marked
 from carina.session.plan_values import CtOrigin
 from carina.session.recording import FlightRecording
 from carina.session.records import CaseRecord
@@ -35,9 +36,10 @@ class _Found:
 
     file: CaseFile | None = None
     """To go on from."""
+    mark: FileMark | None = None
+    """Of the file; None for a dropped file."""
     place: str | None = None
     """Of the CT."""
-    dropped: bool = False
 
 
 @dataclass(slots=True)
@@ -121,10 +123,14 @@ class Opening(Subject):
 
         A file that was dropped has no place of its own: what is kept is a copy, which waits where its CT is not found.
         """
-        found = _Found(dropped=dropped)
+        found = _Found()
 
         def read(job: Job) -> Volume:
-            file = found.file = CaseFile.open(path, read_only=True)
+            if dropped:
+                file = found.file = CaseFile.open(path, read_only=True)
+            else:
+                found.file, found.mark = open_marked(path)
+                file = found.file
             if file.note is not None:
                 self.core.emit(Said(file.note))
             scan = self._saving.open_ct_of(file) if dropped else None
@@ -311,7 +317,7 @@ class Opening(Subject):
                 kept = given
                 found_place = place if found is None else found.place
                 if found is not None and found.file is not None:
-                    kept = keeping.imported(volume, found.file, dropped=found.dropped)
+                    kept = keeping.imported(volume, found.file, found.mark)
                 elif given is not None:
                     pass
                 elif anew:

@@ -86,8 +86,11 @@ class OwnCase:
     def close(self) -> None:
         """Only what was changed is written."""
         try:
-            if self._session.snapshot().case is not None and self._named.is_behind(self._session.ask(MomentToKeep())):
-                self.save(None, replace=False)
+            case = self._session.snapshot().case
+            if case is not None:
+                moment = self._session.ask(MomentToKeep())
+                if self._named.is_behind(moment):
+                    self._named.save_at_end(case.volume, moment, self._session.ask(FlightsToKeep()))
         finally:
             self._session.close()
             self._named.close()

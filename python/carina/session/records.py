@@ -12,6 +12,7 @@ import os
 import secrets
 import shutil
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,7 +21,9 @@ import msgspec
 from carina.disk import make_folder, write_whole
 from carina.disk.locks import Held, try_lock
 from carina.display import one_line
+from carina.session.case_names import case_code
 from carina.session.doors import Door, close_door, open_door, read_door
+from carina.session.named_lock import NamedLock
 from carina.value import FrozenValue
 
 __all__ = ["CaseRecord", "CaseRecords", "HeldCase"]
@@ -32,6 +35,8 @@ RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg
 FORGOTTEN = ".forgotten"
 """The folder, among those of the cases, of what was forgotten: it can be brought back for a while."""
 FORGOTTEN_FOR_S = 24 * 3600.0
+CLAIMS = ".open-cts"
+"""The folder with a lock file for each CT that a window has open."""
 UNSEEN_TITLE = "Case without its CT"
 """Of a case file that was dropped and waits for its CT: the series text is the CT's."""
 
@@ -52,6 +57,15 @@ class CaseRecord(FrozenValue, frozen=True):
     copy_path: str | None = None
     """Where the copy lies that a person asked for."""
     copied_s: float | None = None
+    copy_digest: str | None = None
+    """Digest of the named file as this case last read or wrote it; None: an earlier version of Carina wrote it."""
+    copy_save_id: str | None = None
+    copy_generation: int = 0
+    """Of the save mark in that file (:class:`carina.case.save_mark.SaveMark`)."""
+    next_copy_digest: str | None = None
+    """Digest of a save that was about to take the file's place: after a crash the file may have it."""
+    use_number: int = 0
+    """Number of the last use: each use of any case gets the next one. Clocks can be set back; this number cannot."""
     num_changes: int = 0
     """Steps that hold."""
     alias: str | None = None
@@ -80,6 +94,7 @@ class HeldCase:
         self.record = record
         self._lock: int | None = lock
         self._door = door
+        self._noting = threading.Lock()
 
     @property
     def path(self) -> Path:
@@ -87,9 +102,10 @@ class HeldCase:
         return self.folder / FILE
 
     def note(self, **values: object) -> None:
-        """Change what is known beside the file, on the disk, too."""
-        self.record = msgspec.structs.replace(self.record, **values)
-        _write(self.folder, self.record)
+        """Change fields of the record, in memory and on the disk; may be called from several threads."""
+        with self._noting:
+            self.record = msgspec.structs.replace(self.record, **values)
+            _write(self.folder, self.record)
 
     def clear(self) -> None:
         """Remove a file that was begun and never saved to, by a disk that then let nothing be removed either."""
@@ -137,23 +153,57 @@ class CaseRecords:
         return f"CaseRecords({len(self.all())} cases)"
 
     def all(self) -> tuple[CaseRecord, ...]:
-        """Those that read, the last used first; one of which the power failed before its file was begun is none."""
+        """Records of all cases that have a file, the last used first.
+
+        The order is that of the use numbers, since a clock can be set back. Records of an earlier version, which have
+        none, follow by their times.
+        """
         found = [_read(path) for path in self._folder.glob(f"*/{RECORD}") if (path.parent / FILE).exists()]
-        return tuple(sorted((one for one in found if one), key=lambda one: one.used_s, reverse=True))
+        return tuple(sorted((one for one in found if one), key=lambda one: (one.use_number, one.used_s), reverse=True))
+
+    def next_use_number(self) -> int:
+        """Return the number of the next use of a case."""
+        return 1 + max((one.use_number for one in self.all()), default=0)
+
+    def claim(self, digest: str) -> NamedLock | None:
+        """Claim the CT that a window opens, until the lock is released.
+
+        A case is stored only after its first change. The claim shows already before then that a window has the CT open.
+
+        Returns
+        -------
+        NamedLock | None
+            None where locks do not work.
+
+        Raises
+        ------
+        LockedElsewhereError
+            If another window has claimed the CT.
+        """
+        folder = self._folder / CLAIMS
+        try:
+            make_folder(folder, what="the cases", private=True)
+        except OSError:
+            return None
+        return NamedLock.take(folder / digest[:32])
 
     def newest_of(self, digest: str) -> CaseRecord | None:
         """The case of a CT that was used last."""
         return next((one for one in self.all() if one.digest == digest), None)
 
-    def begin(self, digest: str, place: str | None, title: str, *, begun_s: float | None = None) -> HeldCase:
-        """A new case.
+    def begin(
+        self, digest: str, place: str | None, title: str, *, begun_s: float | None = None, case_id: str | None = None
+    ) -> HeldCase:
+        """Store the record of a new case, and own the case.
 
         Parameters
         ----------
         digest, place, title
             As of :class:`CaseRecord`.
         begun_s
-            When it was begun, if not now.
+            When the case was begun, in seconds since 1970; None is now.
+        case_id
+            An id from :meth:`new_case_id`; None makes one.
 
         Raises
         ------
@@ -161,7 +211,16 @@ class CaseRecords:
             If the disk does not take it.
         """
         now_s = self.now_s()
-        record = CaseRecord(secrets.token_hex(8), digest, place, title, now_s if begun_s is None else begun_s, now_s)
+        case_id = self.new_case_id() if case_id is None else case_id
+        record = CaseRecord(
+            case_id,
+            digest,
+            place,
+            title,
+            now_s if begun_s is None else begun_s,
+            now_s,
+            use_number=self.next_use_number(),
+        )
         folder = self._folder / record.case_id
         # What is said to be saved must not lie in a folder that a power cut takes away.
         make_folder(self._folder, what="the cases", private=True, lasting=True)
@@ -170,6 +229,14 @@ class CaseRecords:
         held = self._hold(folder, record)
         assert held is not None
         return held
+
+    def new_case_id(self) -> str:
+        """Return a random id whose short code no case on this computer has."""
+        codes = {case_code(one.case_id) for one in (*self.all(), *self.forgotten())}
+        while True:
+            case_id = secrets.token_hex(8)
+            if case_code(case_id) not in codes:
+                return case_id
 
     def hold(self, record: CaseRecord) -> HeldCase | None:
         """Own a case; None where another process does."""

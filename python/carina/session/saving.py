@@ -18,6 +18,7 @@ from carina.disk import disk_trouble
 from carina.display import one_line
 from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
+from carina.session.case_names import suggested_file_name
 from carina.session.case_scan import CASE_SUFFIX, FoundScan
 from carina.session.core import SessionCore
 from carina.session.flight_copies import flight_count
@@ -25,6 +26,8 @@ from carina.session.flights import needed_flight
 from carina.session.jobs import Job
 from carina.session.keeping import NOT_RESPONDING, Keeper
 from carina.session.kept_files import CtCache, KeptCt, KeptFile, KeptFiles
+from carina.session.named_file import FileMark, NamedFile, NamedFileConflictError
+from carina.session.named_lock import LockedElsewhereError, NamedLock
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
 from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
 from carina.session.subject import Subject, answers, does
@@ -41,8 +44,7 @@ __all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "Reopened", "Saving"]
 
 logger = logging.getLogger(__name__)
 
-SAME_TIME_S = 2.0
-"""By which a file's time and the clock may differ."""
+OPEN_ELSEWHERE = "this CT is already open in another window; changes made here are saved as a separate case"
 HELD_TRIES, HELD_EVERY_S = 4, 0.05
 """A program that looks whether a case is open has it for a moment."""
 CLOSING_S = 60.0
@@ -73,12 +75,26 @@ class Between:
         self._saving = saving
         self._digest: str | None = None
         self._reopened: Reopened | None = None
+        self._named: NamedFile | None = None
+        self._claim: NamedLock | None = None
         self._is_new = False
         """It was copied here just now: what is not shown after all leaves nothing behind."""
 
     def begin(self, volume: Volume) -> None:
-        """What was kept of this CT stays where it is: a new case of it is begun."""
+        """Begin a new case of a CT; the stored cases of the CT stay as they are."""
         self._digest = self._saving.digest_of(volume)
+        self._claim_ct(is_new=False)
+
+    def _claim_ct(self, *, is_new: bool) -> None:
+        """Claim the CT, and tell the user of a new case where another window has the CT open."""
+        records = self._saving.records
+        if records is None or self._digest is None:
+            return
+        try:
+            self._claim = records.claim(self._digest)
+        except LockedElsewhereError:
+            if is_new:
+                self._saving.core.emit(Said(OPEN_ELSEWHERE))
 
     def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
         """Own what was kept of a CT: the case that is meant, or the one that was used last."""
@@ -97,6 +113,7 @@ class Between:
                     code="case.other-ct",
                 )
         self._reopened = None if record is None else self._saving.opened(record)
+        self._claim_ct(is_new=record is None)
         return self._reopened
 
     def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
@@ -117,19 +134,32 @@ class Between:
         self.give_back()
         return None
 
-    def imported(self, volume: Volume, case: CaseFile, *, dropped: bool = False) -> Moment | None:
-        """Go on from a case file: from what is kept of it here, else from a copy; None where nothing was saved in it.
+    def imported(self, volume: Volume, case: CaseFile, mark: FileMark | None) -> Moment | None:
+        """Continue from a case file: from the stored case that wrote it, else from a copy.
 
-        One of a newer Carina is shown and not kept.
+        A file of a newer version of Carina is shown and not stored.
+
+        Parameters
+        ----------
+        mark
+            Of the file, which follows the case from now on; None for a dropped file, which has no place of its own.
+
+        Returns
+        -------
+        Moment | None
+            None where nothing was saved in the file.
         """
         digest = self._saving.digest_of(volume)
         if digest is None or case.note is not None:
             return case.load(volume)
         self._digest = digest
-        self._reopened = self._saving.reopened_file(case)
+        if mark is not None:
+            self._named = self._saving.named_file(case, mark)
+        self._reopened = self._saving.reopened_file(case, mark)
+        self._claim_ct(is_new=False)
         if self._reopened is None:
             self._is_new = True
-            self._reopened = self._saving.taken_over(case, volume.source.title, dropped=dropped)
+            self._reopened = self._saving.taken_over(case, volume.source.title, mark)
         self._reopened.note_ct(volume)
         try:
             return self._reopened.file.load(volume)
@@ -144,12 +174,20 @@ class Between:
         if reopened is not None and not case.flights.listed:
             # Else it is the case that was open before: its file may be behind.
             case.flights.listed = tuple(one for one in reopened.flights if one.recording_id not in case.flights.removed)
+        named, self._named = self._named, None
+        claim, self._claim = self._claim, None
         if self._digest is not None:
-            self._saving.attach(case, place, self._digest, reopened)
+            self._saving.attach(case, place, self._digest, reopened=reopened, named=named, claim=claim)
 
     def give_back(self) -> None:
-        """What was kept is not shown after all."""
+        """Release everything: the case is not shown after all."""
         reopened, self._reopened = self._reopened, None
+        named, self._named = self._named, None
+        claim, self._claim = self._claim, None
+        if named is not None:
+            named.close()
+        if claim is not None:
+            claim.release()
         if reopened is not None:
             reopened.file.close()
             reopened.held.release()
@@ -216,9 +254,7 @@ class Saving(Subject):
             time.sleep(HELD_EVERY_S)
             held = self.records.hold(record)
         if held is None:
-            self.core.emit(
-                Said("this CT is already open in another window; changes made here are saved as a separate case")
-            )
+            self.core.emit(Said(OPEN_ELSEWHERE))
             return None
         try:
             if held.path.exists():
@@ -229,22 +265,49 @@ class Saving(Subject):
         held.release()
         return None
 
-    def reopened_file(self, case: CaseFile) -> Reopened | None:
-        """What is kept here of a case file, owned from now on; None where nothing is that goes on from it."""
-        record = self._record_of(case)
-        return None if record is None else self.opened(record)
+    def named_file(self, case: CaseFile, mark: FileMark) -> NamedFile:
+        """The file that a case is opened from; warns at once where another window or program has it open."""
+        named = NamedFile(case.path.absolute(), mark, ct_digest=case.digest)
+        try:
+            named.check()
+        except NamedFileConflictError as conflict:
+            self.core.emit(Said(str(conflict)))
+        except OSError:
+            pass  # told when the file is to be written
+        return named
 
-    def _record_of(self, case: CaseFile) -> CaseRecord | None:
+    def reopened_file(self, case: CaseFile, mark: FileMark | None) -> Reopened | None:
+        """The stored case that wrote a case file, owned from now on; None where there is none."""
+        record = self._record_of(case, mark)
+        reopened = None if record is None else self.opened(record)
+        if reopened is not None and mark is not None and reopened.held.record.copy_path != str(case.path.absolute()):
+            reopened.held.note(copy_path=str(case.path.absolute()))
+        return reopened
+
+    def _record_of(self, case: CaseFile, mark: FileMark | None) -> CaseRecord | None:
+        """The stored case that a case file is a copy of.
+
+        A named file is known by its content alone: by the digest that the case recorded when it wrote the file. A
+        dropped file may be older: all its steps must be steps of the stored case.
+        """
         assert self.records is not None
-        steps, path = _told(case), str(case.path.absolute())
-        changed_s = case.path.stat().st_mtime
-        for record in self.records.all():
-            if record.digest != case.digest:
-                continue
-            # Nobody else has written it since; or all that was done in it was done here, too.
-            is_copy = record.copy_path == path and changed_s <= (record.copied_s or 0.0) + SAME_TIME_S
-            if is_copy or (steps and self._told_here(record)[: len(steps)] == steps):
+        records = [one for one in self.records.all() if one.digest == case.digest]
+        if mark is None:
+            steps = _told(case)
+            return next((one for one in records if steps and self._told_here(one)[: len(steps)] == steps), None)
+        path = str(case.path.absolute())
+        for record in records:
+            is_same = mark.digest in {record.copy_digest, record.next_copy_digest}
+            # A file that was moved is still the case's own. A copy beside the original becomes a case of its own.
+            if is_same and (record.copy_path == path or not Path(record.copy_path or "").exists()):
                 return record
+        if any(one.copy_path == path for one in records):
+            self.core.emit(
+                Said(
+                    f"{case.path.name} was changed since this computer saved it last: it is opened as a new case. The "
+                    "earlier case stays in the list of recent cases"
+                )
+            )
         return None
 
     def _told_here(self, record: CaseRecord) -> tuple[tuple[str, float], ...]:
@@ -255,8 +318,8 @@ class Saving(Subject):
         except (OSError, sqlite3.Error, CarinaError):
             return ()
 
-    def taken_over(self, case: CaseFile, title: str, *, dropped: bool = False) -> Reopened:
-        """A copy of a case file, kept here from now on; its file follows it, unless that was dropped."""
+    def taken_over(self, case: CaseFile, title: str, mark: FileMark | None) -> Reopened:
+        """Store a copy of a case file as a new case; the file follows the case, unless it was dropped (no mark)."""
         assert self.records is not None
         assert self._files is not None
         held = self.records.begin(case.digest, None, title)
@@ -270,8 +333,14 @@ class Saving(Subject):
         steps, now_s, flights = case.history(), self.records.now_s(), self._flights_in(file)
         # Nothing of it was done later than now.
         last_s = [step.at_s for step in steps] + [one.begun_s + one.length_s for one in flights]
-        if not dropped:
-            held.note(copy_path=str(case.path.absolute()), copied_s=now_s)
+        if mark is not None:
+            held.note(
+                copy_path=str(case.path.absolute()),
+                copied_s=now_s,
+                copy_digest=mark.digest,
+                copy_save_id=mark.save_id,
+                copy_generation=mark.generation,
+            )
         held.note(
             begun_s=now_s - max(last_s, default=0.0),
             num_changes=sum(step.holds for step in steps),
@@ -298,8 +367,8 @@ class Saving(Subject):
         """Keep a dropped case until its CT is opened; False where nothing is kept."""
         if self.records is None or self._files is None:
             return False
-        if self._record_of(case) is None:
-            reopened = self.taken_over(case, "", dropped=True)
+        if self._record_of(case, None) is None:
+            reopened = self.taken_over(case, "", None)
             reopened.file.close()
             reopened.held.release()
         self._awaited = case.digest
@@ -341,13 +410,21 @@ class Saving(Subject):
         """What a CT is known by; None where nothing is kept."""
         return None if self._files is None or self.records is None else self._files.digest(volume)
 
-    def attach(self, case: OpenCase, place: str | None, digest: str, reopened: Reopened | None) -> None:
-        """From now on this case is kept; with the session locked."""
+    def attach(
+        self,
+        case: OpenCase,
+        place: str | None,
+        digest: str,
+        *,
+        reopened: Reopened | None,
+        named: NamedFile | None,
+        claim: NamedLock | None,
+    ) -> None:
+        """Store this case from now on; the caller holds the session's lock."""
         assert self.records is not None
         assert self._files is not None
-        # No title and no date: a name that a person chooses tells more than either, and gives away less.
-        documents = self.records.documents
-        suggested = None if documents is None else str(documents / f"case{CASE_SUFFIX}")
+        case_id = self.records.new_case_id() if reopened is None else reopened.held.record.case_id
+        suggested = self._suggested(None if reopened is None else reopened.held.record.alias, case_id)
         begun_s = self.records.now_s() - (self.core.clock() - case.begun_s)
         info = SavingInfo(keeps=True, begun_s=begun_s, suggested=suggested)
         if reopened is not None:
@@ -376,10 +453,18 @@ class Saving(Subject):
             is_current=lambda keeper: keeper is self._kept,
             held=None if reopened is None else reopened.held,
             file=None if reopened is None else reopened.file,
+            named=named,
+            claim=claim,
+            case_id=case_id,
             info=info,
         )
         self._kept = kept
         kept.start()
+
+    def _suggested(self, alias: str | None, case_id: str) -> str | None:
+        """The path that is suggested for the named file of a case."""
+        documents = None if self.records is None else self.records.documents
+        return None if documents is None else str(documents / f"{suggested_file_name(alias, case_id)}{CASE_SUFFIX}")
 
     def refuse_to_lose(self) -> None:
         """Before the case is closed for another one, or for none; not with the session locked.
@@ -447,7 +532,7 @@ class Saving(Subject):
         kept = self._kept
         if kept is None or kept.held is None or kept.held.record.case_id != case_id:
             return False
-        kept.call(alias)
+        kept.call(alias, self._suggested(alias, case_id))
         return True
 
     def place_of(self, case: OpenCase) -> str | None:
@@ -524,9 +609,10 @@ class Saving(Subject):
             )
         path = known if command.path is None else _with_suffix(Path(command.path).expanduser())
         assert path is not None
+        is_known = kept.named is not None and kept.named.has_path(path)
         if not path.is_absolute():
             raise UsageError(f"expected a full path such as C:\\cases\\NAME or /home/NAME; found {command.path}")
-        if command.path is not None and path.exists() and not command.replace and path != known:
+        if path.exists() and not command.replace and not is_known:
             raise UsageError(f"{path} already exists; choose another name, or replace it", code="case.exists")
 
         def work(job: Job) -> None:
@@ -535,12 +621,16 @@ class Saving(Subject):
             if self._kept is not kept:
                 return
             try:
-                num_missing = kept.save_to(path)
+                saved = kept.save_to(path, replace=command.replace and (not is_known or kept.has_conflict))
+            except NamedFileConflictError as conflict:
+                kept.tell_conflict(conflict)
+                raise
             except OSError as trouble:
                 raise disk_trouble(trouble, "cannot save the case to", path) from trouble
             # Whoever opens the file from now on finds out that it is open here.
             kept.settle()
-            self.core.emit(Said(f"saved as {path}{_without(num_missing)}"))
+            was_replaced = "" if saved.replaced is None else f"; the replaced file is kept as {saved.replaced.name}"
+            self.core.emit(Said(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
 
         return self.core.jobs.start("save", "saving the case", work)
 

@@ -145,6 +145,11 @@ class SavingInfo(FrozenValue, frozen=True):
     copy_name: Words | None = None
     copy_folder: Words | None = None
     copy_problem: Words | None = None
+    """Why the named file was not written at the last attempt."""
+    copy_conflict: Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"] | None = None
+    """The named file has content that this window did not write: the user decides which content it gets."""
+    beside: Words | None = None
+    """A free path beside the named file, while there is a conflict."""
     suggested: Words | None = None
     """A place for the copy, where it has none."""
     title: Words | None = None
@@ -162,7 +167,8 @@ class SavingInfo(FrozenValue, frozen=True):
     def shown(self) -> tuple[Any, ...]:
         """What a window shows of it, where times are minutes."""
         minutes = [None if s is None else int(s // 60.0) for s in (self.saved_s, self.copied_s)]
-        return (*minutes, self.keeps, self.title, self.problem, self.copy_name, self.copy_folder, self.copy_problem)
+        named = (self.copy_name, self.copy_folder, self.copy_problem, self.copy_conflict)
+        return (*minutes, self.keeps, self.title, self.problem, *named)
 
 
 class FlightInfo(FrozenValue, frozen=True):

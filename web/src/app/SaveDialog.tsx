@@ -1,9 +1,10 @@
-/** Where the case is to lie as one file, besides being kept on this machine. */
+/** Dialog that saves the case as a file under a name, and asks which content a file gets that was changed elsewhere. */
 
 import { useState } from "react";
 import { Button, Dialog, Form, Heading, Input, Label, Modal, ModalOverlay, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import type { SavingInfo } from "../wire/messages";
+import { conflictChoices, namedPath } from "../state/named-file";
+import type { ClientMessage, SavingInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -31,7 +32,10 @@ export function SaveDialog() {
             />
           </div>
           {saving?.keeps === true ? (
-            <Where saving={saving} />
+            <>
+              {saving.copy_conflict === null ? null : <Conflict saving={saving} />}
+              <Where saving={saving} />
+            </>
           ) : (
             <p>This case was not opened from a folder or file on this machine, so it cannot be saved.</p>
           )}
@@ -41,9 +45,51 @@ export function SaveDialog() {
   );
 }
 
+/** The choices for a named file that this window did not write; nothing is written until the user chooses. */
+function Conflict({ saving }: { saving: SavingInfo }) {
+  const station = useStation();
+  const path = namedPath(saving);
+  const choices = conflictChoices(saving);
+  const send = (message: ClientMessage) => {
+    if (station.send(message)) station.ui({ saveOpen: false });
+  };
+  if (path === null) return null;
+  return (
+    <fieldset className="save-conflict" data-testid="save-conflict" aria-label="The file was changed elsewhere">
+      <p className="warning-text">{saving.copy_problem}</p>
+      <div className="dialog-actions">
+        {choices.beside === null ? null : (
+          <Act
+            label="Save beside it"
+            words={`Save this case as ${choices.beside}`}
+            testId="save-beside"
+            onPress={() => send({ type: "save_case", path: choices.beside })}
+          />
+        )}
+        {choices.opens ? (
+          <Act
+            label="Open the other version"
+            words={`Open ${saving.copy_name ?? ""} as it is now. Your changes stay in the list of recent cases.`}
+            testId="open-theirs"
+            onPress={() => send({ type: "open_path", path })}
+          />
+        ) : null}
+        {choices.replaces ? (
+          <Act
+            label="Replace"
+            words="Keep the present file under a new name, then write this case in its place"
+            testId="save-replace"
+            onPress={() => send({ type: "save_case", path, replace: true })}
+          />
+        ) : null}
+      </div>
+    </fieldset>
+  );
+}
+
 function Where({ saving }: { saving: SavingInfo }) {
   const station = useStation();
-  const known = saving.copy_name === null ? null : `${saving.copy_folder ?? ""}/${saving.copy_name}`;
+  const known = namedPath(saving);
   const [path, setPath] = useState(known ?? saving.suggested ?? "");
   return (
     <Form

@@ -24,6 +24,13 @@ describe("what is saved", () => {
     expect(savedWords(copied, NOW_MS)?.label).toBe(
       `saved ${clock(NOW_S, NOW_MS)} \u00b7 copy from ${clock(NOW_S, NOW_MS)} in Cases`,
     );
+    expect(
+      savedWords({ ...copied, copy_conflict: "changed", copy_problem: "n.carina was changed elsewhere" }, NOW_MS),
+    ).toEqual({
+      label: `saved ${clock(NOW_S, NOW_MS)}, not in n.carina`,
+      words: "n.carina was changed elsewhere",
+      warns: true,
+    });
     expect(savedWords({ ...copied, copy_problem: "the stick was removed" }, NOW_MS)).toMatchObject({
       warns: true,
       words: "the stick was removed",

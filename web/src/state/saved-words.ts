@@ -39,6 +39,13 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
       warns: false,
     };
   }
+  if (saving.copy_conflict !== null) {
+    return {
+      label: `${saved}, not in ${saving.copy_name}`,
+      words: saving.copy_problem ?? "",
+      warns: true,
+    };
+  }
   if (saving.copy_problem !== null) {
     return {
       label: `${saved}, copy from ${clock(saving.copied_s, nowMs)} is out of date`,

@@ -11,6 +11,8 @@ export const NOTHING_SAVED: SavingInfo = {
   copy_name: null,
   copy_folder: null,
   copy_problem: null,
+  copy_conflict: null,
+  beside: null,
   suggested: null,
   title: null,
   continued_s: null,

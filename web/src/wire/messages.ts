@@ -1,7 +1,7 @@
 // Generated from python/carina/commands and python/carina/server/messages.py by
 // `python -m carina.server.wire_types`. Do not edit.
 
-export const WIRE_VERSION = 3;
+export const WIRE_VERSION = 4;
 
 export const CLOSE_CODES = {
   "protocol.malformed": 4400,
@@ -1136,6 +1136,8 @@ export interface SavingInfo {
   readonly copy_name: string | null;
   readonly copy_folder: string | null;
   readonly copy_problem: string | null;
+  readonly copy_conflict: "changed" | "missing" | "not-a-case" | "open-elsewhere" | "other-case" | null;
+  readonly beside: string | null;
   readonly suggested: string | null;
   readonly title: string | null;
   readonly continued_s: number | null;

@@ -1,0 +1,56 @@
+"""The mark that each save under a name leaves in the case file."""
+
+from __future__ import annotations
+
+import secrets
+import sqlite3
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from carina.value import FrozenValue
+
+__all__ = ["SaveMark", "read_save_mark", "write_save_mark"]
+
+KIND = "save"
+"""The ``kind`` of the row in the table ``extra``."""
+SaveId = Annotated[str, Meta(pattern=r"\A[0-9a-f]{16}\Z")]
+
+
+class SaveMark(FrozenValue, frozen=True):
+    """Identity of one save of a named case file.
+
+    The mark holds no time: clocks of two computers differ, and copies can keep the times of their originals.
+    """
+
+    save_id: SaveId
+    """Random; no two saves have the same."""
+    generation: Annotated[int, Meta(ge=1, le=2**53)]
+    """1 for the first save of a file; each later save of any window adds 1 to the save that it replaces."""
+    parent_id: SaveId | None = None
+    """``save_id`` of the content that this save replaced; None for a new file."""
+
+    @classmethod
+    def after(cls, parent_id: str | None, generation: int) -> SaveMark:
+        """Return a new mark for the save that follows another one; generation 0 begins a file."""
+        return cls(secrets.token_hex(8), generation + 1, parent_id)
+
+
+def write_save_mark(connection: sqlite3.Connection, mark: SaveMark | None) -> None:
+    """Store the mark of a copy that is about to be saved under a name; None stores none."""
+    connection.execute("DELETE FROM extra WHERE kind = ?", (KIND,))
+    if mark is not None:
+        row = (KIND, 0, msgspec.json.encode(mark).decode())
+        connection.execute("INSERT INTO extra (kind, n, json) VALUES (?, ?, ?)", row)
+
+
+def read_save_mark(connection: sqlite3.Connection) -> SaveMark | None:
+    """Return the mark of the last save; None where there is none, or none that can be read."""
+    found = connection.execute("SELECT json FROM extra WHERE kind = ? AND length(json) < 1000", (KIND,)).fetchone()
+    if found is None:
+        return None
+    try:
+        return msgspec.json.decode(found[0], type=SaveMark)
+    except (msgspec.MsgspecError, UnicodeError):
+        return None

@@ -1,0 +1,81 @@
+"""Moves and copies of files that never replace another file."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+from pathlib import Path
+
+from carina.disk.drafts import sync_folder
+
+__all__ = ["copy_to_new_name", "move_to_new_name"]
+
+_NO_HARD_LINKS = frozenset(
+    {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV, errno.EINVAL}
+)
+"""What FAT, exFAT and many network shares answer to a request for a hard link."""
+
+
+def move_to_new_name(source: Path, target: Path) -> None:
+    """Move a file within its folder; fail if the target exists.
+
+    A plain rename replaces the target on POSIX systems. A hard link does not, so the file is linked to its new name
+    first. Where the file system has no hard links, an empty file reserves the name.
+
+    Raises
+    ------
+    FileExistsError
+        If something has the target's name; both files stay as they were.
+    OSError
+        If the disk refuses the move.
+    """
+    if os.name == "nt":  # pragma: no cover - os.rename fails there if the target exists
+        source.rename(target)
+        return
+    try:
+        os.link(source, target)
+    except OSError as error:
+        if error.errno not in _NO_HARD_LINKS:
+            raise
+        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+        try:
+            source.replace(target)
+        except BaseException:
+            target.unlink()
+            raise
+    else:
+        source.unlink()
+
+
+def copy_to_new_name(source: Path, target: Path) -> None:
+    """Give the content of a file a second name on the same disk; fail if the target exists.
+
+    A hard link is used where the file system has them: the content then has both names, at no cost, and replacing one
+    name leaves the other. Elsewhere the content is copied and flushed to the disk.
+
+    Raises
+    ------
+    FileExistsError
+        If something has the target's name; it stays as it was.
+    OSError
+        If the disk refuses the copy; nothing is left at the target.
+    """
+    try:
+        os.link(source, target)
+    except OSError as error:
+        if error.errno not in _NO_HARD_LINKS:
+            raise
+        descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
+        try:
+            with os.fdopen(descriptor, "wb") as copy, source.open("rb") as original:
+                shutil.copyfileobj(original, copy, 1 << 20)
+                copy.flush()
+                os.fsync(copy.fileno())
+            shutil.copymode(source, target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                target.unlink()
+            raise
+    sync_folder(target.parent)

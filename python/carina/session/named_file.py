@@ -1,0 +1,448 @@
+"""A named case file: what a window last read or wrote there, and how it is replaced without loss."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import secrets
+import stat
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from carina.case import CaseFile
+from carina.case.save_mark import SaveMark
+from carina.case.trouble import refused
+from carina.disk import Placement
+from carina.disk.placing import copy_to_new_name, move_to_new_name
+from carina.display import one_line
+from carina.errors import CarinaError
+from carina.session.case_scan import CASE_SUFFIX
+from carina.session.named_lock import LockedElsewhereError, NamedLock
+
+__all__ = ["CopyWriter", "FileMark", "NamedFile", "NamedFileConflictError", "open_marked", "path_beside", "read_mark"]
+
+CopyWriter = Callable[[Path, SaveMark, Placement], None]
+"""``write(path, mark, placement)`` writes a whole case with a save mark; the placement moves it to its path."""
+ConflictKind = Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"]
+NOT_A_FILE: Final = "not a regular file"
+"""In the place of a digest; no digest is equal to it."""
+MAX_LABEL = 80
+OPEN_TRIES = 4
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class FileMark:
+    """Content that a window read or wrote at a path."""
+
+    digest: str
+    """BLAKE2b-256 of the whole file, hexadecimal."""
+    save_id: str | None = None
+    """Of the save that wrote it; None for a file of an earlier version of Carina."""
+    generation: int = 0
+    """Of that save; 0 where there is none."""
+
+
+class NamedFileConflictError(CarinaError):
+    """A named file was not written, because its content is not what this window last read or wrote there.
+
+    ``code`` is ``case.changed``, or ``case.read-only`` while another window or program has the file open.
+    """
+
+    code = "case.changed"
+    exit_code = 3
+
+    def __init__(self, message: str, path: Path, kind: ConflictKind) -> None:
+        super().__init__(message, code="case.read-only" if kind == "open-elsewhere" else "case.changed")
+        self.path = path
+        self.kind: ConflictKind = kind
+
+
+class NamedFile:
+    """A case file under a name that a user chose, as one window or program reads and writes it.
+
+    The content is compared by its digest before each write, never by a time. The comparison and the replacement
+    happen under one lock. Where locks do not work, the present file is first moved aside and compared there.
+
+    Parameters
+    ----------
+    path
+        Of the file. A symbolic link is followed once, so that the link stays.
+    mark
+        What this window last read or wrote there; None for a new name.
+    ct_digest
+        Of the CT of the case, to tell the user whether other content belongs to the same CT.
+    next_digest
+        Digest of a save that a crash may have interrupted: the file may have this content, too.
+    where_work_is
+        Where the user's changes are while the file cannot be written: a part of the messages.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        mark: FileMark | None = None,
+        *,
+        ct_digest: str | None = None,
+        next_digest: str | None = None,
+        where_work_is: str = "Your changes are saved in the case on this computer",
+    ) -> None:
+        self.path = path
+        self.mark = mark
+        self._ct_digest = ct_digest
+        self._next_digest = next_digest
+        self._where_work_is = where_work_is
+        self._lock: NamedLock | None = None
+        self._is_closed = False
+        self._writing = threading.Lock()
+
+    def __repr__(self) -> str:
+        return f"NamedFile({str(self.path)!r}, mark={self.mark!r})"
+
+    @property
+    def is_locked(self) -> bool:
+        """Whether this window holds the lock of the file."""
+        return self._lock is not None
+
+    def has_path(self, path: Path) -> bool:
+        """Whether a path names this file, also by another spelling or a link."""
+        if path == self.path:
+            return True
+        with contextlib.suppress(OSError):
+            return path.samefile(self.path)
+        return False
+
+    def check(self) -> None:
+        """Take the lock if it is free, and compare the content.
+
+        Raises
+        ------
+        NamedFileConflictError
+            If another window has the file open, or the file has other content than this window last read or wrote.
+        OSError
+            If the disk refuses.
+        """
+        with self._exclusively():
+            self._take_lock()
+            self._refuse_other_content(_digest_of(self._place()), may_be_missing=False)
+
+    def write(
+        self,
+        write: CopyWriter,
+        *,
+        replace: bool = False,
+        may_be_missing: bool = False,
+        before_placing: Callable[[FileMark], None] | None = None,
+    ) -> Path | None:
+        """Write the case, unless other content would be lost.
+
+        Parameters
+        ----------
+        write
+            Writes the whole case as a draft, and calls the placement.
+        replace
+            Replace other content: it is kept as ``NAME (replaced DATE).carina`` first.
+        may_be_missing
+            Write the file also where it was moved, renamed or deleted since.
+        before_placing
+            Called with the new mark when the draft is complete and about to take its place, for a record that a
+            crash must not separate from the file.
+
+        Returns
+        -------
+        Path | None
+            Where the replaced content is; None where nothing was replaced.
+
+        Raises
+        ------
+        NamedFileConflictError
+            As :meth:`check`; the file is unchanged.
+        DiskError, OSError
+            If the disk refuses; the file is unchanged.
+        """
+        with self._exclusively():
+            self._take_lock()
+            place = self._place()
+            if not replace:
+                # Before the work of writing a draft; the decision is made again when the draft is complete.
+                self._refuse_other_content(_digest_of(place), may_be_missing=may_be_missing)
+            parent = self._parent(place, replace=replace)
+            save = SaveMark.after(
+                None if parent is None else parent.save_id, 0 if parent is None else parent.generation
+            )
+            kept: list[Path] = []
+
+            def put(draft: Path, target: Path) -> None:
+                digest = _digest_of(draft)
+                assert digest is not None
+                mark = FileMark(digest, save.save_id, save.generation)
+                if before_placing is not None:
+                    before_placing(mark)
+                if replace:
+                    kept.extend(_replace_and_keep(draft, target, is_locked=self._lock is not None))
+                elif self._lock is not None:
+                    self._replace_locked(draft, target, may_be_missing=may_be_missing)
+                else:
+                    self._replace_unlocked(draft, target, may_be_missing=may_be_missing)
+                self.mark, self._next_digest = mark, None
+
+            write(place, save, put)
+            return kept[0] if kept else None
+
+    def close(self) -> None:
+        """Release the lock; a write that waits for a disk releases it at its end."""
+        self._is_closed = True
+        if self._writing.acquire(blocking=False):
+            try:
+                self._release()
+            finally:
+                self._writing.release()
+
+    # ------------------------------------------------------------ under the lock
+
+    @contextlib.contextmanager
+    def _exclusively(self) -> Iterator[None]:
+        """Exclude other threads; release the lock where the file cannot be written.
+
+        A window that waits for the decision of its user must not block the other windows.
+        """
+        try:
+            with self._writing:
+                try:
+                    yield
+                except NamedFileConflictError:
+                    self._release()
+                    raise
+        finally:
+            if self._is_closed:
+                self.close()
+
+    def _place(self) -> Path:
+        return self.path.resolve() if self.path.is_symlink() else self.path
+
+    def _release(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            lock.release()
+
+    def _take_lock(self) -> None:
+        if self._lock is not None or self._is_closed:
+            return
+        try:
+            self._lock = NamedLock.take(self._place())
+        except LockedElsewhereError as trouble:
+            by = "" if trouble.owner is None else f" (by {trouble.owner})"
+            raise NamedFileConflictError(
+                f"{self.path.name} is open for editing elsewhere{by}. {self._where_work_is}, and not in "
+                f"{self.path.name}: close it there, or save under another name",
+                self.path,
+                "open-elsewhere",
+            ) from trouble
+
+    def _parent(self, place: Path, *, replace: bool) -> FileMark | None:
+        """The content that the next save replaces."""
+        if not replace:
+            return self.mark
+        found = read_mark(place)
+        if found is None or (self.mark is not None and self.mark.generation > found.generation):
+            return self.mark
+        return found
+
+    def _refuse_other_content(self, found: str | None, *, may_be_missing: bool) -> None:
+        if found is None:
+            if self.mark is None or may_be_missing:
+                return
+            raise NamedFileConflictError(
+                f"{self.path.name} is no longer in {self.path.parent}: it was moved, renamed or deleted. "
+                f"{self._where_work_is}: save again to write the file",
+                self.path,
+                "missing",
+            )
+        if found not in {None if self.mark is None else self.mark.digest, self._next_digest}:
+            raise self._conflict(self._place())
+
+    def _replace_locked(self, draft: Path, target: Path, *, may_be_missing: bool) -> None:
+        found = _digest_of(target)
+        self._refuse_other_content(found, may_be_missing=may_be_missing)
+        if found is None:
+            self._move_or_refuse(draft, target)
+        else:
+            draft.replace(target)
+
+    def _replace_unlocked(self, draft: Path, target: Path, *, may_be_missing: bool) -> None:
+        """Move the present file aside and compare it there: two windows cannot move the same file."""
+        aside = _free_name(target, f"being replaced {secrets.token_hex(4)}")
+        try:
+            target.rename(aside)
+        except FileNotFoundError:
+            self._refuse_other_content(None, may_be_missing=may_be_missing)
+            self._move_or_refuse(draft, target)
+            return
+        try:
+            self._refuse_other_content(_digest_of(aside), may_be_missing=may_be_missing)
+            self._move_or_refuse(draft, target)
+        except BaseException:
+            _put_back(aside, target)
+            raise
+        aside.unlink()
+
+    def _move_or_refuse(self, draft: Path, target: Path) -> None:
+        try:
+            move_to_new_name(draft, target)
+        except FileExistsError as trouble:
+            raise self._conflict(target) from trouble
+
+    def _conflict(self, place: Path) -> NamedFileConflictError:
+        kind, found = _described(place, self._ct_digest)
+        now = "already exists: it contains" if self.mark is None else "was changed elsewhere: it now contains"
+        return NamedFileConflictError(
+            f"{self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save beside it, open "
+            "the other version, or replace it (the replaced file is kept)",
+            self.path,
+            kind,
+        )
+
+
+def read_mark(path: Path) -> FileMark | None:
+    """Return the mark of the content at a path, which may be any file; None where there is no file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    digest = _digest_of(path)
+    if digest is None:
+        return None
+    with contextlib.suppress(CarinaError), CaseFile.open(path, read_only=True) as case:
+        save = case.save_mark
+        if save is not None and _digest_of(path) == digest:
+            return FileMark(digest, save.save_id, save.generation)
+    return FileMark(digest)
+
+
+def open_marked(path: Path) -> tuple[CaseFile, FileMark]:
+    """Open a case file for reading, with the mark of exactly the content that is read.
+
+    Raises
+    ------
+    CaseFileError
+        As :meth:`carina.case.CaseFile.open`; ``case.read-only`` where another program keeps replacing the file.
+    OSError
+        If the file cannot be read.
+    """
+    for _ in range(OPEN_TRIES):
+        digest = _digest_of(path)
+        case = CaseFile.open(path, read_only=True)
+        try:
+            if digest is not None and _digest_of(path) == digest:
+                save = case.save_mark
+                return case, FileMark(digest) if save is None else FileMark(digest, save.save_id, save.generation)
+        except BaseException:
+            case.close()
+            raise
+        case.close()
+    raise refused(path, "another program keeps replacing it; try again in a moment", code="case.read-only")
+
+
+def path_beside(path: Path) -> Path:
+    """Return the first free name of the form ``NAME (2).carina`` in the folder of a case file."""
+    for number in range(2, 10_000):
+        beside = path.with_name(f"{path.stem} ({number}){CASE_SUFFIX}")
+        if not beside.exists():
+            return beside
+    return path.with_name(f"{path.stem} ({secrets.token_hex(4)}){CASE_SUFFIX}")
+
+
+def _digest_of(path: Path) -> str | None:
+    """Digest of a regular file; None where there is no file. A pipe or a device is never read."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except FileNotFoundError:
+        return None
+    with os.fdopen(descriptor, "rb", buffering=0) as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            return NOT_A_FILE
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=32)).hexdigest()
+
+
+def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Path]:
+    """Replace a file and keep it under a name that no other file has; return where the replaced content is.
+
+    Under the lock the present file keeps its name until the new file takes it. Without a lock the present file is
+    moved first, so that a file which another window writes in between is found and kept as well.
+    """
+    kept: list[Path] = []
+    while True:
+        free = _free_name(target, f"replaced {time.strftime('%Y-%m-%d %H%M')}")
+        try:
+            if target.exists():
+                (copy_to_new_name if is_locked else move_to_new_name)(target, free)
+                kept.append(free)
+            if kept and is_locked:
+                draft.replace(target)
+            else:
+                move_to_new_name(draft, target)
+        except (FileExistsError, FileNotFoundError):
+            # Another program has used a name, or taken the file away, since the look.
+            if not draft.exists():
+                raise
+            continue
+        return kept
+
+
+def _put_back(aside: Path, target: Path) -> None:
+    """Give the moved file its name back; where another file has that name by now, keep both."""
+    name = target
+    while True:
+        try:
+            move_to_new_name(aside, name)
+        except FileExistsError:
+            name = _free_name(target, f"found {time.strftime('%Y-%m-%d %H%M')}")
+        else:
+            return
+
+
+def _free_name(path: Path, note: str) -> Path:
+    free, number = path.with_name(f"{path.stem} ({note}){path.suffix}"), 2
+    while free.exists() or free.is_symlink():
+        free, number = path.with_name(f"{path.stem} ({note}, {number}){path.suffix}"), number + 1
+    return free
+
+
+def _described(path: Path, ct_digest: str | None) -> tuple[ConflictKind, str]:
+    """Kind and description of the content of a file, for a message."""
+    by = _owner_of(path)
+    try:
+        if not path.is_file():
+            return "not-a-case", "something that is not a file"
+        with CaseFile.open(path, read_only=True) as case:
+            steps = [step for step in case.history() if step.holds]
+            changes = "no changes" if not steps else "1 change" if len(steps) == 1 else f"{len(steps)} changes"
+            last = "" if not steps else f", the last: “{_short(steps[-1].label)}”"
+            if ct_digest is not None and case.digest != ct_digest:
+                return "other-case", f"a case of another CT{by}, with {changes}{last}"
+            return "changed", f"another version of this case{by}, with {changes}{last}"
+    except (CarinaError, OSError):
+        return "not-a-case", f"a file{by} that is not a Carina case, or cannot be read"
+
+
+def _short(label: str) -> str:
+    shown = "".join(c if c.isprintable() else " " for c in label)
+    return shown if len(shown) <= MAX_LABEL else shown[: MAX_LABEL - 1] + "…"
+
+
+def _owner_of(path: Path) -> str:
+    """`` by USER`` where the file belongs to another user of this computer."""
+    with contextlib.suppress(OSError, KeyError, ImportError, AttributeError):
+        import pwd  # POSIX only
+
+        owner = path.stat().st_uid
+        if owner != os.geteuid():
+            return f" by {pwd.getpwuid(owner).pw_name}"
+    return ""

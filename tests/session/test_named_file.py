@@ -1,0 +1,334 @@
+"""A named case file is never written over content that its window did not read or write."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import stat
+import threading
+
+import pytest
+
+from carina.session import named_file
+from carina.session.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside, read_mark
+from carina.session.named_lock import NamedLock, lock_path
+from kept_desk import put_text
+
+WAIT_S = 60.0
+
+
+def write(named, text, **options):
+    """Save a text as the case of a window."""
+    return named.write(lambda path, _mark, placement: put_text(path, text, placement), **options)
+
+
+def refusal(named, text="ours", **options):
+    with pytest.raises(NamedFileConflictError) as refused:
+        write(named, text, **options)
+    return refused.value
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir() if not path.name.endswith(".lock"))
+
+
+@pytest.fixture(params=["locks", "no locks", "no hard links", "neither"])
+def disk(request, monkeypatch):
+    """A local disk, a network share without locks, and disks without hard links."""
+    if request.param in {"no locks", "neither"}:
+        monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
+    if request.param in {"no hard links", "neither"}:
+
+        def link(_source, _target):
+            raise OSError(errno.EPERM, "Operation not permitted")
+
+        monkeypatch.setattr(os, "link", link)
+    return request.param
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "team.carina"
+
+
+# ---------------------------------------------------------------- content
+
+
+def test_a_window_writes_its_file_again_and_again(disk, path):
+    named = NamedFile(path)
+    marks = []
+    for text in ("one", "two", "three"):
+        assert write(named, text) is None
+        assert path.read_text() == text
+        marks.append(named.mark)
+    assert [mark.generation for mark in marks] == [1, 2, 3]
+    assert len({mark.save_id for mark in marks}) == 3
+    assert names(path.parent) == ["team.carina"]
+
+
+def test_a_new_name_does_not_overwrite_a_file(disk, path):
+    path.write_text("a letter")
+    conflict = refusal(NamedFile(path))
+    assert (conflict.code, conflict.kind, conflict.exit_code) == ("case.changed", "not-a-case", 3)
+    assert "already exists" in str(conflict)
+    assert (path.read_text(), names(path.parent)) == ("a letter", ["team.carina"])
+
+
+@pytest.mark.parametrize("change", ["rewritten", "replaced", "shortened", "emptied"])
+def test_content_that_another_program_wrote_is_not_overwritten(disk, path, change):
+    named = NamedFile(path)
+    write(named, "ours, the first")
+    before = path.stat()
+    if change == "replaced":
+        (path.parent / "new").write_text("ours, the other")
+        (path.parent / "new").replace(path)
+    else:
+        path.write_text({"rewritten": "ours, the other", "shortened": "ours", "emptied": ""}[change])
+    # A clock that is slow, or a copy that keeps the times of its original.
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    content = path.read_bytes()
+    assert refusal(named).kind == "not-a-case"
+    with pytest.raises(NamedFileConflictError):
+        named.check()
+    assert (path.read_bytes(), names(path.parent)) == (content, ["team.carina"])
+
+
+def test_a_file_of_an_earlier_version_is_foreign_unless_its_digest_is_recorded(disk, path):
+    path.write_text("schema 1")
+    refusal(NamedFile(path, FileMark("00" * 32)))
+    named = NamedFile(path, read_mark(path))
+    assert named.mark.save_id is None
+    write(named, "ours")
+    assert path.read_text() == "ours"
+
+
+def test_replace_keeps_the_other_content_and_never_overwrites_an_earlier_copy(disk, path, monkeypatch):
+    monkeypatch.setattr(named_file.time, "strftime", lambda _format: "2026-11-27 1405")
+    for n in range(3):
+        path.write_text(f"theirs {n}")
+        named = NamedFile(path)
+        kept = write(named, f"ours {n}", replace=True)
+        named.close()
+        assert kept.read_text() == f"theirs {n}"
+        assert path.read_text() == f"ours {n}"
+    assert names(path.parent) == [
+        "team (replaced 2026-11-27 1405).carina",
+        "team (replaced 2026-11-27 1405, 2).carina",
+        "team (replaced 2026-11-27 1405, 3).carina",
+        "team.carina",
+    ]
+
+
+def test_replace_of_a_file_that_has_gone_keeps_nothing(disk, path):
+    assert write(NamedFile(path), "ours", replace=True) is None
+    assert names(path.parent) == ["team.carina"]
+
+
+def test_the_generation_follows_the_content_that_is_replaced(disk, path):
+    named = NamedFile(path, FileMark("00" * 32, "ab" * 8, 7))
+    path.write_text("theirs")
+    write(named, "ours", replace=True)
+    assert named.mark.generation == 8
+
+
+def test_a_file_that_was_moved_away_is_not_made_again_by_itself(disk, path):
+    named = NamedFile(path)
+    write(named, "one")
+    path.rename(path.with_name("elsewhere.carina"))
+    conflict = refusal(named)
+    assert (conflict.kind, "moved, renamed or deleted" in str(conflict)) == ("missing", True)
+    assert names(path.parent) == ["elsewhere.carina"]
+    write(named, "two", may_be_missing=True)
+    assert names(path.parent) == ["elsewhere.carina", "team.carina"]
+
+
+def test_a_save_that_a_crash_interrupted_is_recognised(disk, path):
+    named = NamedFile(path)
+    write(named, "one")
+    recorded = named.mark
+    noted = []
+    write(named, "two", before_placing=noted.append)
+    # The record has the digest of the interrupted save, and not yet that of the file.
+    named.close()
+    again = NamedFile(path, recorded, next_digest=noted[0].digest)
+    write(again, "three")
+    assert path.read_text() == "three"
+    again.close()
+    refusal(NamedFile(path, recorded, next_digest="00" * 32))
+
+
+def test_a_link_stays_a_link(disk, path, tmp_path):
+    real = tmp_path / "share" / "team.carina"
+    real.parent.mkdir()
+    path.symlink_to(real)
+    named = NamedFile(path)
+    write(named, "one")
+    write(named, "two")
+    assert path.is_symlink()
+    assert real.read_text() == "two"
+    assert named.has_path(real)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+def test_a_pipe_is_refused_without_being_read(path):
+    named = NamedFile(path, FileMark("00" * 32))
+    os.mkfifo(path)
+    with pytest.raises(NamedFileConflictError):
+        named.check()
+    assert stat.S_ISFIFO(path.stat().st_mode)
+
+
+# ---------------------------------------------------------------- between the check and the replacement
+
+
+def changed_meanwhile(path, monkeypatch, do):
+    """Do something when the draft is complete and the first comparison is over."""
+    done = []
+    found = named_file._digest_of
+
+    def digest_of(place):
+        digest = found(place)
+        if place.name.endswith(".draft") and not done:
+            done.append(True)
+            do()
+        return digest
+
+    monkeypatch.setattr(named_file, "_digest_of", digest_of)
+
+
+def test_content_that_comes_while_the_draft_is_written_stays(disk, path, monkeypatch):
+    named = NamedFile(path)
+    write(named, "one")
+    changed_meanwhile(path, monkeypatch, lambda: path.write_text("theirs"))
+    refusal(named, "two")
+    assert path.read_text() == "theirs"
+    assert [name for name in names(path.parent) if name.endswith(".carina")] == ["team.carina"]
+
+
+def test_a_file_that_comes_under_a_new_name_stays(disk, path, monkeypatch):
+    changed_meanwhile(path, monkeypatch, lambda: path.write_text("theirs"))
+    refusal(NamedFile(path), "ours")
+    assert path.read_text() == "theirs"
+
+
+def test_without_locks_a_file_that_comes_after_the_move_stays_too(path, monkeypatch):
+    monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
+    named = NamedFile(path)
+    write(named, "one")
+    found = named_file._digest_of
+
+    def digest_of(place):
+        if "being replaced" in place.name:
+            path.write_text("theirs")
+        return found(place)
+
+    monkeypatch.setattr(named_file, "_digest_of", digest_of)
+    refusal(named, "two")
+    texts = {p.read_text() for p in path.parent.glob("*.carina")}
+    assert path.read_text() == "theirs"
+    assert texts == {"theirs", "one"}, "the file that was moved is kept under a new name"
+
+
+def test_without_locks_replace_keeps_every_file_that_comes_in_between(path, monkeypatch):
+    monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
+    path.write_text("theirs 1")
+    moved = named_file.move_to_new_name
+
+    def move(source, target):
+        moved(source, target)
+        if "replaced" in target.name and not path.with_name("once").exists():
+            path.with_name("once").touch()
+            path.write_text("theirs 2")
+
+    monkeypatch.setattr(named_file, "move_to_new_name", move)
+    write(NamedFile(path), "ours", replace=True)
+    assert {p.read_text() for p in path.parent.glob("*.carina")} == {"ours", "theirs 1", "theirs 2"}
+    assert path.read_text() == "ours"
+
+
+def test_a_disk_that_fills_during_replace_leaves_both_contents(path, monkeypatch):
+    path.write_text("theirs")
+
+    def link(_source, _target):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    def full(_source, target, _size):
+        target.write(b"th")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "link", link)
+    monkeypatch.setattr(shutil, "copyfileobj", full)
+    with pytest.raises(OSError, match="No space left"):
+        write(NamedFile(path), "ours", replace=True)
+    assert path.read_text() == "theirs"
+    assert list(path.parent.glob("*replaced*")) == []
+
+
+# ---------------------------------------------------------------- locks
+
+
+def test_a_second_window_is_warned_and_writes_nothing(path):
+    first, second = NamedFile(path), NamedFile(path)
+    write(first, "one")
+    second.mark = first.mark
+    with pytest.raises(NamedFileConflictError, match="open for editing elsewhere") as refused:
+        second.check()
+    assert (refused.value.code, refused.value.kind) == ("case.read-only", "open-elsewhere")
+    refusal(second, replace=True)
+    assert path.read_text() == "one"
+    first.close()
+    write(second, "two")
+    assert path.read_text() == "two"
+    second.close()
+    assert names(path.parent) == ["team.carina"]
+    assert not lock_path(path).exists()
+
+
+def test_the_warning_names_the_user_who_has_the_file_open(path, monkeypatch):
+    monkeypatch.setattr("getpass.getuser", lambda: "anna\x1b[31m")
+    monkeypatch.setattr("socket.gethostname", lambda: "ward-3")
+    first = NamedFile(path)
+    write(first, "one")
+    message = str(refusal(NamedFile(path, first.mark)))
+    assert "by anna[31m on ward-3" in message
+    first.close()
+
+
+def test_another_user_can_see_a_lock_without_the_right_to_write_it(path, monkeypatch):
+    lock = NamedLock.take(path)
+    opened = os.open
+
+    def without_rights(place, flags, *mode, **where):
+        if str(place).endswith(".lock") and flags & os.O_RDWR:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(place, flags, *mode, **where)
+
+    monkeypatch.setattr(os, "open", without_rights)
+    refusal(NamedFile(path))
+    lock.release()
+
+
+def test_a_file_is_closed_while_its_share_does_not_respond(path):
+    named = NamedFile(path)
+    has_begun, goes_on = threading.Event(), threading.Event()
+
+    def stalls(place, _mark, placement):
+        has_begun.set()
+        assert goes_on.wait(WAIT_S)
+        put_text(place, "one", placement)
+
+    writer = threading.Thread(target=named.write, args=(stalls,))
+    writer.start()
+    assert has_begun.wait(WAIT_S)
+    named.close()
+    assert lock_path(path).exists(), "the writer needs it"
+    goes_on.set()
+    writer.join(WAIT_S)
+    assert not lock_path(path).exists()
+
+
+def test_the_path_beside_a_file_is_free(path):
+    assert path_beside(path).name == "team (2).carina"
+    path_beside(path).touch()
+    assert path_beside(path).name == "team (3).carina"

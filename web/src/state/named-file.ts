@@ -1,0 +1,26 @@
+/** The named file of the open case: its path, and what the user can do where it was changed elsewhere. */
+
+import type { SavingInfo } from "../wire/messages";
+
+export interface ConflictChoices {
+  /** Free path for "Save beside it". */
+  readonly beside: string | null;
+  /** Whether the other content is a case that can be opened. */
+  readonly opens: boolean;
+  /** Whether the file may be replaced; not while another window has it open. */
+  readonly replaces: boolean;
+}
+
+/** Path of the named file; null where the case has none. */
+export function namedPath(saving: SavingInfo): string | null {
+  return saving.copy_name === null ? null : `${saving.copy_folder ?? ""}/${saving.copy_name}`;
+}
+
+export function conflictChoices(saving: SavingInfo): ConflictChoices {
+  const kind = saving.copy_conflict;
+  return {
+    beside: kind === null ? null : saving.beside,
+    opens: kind === "changed" || kind === "other-case",
+    replaces: kind !== null && kind !== "open-elsewhere",
+  };
+}
