@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -74,11 +75,10 @@ class CaseList(Subject):
         places = {record.place for record in kept}
         opened = () if self.core.store is None else self.core.store.recent()
         opens = self._opens(kept)
-        found = [
-            *(_of_record(record, records, opens=opens(record)) for record in kept if records is not None),
-            *(_of_place(case) for case in opened if case.path not in places),
-        ]
-        return tuple(sorted(found, key=lambda one: one.used_s, reverse=True))
+        stored = [_of_record(record, records, opens=opens(record)) for record in kept if records is not None]
+        only_opened = [_of_place(case) for case in opened if case.path not in places]
+        # The stored cases keep their order, which no clock changes; the others are placed among them by their day.
+        return tuple(heapq.merge(stored, only_opened, key=lambda one: one.used_s, reverse=True))
 
     def _opens(self, kept: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
         """Whether the CT of a case is to be had: at its place, at another case's, in its file, or cached."""
