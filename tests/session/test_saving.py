@@ -303,3 +303,139 @@ def test_whether_a_case_is_open_is_seen_without_taking_it(desk):
     assert records.is_held(record)
     session.close()
     assert not records.is_held(record)
+
+
+# ---------------------------------------------------------------- named files
+
+
+@pytest.fixture
+def named(desk, tmp_path):
+    """A case that is saved under a name, in which something was done since."""
+    desk.start()
+    desk.open()
+    desk.session.do(c.SetFov(100.0))
+    desk.saved()
+    path = tmp_path / "share" / "team.carina"
+    path.parent.mkdir()
+    desk.session.do(c.SaveCase(str(path)))
+    desk.background.run_all()
+    desk.session.do(c.SetFov(90.0))
+    desk.saved()
+    return path
+
+
+def saving(desk):
+    return desk.session._saving.info
+
+
+def test_a_window_does_not_write_a_named_file_that_was_changed_and_tells_its_user(desk, named):
+    named.write_text("a letter")
+    desk.session.do(c.SaveCase())
+    desk.background.run_all()
+    trouble = [event for event in desk.events if isinstance(event, Trouble)]
+    assert [event.code for event in trouble] == ["case.changed"]
+    assert "not a Carina case" in trouble[0].message
+    assert named.read_text() == "a letter"
+    info = saving(desk)
+    assert (info.copy_conflict, info.copy_name, info.problem) == ("not-a-case", "team.carina", None)
+    assert info.beside == str(named.with_name("team (2).carina"))
+    desk.session.do(c.SaveCase(info.beside))
+    desk.background.run_all()
+    assert (saving(desk).copy_conflict, saving(desk).copy_name) == (None, "team (2).carina")
+    desk.session.close()
+    assert named.read_text() == "a letter"
+
+
+def test_a_replaced_file_is_kept_and_named(desk, named):
+    named.write_text("a letter")
+    desk.session.do(c.SaveCase())
+    desk.background.run_all()
+    desk.session.do(c.SaveCase(str(named), replace=True))
+    desk.background.run_all()
+    (kept,) = named.parent.glob("team (replaced *).carina")
+    assert kept.read_text() == "a letter"
+    assert any(kept.name in event.message for event in desk.events if isinstance(event, Said))
+    assert saving(desk).copy_conflict is None
+    desk.session.close()
+
+
+def test_a_case_that_closes_over_a_changed_file_keeps_its_work_and_tells_its_user(desk, named):
+    named.write_text("a letter")
+    desk.session.do(c.CloseCase())
+    assert [event.code for event in desk.events if isinstance(event, Trouble)] == ["case.changed"]
+    assert named.read_text() == "a letter"
+    desk.open()
+    assert desk.session.snapshot().document.look.fov_deg == 90.0
+    kept = desk.session._saving._kept
+    with kept._wake:
+        assert kept._wake.wait_for(lambda: kept.info.copy_conflict == "not-a-case", 60.0), "shown at once"
+    desk.session.close()
+
+
+def test_a_named_file_that_was_renamed_is_not_made_again_but_by_its_user(desk, named):
+    named.rename(named.with_name("renamed.carina"))
+    desk.session.do(c.CloseCase())
+    assert [path.name for path in named.parent.iterdir()] == ["renamed.carina"]
+    desk.open()
+    desk.session.do(c.SaveCase())
+    desk.background.run_all()
+    assert saving(desk).copy_conflict is None
+    assert named.exists()
+    desk.session.close()
+
+
+def test_suggested_names_differ_between_cases_and_tell_nothing_of_the_patient(tmp_path, desk):
+    suggested = set()
+    for digest in ("one CT", "another CT"):
+        desk.digest = digest
+        session = desk.start()
+        session._saving.records.documents = tmp_path
+        desk.open("SURNAME_FIRSTNAME_1951.nii.gz")
+        session.do(c.SetFov(100.0))
+        desk.saved()
+        suggested.add(saving(desk).suggested)
+        session.do(c.RenameCase(session._saving.open_case[0], "Nodule, left"))
+        suggested.add(saving(desk).suggested)
+        session.close()
+    names = {str(place).rsplit("/", 1)[1] for place in suggested}
+    assert len(names) == 4
+    assert sum(name.startswith("Nodule-left-") for name in names) == 2
+    assert not any("1951" in name or "name" in name.lower() for name in names)
+
+
+# ---------------------------------------------------------------- several windows, and clocks
+
+
+def test_windows_that_open_one_ct_at_the_same_time_are_told_of_each_other(desk, tmp_path):
+    desks = [desk, *(Desk(tmp_path) for _ in range(3))]
+    for one in desks:
+        one.start()
+        one.open()
+    told = [any("another window" in e.message for e in one.events if isinstance(e, Said)) for one in desks]
+    assert told == [False, True, True, True]
+    for one in desks:
+        one.session.close()
+    again = desk.start()
+    desk.open()
+    assert not any("another window" in e.message for e in desk.events if isinstance(e, Said))
+    again.close()
+
+
+def test_the_case_used_last_is_opened_also_after_the_clock_was_set_back(desk):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+    session.do(c.BeginAnew())
+    desk.background.run_all()
+    desk.wall.now_s -= 2 * 365 * 86400.0
+    session.do(c.SetFov(90.0))
+    session.close()
+    again = desk.start()
+    assert [one.used_s for one in again._saving.records.all()] == sorted(
+        one.used_s for one in again._saving.records.all()
+    )
+    desk.open()
+    assert again.snapshot().document.look.fov_deg == 90.0
+    assert [one.recent_id for one in again._cases.listed()] == [one.case_id for one in again._saving.records.all()]
+    again.close()
