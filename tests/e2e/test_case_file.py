@@ -107,6 +107,44 @@ def test_a_case_is_saved_under_a_name_and_the_top_bar_says_where(server, worksta
         assert [step.label for step in case.history()] == steps
 
 
+def test_a_named_file_that_was_changed_elsewhere_is_written_only_as_its_user_decides(server, workstation, tmp_path):
+    workstation.open(server)
+    workstation.wait_ready()
+    work(workstation)
+    page, path = workstation.page, tmp_path / "team.carina"
+
+    page.get_by_test_id("saved").click()
+    page.get_by_test_id("save-path").fill(str(path))
+    page.get_by_test_id("save-now").click()
+    page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
+    path.write_text("a letter")
+    page.keyboard.press("Control+s")
+    page.get_by_test_id("saved").filter(has_text="not in team.carina").wait_for()
+    assert path.read_text() == "a letter"
+    page.keyboard.press("Control+s")
+    conflict = page.get_by_test_id("save-conflict")
+    conflict.wait_for()
+    assert "not a Carina case" in conflict.inner_text()
+    assert page.get_by_test_id("open-theirs").count() == 0, "it is not a case"
+    workstation.picture("save-conflict")
+    page.get_by_test_id("save-beside").click()
+    page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
+    assert workstation.state("session.saving.copy_name") == "team (2).carina"
+    # Another version of the case, by a copy of the file that was edited elsewhere.
+    with CaseFile.open(path.with_name("team (2).carina"), read_only=True) as case:
+        case.write_copy(path.with_name("theirs.carina"))
+    path.with_name("theirs.carina").replace(path.with_name("team (2).carina"))
+    page.keyboard.press("Control+s")
+    page.get_by_test_id("saved").filter(has_text="not in team (2).carina").wait_for()
+    page.keyboard.press("Control+s")
+    page.get_by_test_id("open-theirs").wait_for()
+    workstation.picture("save-conflict-case")
+    page.get_by_test_id("save-replace").click()
+    page.get_by_test_id("saved").filter(has_text="copy from").wait_for()
+    assert len(list(tmp_path.glob("team (2) (replaced *).carina"))) == 1
+    assert path.read_text() == "a letter"
+
+
 @pytest.mark.slow
 def test_a_case_whose_carina_was_killed_is_as_it_was_two_seconds_before(workstation, tmp_path):
     first = start_server(["demo", "phantom"], tmp_path)

@@ -334,7 +334,7 @@ export class Workstation implements Station {
     const saving = this.state.session?.saving;
     if (saving?.keeps !== true)
       this.notice("This case was not opened from a folder or file on this machine, so it is not saved.");
-    else if (saving.copy_name === null) this.ui({ saveOpen: true });
+    else if (saving.copy_name === null || saving.copy_conflict !== null) this.ui({ saveOpen: true });
     else this.send({ type: "save_case" });
   }
 
