@@ -200,7 +200,7 @@ def test_a_slice_without_an_outline_is_filled_and_said(tmp_path, left_out):
     # Between circles a ball bulges.
     assert nodule.volume_mm3 == pytest.approx(whole.volume_mm3, rel=0.02 * left_out)
     assert nodule.volume_error_mm3 > whole.volume_error_mm3
-    assert any("without an outline between others: interpolated" in note for note in nodule.notes)
+    assert f"{left_out} slice{'s' if left_out > 1 else ''} without an outline: interpolated" in nodule.notes[1]
 
 
 def test_two_lesions_in_one_structure_ask_for_a_point(tmp_path):

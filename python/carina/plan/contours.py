@@ -1,15 +1,16 @@
-"""Outlines drawn on slices, as shares of a CT's voxels: exact along rows, eight lines to a voxel across them."""
+"""Outlines of a structure set, as shares of a CT's voxels: exact along rows, eight lines to a voxel across them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.errors import VolumeImportError
 from carina.plan.mask_measures import Drawn
+from carina.plan.outline_slices import OutlineError, SliceOutline, SliceShare, runs_through_centres, slice_share
+from carina.plan.outline_stack import OutlineStack
 from carina.volume import Volume
 from carina.volume.dicom_structures import Contour
 
@@ -17,74 +18,98 @@ __all__ = ["OutlineError", "drawn_in"]
 
 PLANE = 0.1
 """Of the distance of two slices: farther from a slice an outline does not lie on it. Files round to 0.01 mm."""
-LINES = 8
-"""Sub-lines of a voxel: a disc of 5 mm radius at 0.7 mm is right to 0.1 %."""
-MOST_GAP = 2
-"""Slices without an outline between two with one: filled, as planning systems do. More is another structure."""
-ON_CENTRE = 0.02
-"""Of a voxel: an outline all of whose corners are nearer to voxels' centres runs through them."""
+PLANE_MM = 0.06
+"""The same where slices are thin: some programs round heights to 0.1 mm."""
+SUB_SLICES = 8
+"""Heights in each slice of the CT at which outlines between slices are read: a slab is right to 1/16 of a slice."""
+OTHER_CT = "open the CT that it was drawn on"
+SAME_FRAME = (
+    "open the DICOM series that it was drawn on, so that Carina can compare the frame of reference, or export it on "
+    "the slices of this CT"
+)
 
 
-class OutlineError(VolumeImportError):
-    """Outlines that do not lie on a CT's slices."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plane:
+    """All outlines at one height."""
 
-    code = "import.mask-grid"
+    height: float
+    """In slices of the CT."""
+    outlines: tuple[SliceOutline, ...]
 
 
-def drawn_in(volume: Volume, contours: Sequence[Contour]) -> tuple[Drawn, tuple[str, ...], float]:
-    """What outlines enclose on a CT's own slices.
+def drawn_in(
+    volume: Volume, contours: Sequence[Contour], *, may_be_between: bool = False
+) -> tuple[Drawn, tuple[str, ...], float]:
+    """Compute the shares of a CT's voxels that the outlines of a structure enclose.
 
-    An outline within another is a hole; others on one slice add up.
+    An outline stands for its slab, half-way to its neighbours. A nested outline is a hole, nearly equal outlines of one
+    slice are averaged, and others on one slice add up.
+
+    Parameters
+    ----------
+    may_be_between
+        Accept outlines that lie between the CT's slices. The caller must know that the outlines and the CT have one
+        frame of reference; without that such outlines are evidence for another CT.
 
     Returns
     -------
     drawn, notes, off_mm
-        Shares of voxels; what was done, in words; by how much the boundary is more uncertain for it.
+        Shares of voxels; notes for the user; additional uncertainty of the boundary in mm.
 
     Raises
     ------
     OutlineError
-        If they do not lie on its slices, or not within it.
+        If the outlines are not parallel to the CT's slices, not within the CT, or contradictory.
     """
     points = [volume.to_ijk(contour.points_lps) for contour in contours]
     axis = _axis_across(points)
-    planes = _planes(volume, points, axis)
     across = [n for n in range(3) if n != axis]
     limits = np.array(volume.shape_zyx[::-1])
+    slice_mm = float(volume.spacing_mm[axis])
     flat = [one[:, across] for one in points]
     low = np.min([one.min(axis=0) for one in flat], axis=0)
     high = np.max([one.max(axis=0) for one in flat], axis=0)
-    if (low < -1.0).any() or (high > limits[across]).any():
-        raise OutlineError("part of its outline lies outside this CT: it was drawn on another or a larger one")
+    heights = np.array([float(one[:, axis].mean()) for one in points])
+    if (
+        (low < -1.0).any()
+        or (high > limits[across]).any()
+        or heights.min() < -0.5
+        or heights.max() > limits[axis] - 0.5
+    ):
+        raise OutlineError(
+            "part of its outline lies outside this CT: it was drawn on another or a larger one", way_out=OTHER_CT
+        )
     first = np.maximum(np.floor(low).astype(int) - 1, 0)
     size = np.minimum(np.ceil(high).astype(int) + 2, limits[across]) - first
-    start, num = min(planes), max(planes) - min(planes) + 1
-    share = np.zeros((num, int(size[1]), int(size[0])), dtype=np.float32)
-    notes: list[str] = []
-    centred = all(np.abs(one - np.rint(one)).max() <= ON_CENTRE for one in flat)
-    for plane in sorted(set(planes)):
-        here = [
-            (one - first, contour.is_xor)
-            for one, contour, at in zip(flat, contours, planes, strict=True)
-            if at == plane
-        ]
-        share[plane - start] = _slice(here, (int(size[1]), int(size[0])), centred=centred)
-    if centred:
-        notes.append("its outline runs through the centres of voxels, which were taken as inside")
-    off_mm = 0.0
-    empty = sorted(set(range(num)) - {plane - start for plane in planes})
-    if empty:
-        filled = _fill(share, empty)
-        if filled:
-            spacing = volume.spacing_mm[axis]
-            off_mm = 0.5 * spacing * filled / num
-            notes.append(f"{filled} slice{'s' if filled > 1 else ''} without an outline between others: interpolated")
+    shape = (int(size[1]), int(size[0]))
+    off = float(np.abs(heights - np.rint(heights)).max())
+    is_between = off > max(PLANE, PLANE_MM / slice_mm)
+    if is_between and not may_be_between:
+        raise OutlineError(
+            f"an outline lies {off * slice_mm:.1f} mm off the nearest slice of this CT: it was drawn on one with other "
+            "slices",
+            way_out=SAME_FRAME,
+        )
+    outlines = [SliceOutline(one - first, contour.is_xor) for one, contour in zip(flat, contours, strict=True)]
+    planes = _planes(heights if is_between else np.rint(heights), outlines)
+    centred = all(runs_through_centres(one) for one in flat)
+    slices = [slice_share(plane.outlines, shape, centred=centred) for plane in planes]
+    pixel_mm = float(np.sqrt(np.prod([volume.spacing_mm[n] for n in across])))
+    stack = OutlineStack(
+        [plane.height for plane in planes], [one.share for one in slices], pixel_mm=pixel_mm, slice_mm=slice_mm
+    )
+    start, share = _on_slices(stack, shape, int(limits[axis]), is_between=is_between)
+    voxel_ml = float(np.prod(volume.spacing_mm)) / 1000.0
+    notes = _notes_on_slices(slices, stack, pixel_mm, voxel_ml, centred=centred)
+    notes += _notes_on_stack(stack, share, start, off * slice_mm, slice_mm, is_between=is_between)
     order = [2 - across[1], 2 - across[0]]
     # Axes of the array are plane, second, first of the two across.
     placed = np.moveaxis(share, (0, 1, 2), (2 - axis, order[0], order[1]))
     corner = [0, 0, 0]
     corner[2 - axis], corner[order[0]], corner[order[1]] = start, int(first[1]), int(first[0])
-    return Drawn(np.ascontiguousarray(placed), (corner[0], corner[1], corner[2])), tuple(notes), off_mm
+    drawn = Drawn(np.ascontiguousarray(placed), (corner[0], corner[1], corner[2]))
+    return drawn, tuple(notes), _off_mm(stack, share, start, slice_mm, is_between=is_between)
 
 
 def _axis_across(points: Sequence[NDArray[np.float64]]) -> int:
@@ -92,117 +117,88 @@ def _axis_across(points: Sequence[NDArray[np.float64]]) -> int:
     spread = np.max([np.ptp(one, axis=0) for one in points], axis=0)
     axis = int(np.argmin(spread))
     if spread[axis] > PLANE:
-        raise OutlineError("its outlines are not parallel to the slices of this CT: they were drawn on another one")
+        raise OutlineError(
+            "its outlines are not parallel to the slices of this CT: they were drawn on another one", way_out=OTHER_CT
+        )
     return axis
 
 
-def _planes(volume: Volume, points: Sequence[NDArray[np.float64]], axis: int) -> list[int]:
-    heights = np.array([float(one[:, axis].mean()) for one in points])
-    planes = np.rint(heights)
-    off = np.abs(heights - planes)
-    worst = int(np.argmax(off))
-    if off[worst] > PLANE:
-        raise OutlineError(
-            f"an outline lies {off[worst] * volume.spacing_mm[axis]:.1f} mm off the nearest slice of this CT: it was "
-            "drawn on one with other slices"
-        )
-    if planes.min() < 0 or planes.max() >= volume.shape_zyx[2 - axis]:
-        raise OutlineError("part of its outline lies outside this CT: it was drawn on another or a larger one")
-    return [int(plane) for plane in planes]
+def _planes(heights: NDArray[np.float64], outlines: Sequence[SliceOutline]) -> list[_Plane]:
+    """Collect the outlines of each height; heights that differ by rounding are one."""
+    planes: list[_Plane] = []
+    together: list[int] = []
+    order = [int(n) for n in np.argsort(heights, kind="stable")]
+    for n, following in zip(order, [*order[1:], None], strict=True):
+        together.append(n)
+        if following is None or heights[following] - heights[together[0]] > PLANE:
+            height = float(heights[together].mean())
+            planes.append(_Plane(height, tuple(outlines[m] for m in sorted(together))))
+            together = []
+    return planes
 
 
-def _slice(
-    outlines: Sequence[tuple[NDArray[np.float64], bool]], shape: tuple[int, int], *, centred: bool
-) -> NDArray[np.float32]:
-    """Shares of the voxels of one slice, from outlines in its voxel coordinates."""
-    covers = [(_centres_in(one, shape) if centred else coverage(one, shape), is_xor) for one, is_xor in outlines]
-    covers.sort(key=lambda cover: -float(cover[0].sum()))
-    total = np.zeros(shape)
-    for cover, is_xor in covers:
-        area = float(cover.sum())
-        # Enclosed by what is there: a hole.
-        if is_xor or (area > 0.0 and float(np.minimum(cover, total).sum()) >= 0.999 * area):
-            total = np.abs(total - cover)
-        else:
-            total = np.maximum(total, np.minimum(total + cover, 1.0))
-    found: NDArray[np.float32] = np.clip(total, 0.0, 1.0).astype(np.float32)
-    return found
+def _on_slices(
+    stack: OutlineStack, shape: tuple[int, int], num_slices: int, *, is_between: bool
+) -> tuple[int, NDArray[np.float32]]:
+    """The first slice and the shares of the voxels of all slices that a stack of outlines touches."""
+    start = max(int(np.floor(stack.heights[0] - stack.reach + 0.5)), 0)
+    end = min(int(np.ceil(stack.heights[-1] + stack.reach - 0.5)), num_slices - 1)
+    share = np.zeros((end - start + 1, *shape), dtype=np.float32)
+    # Outlines on the CT's slices are read there alone: averaging would blur them.
+    offsets = (np.arange(SUB_SLICES) + 0.5) / SUB_SLICES - 0.5 if is_between else np.zeros(1)
+    for n in range(len(share)):
+        share[n] = np.mean([stack.at(start + n + offset) for offset in offsets], axis=0)
+    return start, share
 
 
-def coverage(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """The share of each voxel (rows, columns) that a closed outline (n, 2), columns first, encloses."""
-    rows, columns = shape
-    found = np.zeros(shape)
-    x0, y0 = points.T
-    x1, y1 = np.roll(points, -1, axis=0).T
-    left = np.arange(columns) - 0.5
-    for line in range(rows * LINES):
-        y = (line + 0.5) / LINES - 0.5
-        crosses = (y0 <= y) != (y1 <= y)
-        if not crosses.any():
-            continue
-        a, b, c, d = x0[crosses], y0[crosses], x1[crosses], y1[crosses]
-        at = np.sort(a + (y - b) / (d - b) * (c - a)).reshape(-1, 2)
-        spans = np.clip(at[:, 1:] - left, 0.0, 1.0) - np.clip(at[:, :1] - left, 0.0, 1.0)
-        found[line // LINES] += spans.sum(axis=0) / LINES
-    return found
+def _notes_on_slices(
+    slices: Sequence[SliceShare], stack: OutlineStack, pixel_mm: float, voxel_ml: float, *, centred: bool
+) -> list[str]:
+    notes = []
+    if centred:
+        notes.append("its outline runs through the centres of voxels, which were taken as inside")
+    twice = [one for one in slices if one.num_merged]
+    if twice:
+        apart = max(one.apart_vox for one in twice) * pixel_mm
+        far = "identical" if apart < 0.005 else f"up to {apart:.2g} mm apart"
+        notes.append(f"on {_slices(len(twice))} the boundary was drawn more than once ({far}): averaged")
+    hollow = [one for one in slices if one.hole_vox > 0.0]
+    if hollow:
+        ml = sum(one.hole_vox for one in hollow) * voxel_ml * stack.step
+        notes.append(f"on {_slices(len(hollow))} an outline within another was taken as a hole ({ml:.2g} ml)")
+    return notes
 
 
-def _centres_in(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """1 for each voxel whose centre lies in or on an outline that runs through centres."""
-    # A little larger than itself: what lies on it is inside then.
-    found = np.zeros(shape)
-    for shift in (-0.02, 0.02):
-        found = np.maximum(found, _even_odd(points + np.array([0.0, shift]), shape))
-    for one, other in zip(points, np.roll(points, -1, axis=0), strict=True):
-        steps = int(np.ceil(np.abs(other - one).max())) + 1
-        for at in np.linspace(one, other, steps + 1):
-            if np.abs(at - np.rint(at)).max() <= ON_CENTRE:
-                column, row = np.rint(at).astype(int)
-                if 0 <= row < shape[0] and 0 <= column < shape[1]:
-                    found[row, column] = 1.0
-    return found
+def _notes_on_stack(
+    stack: OutlineStack, share: NDArray[np.float32], start: int, off_mm: float, slice_mm: float, *, is_between: bool
+) -> list[str]:
+    if is_between:
+        return [
+            f"its outlines lie up to {off_mm:.1f} mm from the slices of this CT (they are {stack.step * slice_mm:.2g} "
+            "mm apart): placed by position"
+        ]
+    filled = _num_filled(stack, share, start)
+    if not filled:
+        return []
+    return [
+        f"{_slices(filled)} without an outline: interpolated, because an outline stands for the slab half-way to its "
+        "neighbours"
+    ]
 
 
-def _even_odd(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    x0, y0 = points.T
-    x1, y1 = np.roll(points, -1, axis=0).T
-    columns = np.arange(shape[1])
-    found = np.zeros(shape)
-    for row in range(shape[0]):
-        crosses = (y0 <= row) != (y1 <= row)
-        if crosses.any():
-            a, b, c, d = x0[crosses], y0[crosses], x1[crosses], y1[crosses]
-            at = a + (row - b) / (d - b) * (c - a)
-            found[row] = (at[:, None] < columns).sum(axis=0) % 2
-    return found
+def _off_mm(stack: OutlineStack, share: NDArray[np.float32], start: int, slice_mm: float, *, is_between: bool) -> float:
+    """Additional uncertainty of a boundary that was not drawn on every slice."""
+    if is_between:
+        return 0.5 * slice_mm * max(stack.step, 1.0)
+    num = int((share > 0.0).any(axis=(1, 2)).sum())
+    filled = _num_filled(stack, share, start)
+    return 0.5 * slice_mm * max(stack.step, 1.0) * filled / num if num else 0.0
 
 
-def _fill(share: NDArray[np.float32], empty: Sequence[int]) -> int:
-    """Fill short gaps between slices by the distances to their outlines; how many were filled."""
-    num = 0
-    known = sorted(set(range(len(share))) - set(empty))
-    for below, above in pairwise(known):
-        gap = above - below - 1
-        if not 1 <= gap <= MOST_GAP or not np.minimum(share[below], share[above]).any():
-            continue
-        one, other = _signed(share[below]), _signed(share[above])
-        for n in range(1, gap + 1):
-            part = n / (gap + 1)
-            share[below + n] = np.clip(0.5 + (1.0 - part) * one + part * other, 0.0, 1.0)
-            num += 1
-    return num
+def _num_filled(stack: OutlineStack, share: NDArray[np.float32], start: int) -> int:
+    touched = {start + int(n) for n in np.flatnonzero((share > 0.0).any(axis=(1, 2)))}
+    return len(touched - {round(height) for height in stack.heights})
 
 
-def _signed(cover: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Distance to the outline in voxels, positive inside."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
-
-    inside = cover >= 0.5
-    if not inside.any():
-        return np.full(cover.shape, -1e3)
-    image = sitk.GetImageFromArray(inside.astype(np.uint8))
-    far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=True, squaredDistance=False, useImageSpacing=False)
-    found: NDArray[np.float64] = sitk.GetArrayFromImage(far).astype(np.float64)
-    # Centres of voxels: the outline lies half a voxel beyond the last.
-    return found + 0.5
+def _slices(num: int) -> str:
+    return f"{num} slice{'s' if num != 1 else ''}"

@@ -178,10 +178,11 @@ def _from_structures(
     closed = [contour for contour in chosen.contours if contour.area_mm2 >= LEAST_MM2]
     if not closed:
         raise structures_refused(file, f"the structure {_told(chosen)} encloses no area", "export it again")
+    same_frame = ours is not None and bool(chosen.references.frames & ours.frames)
     try:
-        drawn, said, off_mm = drawn_in(volume, closed)
+        drawn, said, off_mm = drawn_in(volume, closed, may_be_between=same_frame)
     except OutlineError as error:
-        raise structures_refused(file, str(error), "open the CT that it was drawn on", code=error.code) from None
+        raise structures_refused(file, str(error), error.way_out, code=error.code) from None
     drawn, left = one_piece(volume, drawn, at_lps)
     if chosen.num_open:
         left = (*left, f"{chosen.num_open} of its points or open lines left out")
