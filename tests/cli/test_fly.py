@@ -13,6 +13,7 @@ from carina.cli.along import way_to
 from carina.cli.badges import Badges
 from carina.cli.opened import Opened
 from carina.commands import GoTo, OpenVolume, RecordFlight, SetMode, SetScope, Steer, StopRecording
+from carina.export import even_size
 from carina.navigate import AirwayWay, AutoFlight, KeyFrame, KeyFrameFile, case_key
 from carina.navigate.recording import ReplayedPose, sampled
 from carina.navigate.rotation import rotation_from_vector
@@ -38,6 +39,11 @@ def read_video(path):
         stream = container.streams.video[0]
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
         return frames, stream.codec_context.name, float(stream.average_rate), container.duration / 1e6
+
+
+def pixel_format(path):
+    with av.open(str(path)) as container:
+        return container.streams.video[0].codec_context.pix_fmt
 
 
 def differs(a, b):
@@ -77,7 +83,11 @@ def test_a_flight_along_a_route_has_its_length_size_and_number_of_frames(carina,
     expected_s = said["path_mm"] / 100.0 + 0.2 * (1 + len(said["stops_mm"]))
     assert len(frames) == said["num_frames"] == int(expected_s * 10 + 0.5)
     assert seconds == pytest.approx(len(frames) / 10.0, abs=0.11)
-    assert frames[0].shape == (size[1], size[0], 3)
+    even = even_size(*size)
+    assert frames[0].shape == (even[1], even[0], 3)
+    assert said["size"] == list(even)
+    assert pixel_format(output) == "yuv420p"
+    assert (f"the video has {even[0]} x {even[1]} pixels instead of" in ended.err) == (even != size)
     # It is a picture of an airway, in its colours, and it changes.
     assert frames[0].std() > 10
     assert frames[0][..., 0].mean() > frames[0][..., 2].mean()
@@ -86,7 +96,7 @@ def test_a_flight_along_a_route_has_its_length_size_and_number_of_frames(carina,
     first = way_to(source, "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
     # It begins where the route does: what is left is the codec's.
     assert differs(frames[0], frames[-1]) > 8
-    assert differs(frames[0], still(carina, ct, first, size, tmp_path / "s.png")) < 4
+    assert differs(frames[0], still(carina, ct, first, even, tmp_path / "s.png")) < 4
 
 
 def test_key_frames_are_flown(carina, ct, tree, tmp_path):

@@ -9,7 +9,9 @@ import sys
 import numpy as np
 import pytest
 
-from carina.export import VideoWriter
+import carina
+from carina.errors import UsageError
+from carina.export import VideoWriter, size_notes
 
 pytest.importorskip("av", reason="PyAV is not installed")
 
@@ -71,3 +73,89 @@ def test_a_video_has_the_permissions_of_a_new_file(tmp_path, mask):
     finally:
         os.umask(before)
     assert (tmp_path / "a.mp4").stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def facts(path):
+    """Codec facts of a video, and its frames as arrays."""
+    import av
+
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        codec = stream.codec_context
+        return (codec.name, codec.pix_fmt, codec.profile, (codec.width, codec.height)), frames
+
+
+def picture(width, height, seed):
+    """A smooth picture whose last row and column differ from black, so that padding is seen."""
+    y, x = np.mgrid[0:height, 0:width]
+    return np.stack([100 + 80 * x / width, 100 + 80 * y / height, np.full(x.shape, 60.0 + seed)], -1).astype(np.uint8)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".webm"])
+@pytest.mark.parametrize(
+    ("width", "height"), [(101, 75), (100, 75), (101, 76), (17, 17), (16, 16), (641, 480), (48, 32)]
+)
+def test_a_video_of_any_size_is_even_and_in_the_format_that_players_read(tmp_path, suffix, width, height):
+    path = tmp_path / f"a{suffix}"
+    with VideoWriter(path, width, height) as video:
+        for n in range(3):
+            video.add(picture(width, height, n))
+        assert video.size_px == (width + width % 2, height + height % 2)
+    (name, pix_fmt, profile, size), frames = facts(path)
+    assert (pix_fmt, size) == ("yuv420p", video.size_px)
+    assert size[0] % 2 == size[1] % 2 == 0
+    assert len(frames) == 3
+    if suffix == ".mp4":
+        assert (name, profile) in {("h264", "High"), ("h264", "Main")}
+    # No black line: the last row and column go on. Compression is within a few grey levels.
+    expected = np.pad(picture(width, height, 2), ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    assert np.abs(frames[2].astype(int) - expected).max() <= 24
+
+
+@pytest.mark.skipif(not hasattr(os, "pread"), reason="this system cannot read a file at a position")
+def test_the_index_of_an_mp4_is_before_its_pictures(tmp_path):
+    noise = np.random.default_rng(1)
+    with VideoWriter(tmp_path / "a.mp4", 320, 240) as video:
+        for _ in range(30):
+            video.add(noise.integers(0, 255, (240, 320, 3)).astype(np.uint8))
+    data = (tmp_path / "a.mp4").read_bytes()
+    assert len(data) > 500_000
+    assert 0 < data.find(b"moov") < data.find(b"mdat")
+    assert len(facts(tmp_path / "a.mp4")[1]) == 30
+    assert [found.name for found in tmp_path.iterdir()] == ["a.mp4"]
+
+
+@pytest.mark.parametrize("size", [(1, 1), (15, 480), (640, 15), (1, 480), (8193, 16), (8192, 8192), (0, 0), (-2, 480)])
+def test_sizes_that_no_player_shows_are_refused_before_a_file_is_made(tmp_path, size):
+    with pytest.raises(UsageError, match=r"16 to 8192 pixels|H\.264 .* has no level"):
+        VideoWriter(tmp_path / "a.mp4", *size)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_rate_beyond_the_largest_level_is_refused():
+    with pytest.raises(UsageError, match="has no level for 8192 x 4352 pixels at 240 frames per second"):
+        VideoWriter("a.mp4", 8192, 4352, rate_hz=240.0)
+
+
+def test_notes_name_the_size_that_is_written_and_sizes_that_few_players_show():
+    assert size_notes("a.mp4", 640, 480, rate_hz=30.0) == ()
+    assert size_notes("a.mp4", 4096, 2160, rate_hz=60.0) == ()
+    (note,) = size_notes("a.webm", 101, 75, rate_hz=30.0)
+    assert note.startswith("the video has 102 x 76 pixels instead of 101 x 75")
+    (note,) = size_notes("a.MP4", 4096, 4096, rate_hz=30.0)
+    assert note.startswith("many players do not play H.264 videos of 4096 x 4096 pixels")
+    assert len(size_notes("a.mp4", 5121, 2881, rate_hz=30.0)) == 2
+
+
+def test_a_film_of_an_odd_view_is_rendered_at_an_even_size_and_says_so(tmp_path):
+    phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    path = carina.FlightPath([[0.0, 0.0, 0.0], [0.0, 0.0, -10.0]])
+    view = carina.render.AirwayView(path.pose_at(0.0), width=65, height=49)
+    film = carina.write_film(
+        tmp_path / "a.mp4", phantom.volume, path, view=view, rate_hz=2.0, speed_mm_s=10.0, progress=False
+    )
+    assert film.size_px == (66, 50)
+    assert film.notes == ("the video has 66 x 50 pixels instead of 65 x 49: players need even numbers",)
+    assert facts(film.path)[0] == ("h264", "yuv420p", "High", (66, 50))
+    assert film.notes[0] in film._repr_html_()

@@ -26,7 +26,7 @@ from carina.cli.opened import Opened, check_case_options, newest_state, opened
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
-from carina.export import VIDEO_SUFFIXES, VideoWriter
+from carina.export import VIDEO_SUFFIXES, VideoWriter, even_size, size_notes
 from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, Recording, open_key_frames, open_recording
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
@@ -79,6 +79,10 @@ def report(
     if tree is not None and to is None:
         raise UsageError("--tree only applies together with --to")
     check_case_options(path, ct, tree=tree)
+    notes = size_notes(output, *size, rate_hz=rate_hz)
+    for note in notes:
+        say(f"note: {note}")
+    size = even_size(*size)
     named = None if scope in {None, "none"} else scope_preset(str(scope)).name
     shown = _Shown(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
     if to is not None:
@@ -146,6 +150,7 @@ def report(
                 "rate_hz": rate_hz,
                 "duration_s": len(frames) / rate_hz,
                 "size": list(size),
+                "notes": list(notes),
                 "render_s": seconds,
                 "num_kept": num_kept,
                 **facts,

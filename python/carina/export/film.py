@@ -16,7 +16,7 @@ from carina.display import one_line
 from carina.display.html import caption, escaped, figure
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import CancelledError, check_type
-from carina.export.video import VideoWriter
+from carina.export.video import VideoWriter, even_size, size_notes
 from carina.navigate import AutoFlight, FlightPath, KeyFrameFlight
 from carina.navigate.auto_flight import frame_times_s
 from carina.render import AirwayView, Renderer
@@ -41,6 +41,8 @@ class Film:
     size_px: tuple[int, int]
     """Width and height."""
     path: Path = dataclasses.field(repr=False)
+    notes: tuple[str, ...] = dataclasses.field(default=(), repr=False)
+    """What was changed so that players show the video, in words."""
 
     @property
     def duration_s(self) -> float:
@@ -51,7 +53,8 @@ class Film:
         """The film itself, in a notebook."""
         width, height = self.size_px
         words = [
-            f"{self.num_frames} frames of {width} × {height}, {self.duration_s:.1f} s at {self.rate_hz:g} frames/s"
+            f"{self.num_frames} frames of {width} × {height}, {self.duration_s:.1f} s at {self.rate_hz:g} frames/s",
+            *self.notes,
         ]
         if not self.path.is_file() or self.path.stat().st_size > MAX_EMBEDDED_BYTES:
             return figure(f"<div>{escaped(self.name)}</div>", caption(words))
@@ -89,7 +92,8 @@ def write_film(
     flight
         A path, which is flown at ``speed_mm_s``, or a flight with times of its own.
     view
-        How frames are rendered: everything but the pose is taken from it; 640 x 480, 100 degrees unless told.
+        How frames are rendered: everything but the pose is taken from it; 640 x 480, 100 degrees by default. An odd
+        width or height becomes the next even one, which all players need (`Film.notes`).
     lumen_zyx
         The airway lumen, for the closed wall.
     tree
@@ -132,6 +136,9 @@ def write_film(
     flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight
     look = AirwayView(flown.pose_at(0.0), fov_deg=100.0, width=640, height=480) if view is None else view
     check_type("write_film", "view", look, AirwayView, "a video can only show the airway view")
+    notes = size_notes(path, look.width, look.height, rate_hz=rate_hz)
+    width, height = even_size(look.width, look.height)
+    look = dataclasses.replace(look, width=width, height=height)
     times = frame_times_s(flown.duration_s, rate_hz)
     with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
         renderer = Renderer(volume)
@@ -143,4 +150,4 @@ def write_film(
             video.add(renderer.render(dataclasses.replace(look, pose=flown.pose_at(float(time_s)))).rgb)
             if told is not None:
                 told("rendering frames", (number + 1) / len(times))
-    return Film(Path(path).name, len(times), rate_hz, (look.width, look.height), Path(path).resolve())
+    return Film(Path(path).name, len(times), rate_hz, (width, height), Path(path).resolve(), notes)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from carina.disk import Draft
 from carina.errors import CarinaError, UsageError
 
-__all__ = ["VIDEO_SUFFIXES", "VideoWriter"]
+__all__ = ["VIDEO_SUFFIXES", "VideoWriter", "even_size", "size_notes"]
 
 VIDEO_SUFFIXES = (".mp4", ".webm")
 # BT.709, as players take it for granted for a film without a label; the label is written as well.
@@ -27,6 +27,12 @@ _OPTIONS = {
     # "realtime" with 6 encodes some ten times faster than the default, for a few percent more bytes.
     ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6", "row-mt": "1"}),
 }
+SIZES_PX = (16, 8192)
+# Of ITU-T H.264 table A-1, in macroblocks of 16 x 16 pixels: for a frame, and for a second.
+_LARGEST_LEVEL = (139_264, 16_711_680)
+"""Level 6.2: the standard has no larger one."""
+_COMMON_LEVEL = (36_864, 2_073_600)
+"""Level 5.2 (4096 x 2304): what decoders of phones and browsers commonly play."""
 COMMENT = "Made by Carina from a CT. Not a medical device; not for diagnosis."
 
 
@@ -38,6 +44,70 @@ def _pyav() -> Any:
             "videos need PyAV: install Carina with the extra `video` (pip install 'carina[video]')", code="export.video"
         ) from None
     return av
+
+
+def even_size(width: int, height: int) -> tuple[int, int]:
+    """Return the size of a video for pictures of a size: odd numbers of pixels become the next even ones.
+
+    The common 4:2:0 colour format has one colour value for two by two pixels. QuickTime, Safari and Windows do not play
+    H.264 in other formats.
+
+    Examples
+    --------
+    >>> even_size(101, 76)
+    (102, 76)
+    """
+    return width + width % 2, height + height % 2
+
+
+def size_notes(path: str | os.PathLike[str], width: int, height: int, *, rate_hz: float) -> tuple[str, ...]:
+    """Return notes for the user on the size of a video of pictures of a size.
+
+    Parameters
+    ----------
+    path
+        Ends in ``.mp4`` or ``.webm``.
+
+    Raises
+    ------
+    UsageError
+        If `VideoWriter` refuses the size or the rate.
+    """
+    _check(Path(path).suffix.lower(), width, height, rate_hz)
+    notes = []
+    even = even_size(width, height)
+    if even != (width, height):
+        notes.append(
+            f"the video has {even[0]} x {even[1]} pixels instead of {width} x {height}: players need even numbers"
+        )
+    if Path(path).suffix.lower() == ".mp4" and not _within(_COMMON_LEVEL, even, rate_hz):
+        notes.append(
+            f"many players do not play H.264 videos of {even[0]} x {even[1]} pixels at {rate_hz:g} frames per second; "
+            "4096 x 2160 at 60 is a common limit"
+        )
+    return tuple(notes)
+
+
+def _check(suffix: str, width: int, height: int, rate_hz: float) -> None:
+    """Refuse sizes and rates that no player shows."""
+    least, most = SIZES_PX
+    if not (least <= width <= most and least <= height <= most and 1.0 <= rate_hz <= 240.0):
+        raise UsageError(
+            f"a video must have {least} to {most} pixels on each side and 1 to 240 frames per second; found "
+            f"{width} x {height} at {rate_hz:g} per second"
+        )
+    if suffix == ".mp4" and not _within(_LARGEST_LEVEL, even_size(width, height), rate_hz):
+        raise UsageError(
+            f"H.264 (.mp4) has no level for {width} x {height} pixels at {rate_hz:g} frames per second; choose at most "
+            "8192 x 4352, fewer frames per second, or a .webm file"
+        )
+
+
+def _within(level: tuple[int, int], size: tuple[int, int], rate_hz: float) -> bool:
+    across, down = (-(-n // 16) for n in size)
+    frame, second = level
+    # A side may be at most the square root of eight frames (A.3.1).
+    return across * down <= frame and across * down * rate_hz <= second and max(across, down) ** 2 <= 8 * frame
 
 
 class _Told(io.RawIOBase):
@@ -77,6 +147,34 @@ class _Told(io.RawIOBase):
         return True
 
 
+class _DraftReader(io.RawIOBase):
+    """Reads a draft that is being written, at a position of its own."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._at = file, 0
+
+    def read(self, size: int = -1) -> bytes:
+        self._file.flush()
+        wanted = os.fstat(self._file.fileno()).st_size - self._at if size < 0 else size
+        data = os.pread(self._file.fileno(), max(wanted, 0), self._at)
+        self._at += len(data)
+        return data
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        starts = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: os.fstat(self._file.fileno()).st_size}
+        self._at = starts[whence] + offset
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+
 class VideoWriter:
     """Writes pictures as frames of a video; a file of the same name is replaced when all is written, or not at all.
 
@@ -85,8 +183,8 @@ class VideoWriter:
     path
         Ends in ``.mp4`` or ``.webm``.
     width, height
-        Of the pictures, 16 to 8192 px. H.264 halves the colours' resolution on even sizes only; on odd ones it keeps
-        all of it, which few players on phones show.
+        Of the pictures, 16 to 8192 px. The video has an even size (`even_size`): the last row or column of a picture of
+        an odd size is repeated, so that all players show the video.
     rate_hz
         Frames per second, 1 to 240.
 
@@ -105,12 +203,7 @@ class VideoWriter:
             raise UsageError(
                 f"expected a video file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {self._path.name!r}"
             )
-        if not (16 <= width <= 8192 and 16 <= height <= 8192 and 1.0 <= rate_hz <= 240.0):
-            raise UsageError(
-                "a video must have 16 to 8192 pixels on each side and 1 to 240 frames per second; found "
-                f"{width} x {height} at "
-                f"{rate_hz:g} per second"
-            )
+        _check(suffix, width, height, rate_hz)
         av = _pyav()
         self._av, self._size = av, (width, height)
         self.num_frames = 0
@@ -119,31 +212,45 @@ class VideoWriter:
         self._file = _Told(self._draft.file)
         self._container: Any = None
         with self._disk_told():
-            self._container = av.open(self._file, "w", format=suffix.removeprefix("."))
+            # The index goes before the pictures, so that a browser plays the video while it loads.
+            first = suffix == ".mp4" and hasattr(os, "pread")
+            options = {"movflags": "+faststart"} if first else {}
+            self._container = av.open(
+                self._file, "w", format=suffix.removeprefix("."), container_options=options, io_open=self._reader
+            )
             self._stream = self._made_stream(suffix)
 
     def __repr__(self) -> str:
         width, height = self._size
         return f"VideoWriter({self._path.name!r}, {width}x{height}, num_frames={self.num_frames})"
 
+    def _reader(self, _url: str, _flags: int, _options: dict[str, str]) -> _DraftReader:
+        """Open the draft a second time for the library, which moves the pictures behind the index."""
+        return _DraftReader(self._draft.file)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the video, both even."""
+        return even_size(*self._size)
+
     def _made_stream(self, suffix: str) -> Any:
         codec, options = _OPTIONS[suffix]
-        width, height = self._size
         self._container.metadata["comment"] = COMMENT
         stream = self._container.add_stream(codec, rate=self._rate, options=options)
-        stream.width, stream.height = width, height
-        odd = width % 2 or height % 2
-        stream.pix_fmt = "yuv444p" if odd and suffix == ".mp4" else "yuv420p"
+        stream.width, stream.height = self.size_px
+        stream.pix_fmt = "yuv420p"
         stream.codec_context.time_base = 1 / self._rate
         for label in ("colorspace", "color_primaries", "color_trc"):
             setattr(stream.codec_context, label, _BT709)
         return stream
 
     def add(self, rgb: NDArray[np.uint8]) -> None:
-        """One more frame, ``(height, width, 3)`` uint8."""
+        """Add a frame, ``(height, width, 3)`` uint8."""
         width, height = self._size
         if rgb.shape != (height, width, 3):
             raise UsageError(f"expected a frame of {(height, width, 3)}; found {rgb.shape}")
+        if self.size_px != self._size:
+            rgb = np.pad(rgb, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
         frame = frame.reformat(format=self._stream.pix_fmt, dst_colorspace="ITU709")
         frame.pts, frame.time_base = self.num_frames, 1 / self._rate
