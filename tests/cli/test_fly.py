@@ -13,7 +13,7 @@ from carina.cli.along import way_to
 from carina.cli.badges import Badges
 from carina.cli.opened import Opened
 from carina.commands import GoTo, OpenVolume, RecordFlight, SetMode, SetScope, Steer, StopRecording
-from carina.export import even_size
+from carina.export.video import even_size
 from carina.navigate import AirwayWay, AutoFlight, KeyFrame, KeyFrameFile, case_key
 from carina.navigate.recording import ReplayedPose, sampled
 from carina.navigate.rotation import rotation_from_vector

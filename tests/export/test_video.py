@@ -11,7 +11,8 @@ import pytest
 
 import carina
 from carina.errors import UsageError
-from carina.export import VideoWriter, size_notes
+from carina.export import VideoWriter
+from carina.export.video import size_notes
 
 pytest.importorskip("av", reason="PyAV is not installed")
 

@@ -212,6 +212,14 @@ def plan(
     structure: Annotated[
         str | None, typer.Option("--structure", help="Name or number of the structure, where the file has several.")
     ] = None,
+    part: Annotated[
+        str | None,
+        typer.Option("--part", help="Point x,y,z in mm (LPS) in the part to take, where the structure has several."),
+    ] = None,
+    resample: Annotated[
+        bool,
+        typer.Option("--resample", help="Accept a target's mask or DICOM SEG on a different grid (nearest voxel)."),
+    ] = False,
     scope: Annotated[
         str, typer.Option("--scope", help="Bronchoscope: ultrathin, thin, standard, ...; or a file (.json).")
     ] = "thin",
@@ -273,6 +281,8 @@ def plan(
                 path,
                 target=Path(target) if Path(target).exists() else parse_point(target, "--target"),
                 structure=structure,
+                part=None if part is None else parse_point(part, "--part"),
+                resample=resample,
                 scope=scope,
                 tool=tool,
                 vessel_margin_mm=vessel_margin_mm,

@@ -26,7 +26,8 @@ from carina.cli.opened import Opened, check_case_options, newest_state, opened
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
-from carina.export import VIDEO_SUFFIXES, VideoWriter, even_size, size_notes
+from carina.export import VIDEO_SUFFIXES, VideoWriter
+from carina.export.video import even_size, size_notes
 from carina.navigate import AutoFlight, KeyFrameFile, KeyFrameFlight, Recording, open_key_frames, open_recording
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled

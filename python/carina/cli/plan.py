@@ -44,6 +44,8 @@ def report(
     *,
     target: NDArray[np.float64] | Path,
     structure: str | None,
+    part: NDArray[np.float64] | None,
+    resample: bool,
     scope: str,
     tool: str,
     vessel_margin_mm: float,
@@ -65,6 +67,8 @@ def report(
         if not output.name.lower().endswith(known):
             raise UsageError(f"-o: expected a file name that ends in {', '.join(known)}; found {output.name!r}")
         check_output_file(output)
+    if not isinstance(target, Path) and (structure is not None or part is not None or resample):
+        raise UsageError("--structure, --part and --resample only apply if --target is a file")
     peer = None if send_to is None else _peer(send_to)
     instrument = scope_from_file(scope) if Path(scope).is_file() else scope_preset(scope)
     used = tool_from_file(tool) if Path(tool).is_file() else tool_named(tool)
@@ -76,7 +80,9 @@ def report(
     place = source.place if ct is None else ct
     if isinstance(target, Path):
         named = int(structure) if structure is not None and structure.isdecimal() else structure
-        found = target_from_file(target, source.volume, structure=named, ct=place, progress=progress)
+        found = target_from_file(
+            target, source.volume, structure=named, at_lps=part, ct=place, resample=resample, progress=progress
+        )
         nodule, aims = found.nodule, found.aims
         say(f"target: {found.words}")
     else:

@@ -16,7 +16,7 @@ from carina.export.plan_markups import write_plan_markups
 from carina.export.plan_nrrd import write_target_nrrd
 from carina.export.tree_file import read_badges, read_tree, write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
-from carina.export.video import VIDEO_SUFFIXES, VideoWriter, even_size, size_notes
+from carina.export.video import VIDEO_SUFFIXES, VideoWriter
 
 if TYPE_CHECKING:
     from carina.export.plan_dicom_pdf import write_plan_pdf
@@ -40,7 +40,6 @@ __all__ = [
     "Film",
     "PlanServer",
     "VideoWriter",
-    "even_size",
     "export_airways",
     "export_format",
     "export_plan",
@@ -50,7 +49,6 @@ __all__ = [
     "read_badges",
     "read_tree",
     "send_plan",
-    "size_notes",
     "write_film",
     "write_markups",
     "write_mask",

@@ -152,7 +152,8 @@ def _several(file: Path, labels: tuple[MaskLabel, ...], why: str) -> MaskLabelEr
     listed = ", ".join(f"{label.number} ({label.name})" if label.name else str(label.number) for label in labels[:12])
     more = f" and {len(labels) - 12} more" if len(labels) > 12 else ""
     return MaskLabelError(
-        f"reading {file.name}: it contains the structures {listed}{more}; {why}; choose one by its number or name",
+        f"reading {file.name}: it contains the structures {listed}{more}; {why}; choose one by its number or name "
+        "(--structure, or structure= in Python)",
         labels,
     )
 

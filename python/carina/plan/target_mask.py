@@ -139,7 +139,7 @@ def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[D
             more = f" and {len(large) - 4} more" if len(large) > 4 else ""
             raise NoResultError(
                 f"the mask has {len(large)} separate parts ({listed}{more}); a target is one nodule: give a point in "
-                "the one that is meant, or a mask of it alone",
+                "the intended part (--part, or at_lps= in Python), or a mask of it alone",
                 code="plan.mask-parts",
             )
         chosen = large[0]

@@ -1,7 +1,8 @@
-"""DICOM Segmentation objects (PS3.3 A.51, C.8.20): frames placed by where they lie, never by their order."""
+"""DICOM Segmentation objects (PS3.3 A.51, C.8.20): bit planes, fractions and label maps, placed by frame position."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,71 +12,203 @@ from numpy.typing import NDArray
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import read_dataset
 from carina.volume.limits import MAX_VOXELS
+from carina.volume.model import Volume
 from carina.volume.watch import Watch
 
-__all__ = ["read_segmentation"]
+__all__ = ["Segmentation", "read_segmentation"]
 
 _SEGMENTATION_STORAGE = "1.2.840.10008.5.1.4.1.1.66.4"
+_LABEL_MAP_STORAGE = "1.2.840.10008.5.1.4.1.1.66.7"
+_TYPES = ("BINARY", "FRACTIONAL", "LABELMAP")
 # Of the distance of two planes: rounding of decimal strings.
 _PLANE = 0.05
+# Of a direction: two axes are parallel (0.06 degrees).
+_PARALLEL = 1e-3
 _WIDEST_MM = 100.0
+_LARGEST_NUMBER = 65535
+_UNREADABLE = (ValueError, RuntimeError, AttributeError, NotImplementedError, TypeError, KeyError, IndexError)
 
 
-def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDArray[np.float64], dict[int, str]]:
-    """The segments of a DICOM SEG file.
+class Segmentation:
+    """The segments of a DICOM SEG file on the smallest regular grid that holds all frames.
 
-    Returns
-    -------
-    labels_zyx, lps_from_ijk, names
-        Segment numbers on the smallest regular grid that holds all frames (frames that are left out are empty), its 4x4
-        transform (mm), and the segments' labels.
+    Segments may overlap. A plane without a frame is empty (PS3.3 C.8.20.2.3.2 lets writers omit empty frames).
+    """
+
+    def __init__(self, path: Path, data: Any, places: _Places, shape: tuple[int, int, int]) -> None:
+        self._path, self._places, self._shape = path, places, shape
+        self._kind = _kind(data)
+        self._pixels = _Pixels(path, data, self._kind, shape)
+        self._is_probability = str(data.get("SegmentationFractionalType", "")).upper() == "PROBABILITY"
+        self.lps_from_ijk = places.lps_from_ijk
+        """4x4, voxel (0, 0, 0) at the centre of the first pixel of the first plane."""
+        self.names = _names(path, data)
+        """Labels of the described segments."""
+        self.notes = places.notes
+        """What was done to place the frames, in words."""
+        self.num_voxels: dict[int, int] = {}
+        """Voxels of each segment that is not empty."""
+        for frame, segment in zip(self._pixels, places.segments, strict=True):
+            numbers = ((segment, int(np.count_nonzero(frame))),) if segment is not None else _counted(frame)
+            for number, count in numbers:
+                if count and number != self._pixels.background:
+                    self.num_voxels[number] = self.num_voxels.get(number, 0) + count
+
+    def inside(self, number: int) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
+        """Return the voxels ``[z, y, x]`` of one segment, whatever other segments hold, and notes on it.
+
+        Raises
+        ------
+        VolumeImportError
+            If two frames of the segment have one position and differ (code ``import.mask``).
+        """
+        _, rows, columns = self._shape
+        found = np.zeros((self._places.num_planes, rows, columns), dtype=bool)
+        taken: set[int] = set()
+        num_copies = 0
+        for frame, plane, segment in zip(
+            self._pixels, self._places.planes.tolist(), self._places.segments, strict=True
+        ):
+            if segment is not None and segment != number:
+                continue
+            here = frame if segment is not None else frame == number
+            if plane in taken:
+                if not np.array_equal(found[plane], here):
+                    problem = f"two frames of segment {number} have the same position and differ"
+                    raise _refused(self._path, problem, "export one time point or one version of the segment")
+                num_copies += 1
+            taken.add(plane)
+            found[plane] = here
+        notes = []
+        if num_copies:
+            notes.append(f"{num_copies} of its frames were stored twice and were read once")
+        if self._pixels.is_graded:
+            what = "probabilities" if self._is_probability else "occupancies"
+            notes.append(f"it holds {what}; voxels of at least 50 % were taken as inside")
+        return found, tuple(notes)
+
+
+def read_segmentation(path: Path, watch: Watch, *, volume: Volume | None = None) -> Segmentation:
+    """Read the segments of a DICOM SEG file (BINARY, FRACTIONAL or LABELMAP).
+
+    Parameters
+    ----------
+    volume
+        The CT. The distance of its slices is used where the file does not give that of its planes.
 
     Raises
     ------
     VolumeImportError
-        If it is not a segmentation, its segments overlap, or its frames do not lie on one grid.
+        If the file is not a segmentation, is damaged, or if its frames are not on one grid (code ``import.mask``).
     """
     watch.step("Reading the segmentation")
     try:
         data = read_dataset(path, pixels=True)
     except ValueError as error:
         raise _refused(path, f"it {error}", "copy or export it again") from None
-    if str(data.get("SOPClassUID", "")) != _SEGMENTATION_STORAGE:
+    try:
+        return _read(path, data, volume, watch)
+    except (*_UNREADABLE, OverflowError) as error:
+        if isinstance(error, VolumeImportError):
+            raise
+        raise _refused(path, "its header is damaged", "copy or export it again") from None
+
+
+def _read(path: Path, data: Any, volume: Volume | None, watch: Watch) -> Segmentation:
+    if str(data.get("SOPClassUID", "")) not in (_SEGMENTATION_STORAGE, _LABEL_MAP_STORAGE):
         raise _refused(path, "it is DICOM, but not a segmentation (SEG)", "choose the SEG file, or export it as NIfTI")
-    if str(data.get("SegmentationType", "BINARY")) != "BINARY":
+    kind = _kind(data)
+    if kind not in _TYPES:
         raise _refused(
-            path, "its segments are fractional (probabilities or occupancies)", "export a binary segmentation"
+            path, "its SegmentationType is not BINARY, FRACTIONAL or LABELMAP", "export a binary segmentation"
         )
-    names = {int(s.SegmentNumber): _plain(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence", [])}
-    if len(names) > 255 or any(not 0 < number <= 255 for number in names):
-        raise _refused(path, f"it has {len(names)} segments; expected at most 255", "export only the airway segment")
     rows, columns, num_frames = (int(data.get(key, 0) or 0) for key in ("Rows", "Columns", "NumberOfFrames"))
-    if min(rows, columns, num_frames) < 1 or rows * columns * num_frames > MAX_VOXELS * max(1, len(names)):
+    num_segments = len(data.get("SegmentSequence") or [])
+    if min(rows, columns, num_frames) < 1 or rows * columns * num_frames > MAX_VOXELS * max(1, num_segments):
         problem = f"it claims {num_frames} frames of {columns} x {rows} pixels, which is implausible"
         raise _refused(path, problem, "export it again")
-    places = _Places(path, data, num_frames)
-    watch.step("Unpacking the segmentation", None)
-    try:
-        frames = np.asarray(data.pixel_array).reshape(num_frames, rows, columns) != 0
-    except (ValueError, RuntimeError, AttributeError, NotImplementedError, TypeError):
-        raise _refused(path, "its pixels cannot be read", "export it again without compression") from None
+    places = _Places(path, data, num_frames, kind, volume)
     if places.num_planes * rows * columns > MAX_VOXELS:
         raise _refused(path, f"its frames span {places.num_planes} planes, which is implausible", "export it again")
-    labels = np.zeros((places.num_planes, rows, columns), dtype=np.uint8)
-    for frame, plane, segment in zip(frames, places.planes, places.segments, strict=True):
-        taken = labels[plane]
-        if (frame & (taken != 0) & (taken != segment)).any():
-            raise _refused(path, "its segments overlap", "export only the airway segment")
-        taken[frame] = segment
-    return labels, places.lps_from_ijk, names
+    watch.step("Unpacking the segmentation", None)
+    found = Segmentation(path, data, places, (num_frames, rows, columns))
+    if not found.num_voxels and kind == "FRACTIONAL":
+        raise _refused(path, "no voxel of its fractional segments reaches 50 %", "export a binary segmentation")
+    return found
+
+
+def _kind(data: Any) -> str:
+    """The segmentation type; files before 2009 and some writers leave it out."""
+    default = "LABELMAP" if str(data.get("SOPClassUID", "")) == _LABEL_MAP_STORAGE else "BINARY"
+    return str(data.get("SegmentationType") or default).strip().upper()
+
+
+def _names(path: Path, data: Any) -> dict[int, str]:
+    names = {int(s.SegmentNumber): _plain(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence") or []}
+    if any(not 0 <= number <= _LARGEST_NUMBER for number in names):
+        raise _refused(path, f"it has segment numbers outside 0 to {_LARGEST_NUMBER}", "export it again")
+    return names
+
+
+def _counted(frame: NDArray[Any]) -> list[tuple[int, int]]:
+    numbers, counts = np.unique(frame, return_counts=True)
+    return [(int(number), int(count)) for number, count in zip(numbers, counts, strict=True)]
+
+
+class _Pixels:
+    """The frames of a segmentation: bool for a segment of its own, numbers for a label map."""
+
+    def __init__(self, path: Path, data: Any, kind: str, shape: tuple[int, int, int]) -> None:
+        self._path, self._kind, self._shape = path, kind, shape
+        self.background = int(data.get("PixelPaddingValue", 0) or 0) if kind == "LABELMAP" else -1
+        """The number of a label map that is no segment (PS3.3 C.8.20.2)."""
+        self.is_graded = False
+        """Whether fractions other than nothing and all occur."""
+        self._bits: NDArray[np.uint8] | None = None
+        self._frames: NDArray[Any] = np.empty(0)
+        self._largest = 0
+        bits = int(data.get("BitsAllocated", 0) or 0)
+        if kind == "FRACTIONAL":
+            self._largest = int(data.get("MaximumFractionalValue", 0) or 0)
+            if bits != 8 or not 0 < self._largest <= 255:
+                problem = "its segments are fractional, but it does not say which number means all (8 bits expected)"
+                raise _refused(path, problem, "export a binary segmentation")
+        if kind == "BINARY" and bits == 1 and not data.file_meta.TransferSyntaxUID.is_compressed:
+            # Frames of single bits follow each other without padding (PS3.5 8.2), so that one can be read alone.
+            self._bits = np.frombuffer(data.PixelData, dtype=np.uint8)
+            if self._bits.size * 8 < shape[0] * shape[1] * shape[2]:
+                raise _refused(path, "its pixels cannot be read: some are missing", "copy or export it again")
+            return
+        try:
+            self._frames = np.asarray(data.pixel_array).reshape(shape)
+        except _UNREADABLE:
+            raise _refused(path, "its pixels cannot be read", "export it again without compression") from None
+        if kind == "FRACTIONAL":
+            self.is_graded = bool(((self._frames != 0) & (self._frames != self._largest)).any())
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        num, rows, columns = self._shape
+        size = rows * columns
+        for n in range(num):
+            if self._bits is not None:
+                start = n * size
+                part = self._bits[start // 8 : (start + size + 7) // 8]
+                frame = np.unpackbits(part, bitorder="little")[start % 8 : start % 8 + size]
+                yield frame.reshape(rows, columns) != 0
+            elif self._kind == "BINARY":
+                yield self._frames[n] != 0
+            elif self._kind == "FRACTIONAL":
+                yield 2 * self._frames[n].astype(np.int32) >= self._largest
+            else:
+                yield self._frames[n]
 
 
 class _Places:
-    """Where the frames lie: one stack of parallel planes at equal distances."""
+    """Where the frames are: one stack of parallel planes at equal distances."""
 
-    def __init__(self, path: Path, data: Any, num_frames: int) -> None:
+    def __init__(self, path: Path, data: Any, num_frames: int, kind: str, volume: Volume | None) -> None:
         shared = _first(data, "SharedFunctionalGroupsSequence")
-        groups = list(data.get("PerFrameFunctionalGroupsSequence", []))
+        groups = list(data.get("PerFrameFunctionalGroupsSequence") or [])
         if len(groups) != num_frames:
             raise _refused(path, f"it has {num_frames} frames but {len(groups)} frame descriptions", "export it again")
         try:
@@ -87,35 +220,55 @@ class _Places:
             measures = [_item(g, shared, "PixelMeasuresSequence", "PixelSpacing") for g in groups]
             spacing = np.array(measures, dtype=np.float64).reshape(num_frames, 2)
             self.segments = [
-                int(_item(g, shared, "SegmentIdentificationSequence", "ReferencedSegmentNumber")) for g in groups
+                None
+                if kind == "LABELMAP"
+                else int(_item(g, shared, "SegmentIdentificationSequence", "ReferencedSegmentNumber"))
+                for g in groups
             ]
-        except (KeyError, TypeError, ValueError):
+            """The segment of each frame; None in a label map."""
+        except (KeyError, TypeError, ValueError, AttributeError):
             problem = "a frame lacks its position, orientation, pixel spacing or segment number"
             raise _refused(path, problem, "export it again") from None
         if not (spacing.min() > 0.0 and spacing.max() < _WIDEST_MM):
             raise _refused(path, f"its pixel spacing is implausible ({spacing.max():g} mm)", "export it again")
-        if not all(0 < number <= 255 for number in self.segments):
+        known = {int(s.SegmentNumber) for s in data.get("SegmentSequence") or []}
+        if any(number is not None and (number not in known or number < 1) for number in self.segments):
             raise _refused(path, "its frames refer to segments that do not exist", "export it again")
         along, down = orientation[0, :3], orientation[0, 3:]
         normal = np.cross(along, down)
         straight = np.allclose([along @ along, down @ down, along @ down], [1.0, 1.0, 0.0], atol=1e-3)
         if not straight or np.ptp(orientation, axis=0).max() > 1e-4 or np.ptp(spacing, axis=0).max() > 1e-4:
             raise _refused(path, "its frames are not parallel", "export it again")
-        heights = position @ normal
-        levels = np.unique(np.round(heights, 3))
-        # Frames may be left out, so their distances need not tell; overlapping slices are thicker than their distance.
-        gap = _length(groups[0], shared, "SpacingBetweenSlices")
-        if gap is None:
-            single = _length(groups[0], shared, "SliceThickness") or 1.0
-            gap = float(np.diff(levels).min()) if len(levels) > 1 else single
-        planes = np.rint((heights - levels[0]) / gap)
-        off = np.abs(position - (position[np.argmin(heights)] + np.outer(planes * gap, normal))).max()
-        if not (gap > 0.0 and np.isfinite(position).all() and off <= _PLANE * max(gap, spacing.max())):
+        if not np.isfinite(position).all():
             raise _refused(path, "its frames are not on one regular grid", "export it again")
+        heights = position @ normal
+        self._first = position[np.argmin(heights)]
+        levels = np.unique(np.round(heights, 3))
+        claimed = _length(groups[0], shared, "SpacingBetweenSlices")
+        self.notes: tuple[str, ...] = ()
+        gaps = [claimed, _slice_mm(volume, normal)]
+        # Frames may be left out, so their distances alone need not tell the distance of the planes; and overlapping
+        # slices are thicker than their distance.
+        gaps.append(float(np.diff(levels).min()) if len(levels) > 1 else _length(groups[0], shared, "SliceThickness"))
+        for gap in (*gaps, 1.0):
+            if gap is None or gap <= 0.0:
+                continue
+            planes = np.rint((heights - levels[0]) / gap)
+            off = np.abs(position - (self._first + np.outer(planes * gap, normal))).max()
+            # Two levels in one plane: the distance is too large for them.
+            apart = len(np.unique(planes)) == len(levels)
+            if apart and off <= _PLANE * gap:
+                break
+        else:
+            raise _refused(path, "its frames are not on one regular grid", "export it again")
+        if claimed is not None and abs(gap - claimed) > 1e-6:
+            self.notes = (
+                f"its SpacingBetweenSlices ({claimed:g} mm) contradicts the positions of its frames ({gap:g} mm "
+                "apart), which were used",
+            )
         self.planes = planes.astype(int)
         self.num_planes = int(self.planes.max()) + 1
         self._axes = (along * spacing[0, 1], down * spacing[0, 0], normal * gap)
-        self._first = position[np.argmin(heights)]
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
@@ -125,6 +278,18 @@ class _Places:
             matrix[:3, axis] = self._axes[axis]
         matrix[:3, 3] = self._first
         return matrix
+
+
+def _slice_mm(volume: Volume | None, normal: NDArray[np.float64]) -> float | None:
+    """The distance of a CT's voxels along the normal of a segmentation's planes; None if no axis is parallel to it."""
+    if volume is None:
+        return None
+    for axis in range(3):
+        step = volume.lps_from_ijk[:3, axis]
+        length = float(np.linalg.norm(step))
+        if np.linalg.norm(np.cross(step / length, normal)) <= _PARALLEL:
+            return length
+    return None
 
 
 def _first(data: Any, name: str) -> Any:
@@ -151,7 +316,7 @@ def _length(group: Any, shared: Any, name: str) -> float | None:
 
 
 def _plain(name: str) -> str:
-    """A segment's name as it may be shown: DICOM allows 64 characters, and what no text has would end a message."""
+    """A segment's name for messages: at most 64 characters, as DICOM allows, all printable."""
     return "".join(c if c.isprintable() else " " for c in name[:64]).strip()
 
 

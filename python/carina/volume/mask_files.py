@@ -15,7 +15,7 @@ from carina.volume.dicom_start import looks_like_dicom
 from carina.volume.grid_files import read_grid_array
 from carina.volume.grid_headers import sniff_format
 from carina.volume.guarding import guarded
-from carina.volume.model import Note, Volume
+from carina.volume.model import Volume
 from carina.volume.watch import Watch
 
 __all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
@@ -128,26 +128,41 @@ def open_mask(
     watch = Watch(progress, cancel)
 
     def read(where: Path) -> Mask:
-        labels, lps_from_mask, names, said = _labels(where, watch)
-        voxel_ml = abs(float(np.linalg.det(lps_from_mask[:3, :3]))) / 1000.0
-        chosen = _chosen(where, labels, names, label, voxel_ml)
-        placed = _placed(where, labels == chosen, lps_from_mask, volume, resample=resample, watch=watch)
-        return replace(placed, notes=(*(f"the segmentation: {note.words}" for note in said), *placed.notes))
+        found = _labels(where, volume, watch)
+        voxel_ml = abs(float(np.linalg.det(found.lps_from_mask[:3, :3]))) / 1000.0
+        chosen = _chosen(where, found, label, voxel_ml)
+        inside, said = found.inside(chosen)
+        placed = _placed(where, inside, found.lps_from_mask, volume, resample=resample, watch=watch)
+        notes = tuple(f"the segmentation: {words}" for words in (*found.notes, *said))
+        return replace(placed, notes=(*notes, *placed.notes))
 
     return guarded(Path(path).expanduser(), read)
 
 
-def _labels(
-    path: Path, watch: Watch
-) -> tuple[NDArray[np.generic], NDArray[np.float64], dict[int, str], tuple[Note, ...]]:
-    """Whole numbers ``[z, y, x]``, their place, the names of the labels where the file has them, and notes on it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Labels:
+    """The structures of a file."""
+
+    num_voxels: dict[int, int]
+    """Voxels of each structure that is not empty."""
+    inside: Callable[[int], tuple[NDArray[np.bool_], tuple[str, ...]]]
+    """Returns the voxels ``[z, y, x]`` of one structure, and notes on it."""
+    lps_from_mask: NDArray[np.float64]
+    names: dict[int, str]
+    """Names of the structures, where the file has them."""
+    notes: tuple[str, ...]
+
+
+def _labels(path: Path, volume: Volume, watch: Watch) -> _Labels:
+    """Read the structures of a file and where they are."""
     if not path.exists():
         msg = f"reading the segmentation {path.name}: there is no such file; check the path {path}"
         raise VolumeImportError(msg, code="import.not-found")
     if path.is_file() and looks_like_dicom(path):
         from carina.volume.dicom_segmentation import read_segmentation  # its libraries are slow to load
 
-        return *read_segmentation(path, watch), ()
+        seg = read_segmentation(path, watch, volume=volume)
+        return _Labels(seg.num_voxels, seg.inside, seg.lps_from_ijk, seg.names, seg.notes)
     kind = sniff_format(path) if path.is_file() else None
     if kind not in ("nifti", "nrrd", "metaimage"):
         msg = (
@@ -171,13 +186,16 @@ def _labels(
             )
             raise VolumeImportError(msg, code="import.mask")
         values = values.astype(np.int32)
-    return values, header.lps_from_ijk, {}, notes
-
-
-def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], label: int | None, voxel_ml: float) -> int:
-    numbers, counts = np.unique(labels, return_counts=True)
+    numbers, counts = np.unique(values, return_counts=True)
     sizes = {int(number): int(count) for number, count in zip(numbers, counts, strict=True) if number != 0}
-    present = list(sizes)
+    return _Labels(
+        sizes, lambda number: (values == number, ()), header.lps_from_ijk, {}, tuple(note.words for note in notes)
+    )
+
+
+def _chosen(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> int:
+    sizes, names = found.num_voxels, found.names
+    present = sorted(sizes)
     if not present:
         msg = f"reading the segmentation {path.name}: it is empty (all voxels are 0); export the segmentation again"
         raise VolumeImportError(msg, code="import.mask")
@@ -194,7 +212,10 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
         return label
     listed = ", ".join(f"{n} ({names[n]})" if n in names else str(n) for n in present[:12])
     more = f" and {len(present) - 12} more" if len(present) > 12 else ""
-    asked = "choose the airway label" if label is None else f"{label} is not among them; choose the airway label"
+    asked = "choose the airway label"
+    if label is not None:
+        missing = f"{label} ({names[label]}) is empty" if label in names else f"{label} is not among them"
+        asked = f"{missing}; choose the airway label"
     msg = (
         f"reading the segmentation {path.name}: it contains the labels {listed}{more}; {asked} "
         "(--label, or label=N in Python)"
