@@ -6,6 +6,7 @@ crates and with the web client; ``exit_code`` is what the command line returns (
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ __all__ = [
     "check_type",
     "error_of",
     "kind_of",
+    "without_options",
 ]
 
 
@@ -190,3 +192,14 @@ def check_type(where: str, name: str, value: object, kinds: type | tuple[type, .
         raise UsageError(
             f"{where}: {name}: expected {expected}; found {type(value).__name__}; {remedy}", code="usage.type"
         )
+
+
+def without_options(message: str) -> str:
+    """Return a message without the command line's options, for the window, which has none.
+
+    Examples
+    --------
+    >>> without_options("choose one (--label, or label=N in Python)")
+    'choose one'
+    """
+    return re.sub(r" \(--[^()]*\)", "", message)

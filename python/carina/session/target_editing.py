@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from carina import commands as c
 from carina.case.document import Lesion, Target
-from carina.errors import UsageError
+from carina.errors import CarinaError, UsageError, without_options
 from carina.plan import (
     Nodule,
     PlanTarget,
@@ -85,15 +85,19 @@ class TargetEditing(Subject):
         def work(job: Job) -> None:
             from carina.plan import target_from_file  # its readers are slow to load
 
-            told = target_from_file(
-                command.path,
-                case.info.volume,
-                structure=named,
-                ct=ct_of(case),
-                target_id=f"target-{number}",
-                progress=job.progress,
-                cancel=job.cancel,
-            )
+            try:
+                told = target_from_file(
+                    command.path,
+                    case.info.volume,
+                    structure=named,
+                    ct=ct_of(case),
+                    target_id=f"target-{number}",
+                    progress=job.progress,
+                    cancel=job.cancel,
+                )
+            except CarinaError as trouble:
+                trouble.args = (without_options(str(trouble)), *trouble.args[1:])
+                raise
             with self.core.lock:
                 job.check()
                 self._add(case, Target(told.target_id, told.name, told.nodule.middle_lps, lesion=Lesion(told)))
