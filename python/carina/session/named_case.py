@@ -63,7 +63,7 @@ class NamedCase:
                 self.note = str(conflict)
             if self.note is None and _records().open_elsewhere(self.path) is not None:
                 self.note = (
-                    f"{path.name} is open in a Carina window: changes made here can only be saved under another name"
+                    f"The file {path.name} is open in a Carina window: changes made here can only be saved under another name"
                 )
                 self._named.close()
             self._scratch = ScratchFolder()
@@ -143,7 +143,7 @@ class NamedCase:
         except NamedFileConflictError as conflict:
             beside = self.save(volume, moment, path_beside(conflict.path), replace=False, flights=flights)
             raise NamedFileConflictError(
-                f"{conflict.path.name} was not written, because its content was changed elsewhere. This program's "
+                f"The file {conflict.path.name} was not written, because its content was changed elsewhere. This program's "
                 f"changes are saved in {beside}",
                 conflict.path,
                 conflict.kind,

@@ -238,7 +238,7 @@ class NamedFile:
         except LockedElsewhereError as trouble:
             by = "" if trouble.owner is None else f" (by {trouble.owner})"
             raise NamedFileConflictError(
-                f"{self.path.name} is open for editing elsewhere{by}. {self._where_work_is}, and not in "
+                f"The file {self.path.name} is open for editing elsewhere{by}. {self._where_work_is}, and not in "
                 f"{self.path.name}: close it there, or save under another name",
                 self.path,
                 "open-elsewhere",
@@ -258,7 +258,7 @@ class NamedFile:
             if self.mark is None or may_be_missing:
                 return
             raise NamedFileConflictError(
-                f"{self.path.name} is no longer in {self.path.parent}: it was moved, renamed or deleted. "
+                f"The file {self.path.name} is no longer in {self.path.parent}: it was moved, renamed or deleted. "
                 f"{self._where_work_is}: save again to write the file",
                 self.path,
                 "missing",
@@ -301,7 +301,7 @@ class NamedFile:
         kind, found = _described(place, self._ct_digest)
         now = "already exists: it contains" if self.mark is None else "was changed elsewhere: it now contains"
         return NamedFileConflictError(
-            f"{self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save beside it, open "
+            f"The file {self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save beside it, open "
             "the other version, or replace it (the replaced file is kept)",
             self.path,
             kind,

@@ -304,7 +304,7 @@ class Saving(Subject):
         if any(one.copy_path == path for one in records):
             self.core.emit(
                 Said(
-                    f"{case.path.name} was changed since this computer saved it last: it is opened as a new case. The "
+                    f"The file {case.path.name} was changed since this computer saved it last: it is opened as a new case. The "
                     "earlier case stays in the list of recent cases"
                 )
             )
