@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from carina.case.schema import JOURNALS
+from carina.case.journals import check_files
 from carina.case.trouble import CaseFileError, damaged, refused
-from carina.disk import disk_trouble
+from carina.disk import disk_trouble, open_regular
 from carina.errors import CarinaError, DiskError
 
 __all__ = [
-    "beside",
+    "check_header",
     "check_whole",
     "connected",
-    "copied_with_journal",
-    "has_journal",
-    "needed_header",
     "no_surprise",
     "set_up",
     "told",
     "transaction",
 ]
 
-COPY_AGAIN: Final = 5
-"""How often a file is copied again that was written to meanwhile."""
 MAX_VALUE_BYTES: Final = 128 << 20
 """Of one text or blob: a chunk of a packed CT is at most half as large."""
 MAX_SQL_BYTES: Final = 20_000
@@ -160,17 +154,21 @@ def no_surprise() -> Iterator[None]:
         raise damaged("content", "values as described in docs/case-file.md", found) from trouble
 
 
-def needed_header(path: Path) -> None:
-    """Refuse what is no database at all."""
-    with path.open("rb") as file:
+def check_header(path: Path) -> None:
+    """Refuse a path that is not a database: by its kind, its journals and its first bytes.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.not-a-case``, or ``case.damaged`` if a journal beside it is not a journal of SQLite.
+    OSError
+        If it cannot be read.
+    """
+    check_files(path)
+    with open_regular(path) as file:
         head = file.read(16)
     if head != b"SQLite format 3\x00":
         raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
-
-
-def has_journal(path: Path) -> bool:
-    """Whether it was not closed: its last changes stand in a journal beside it."""
-    return any(beside(path, tail).exists() for tail in JOURNALS)
 
 
 def check_whole(connection: sqlite3.Connection, path: Path) -> None:
@@ -181,34 +179,3 @@ def check_whole(connection: sqlite3.Connection, path: Path) -> None:
             f"it is damaged ({str(found[0])[:120]}); open an earlier copy, or rescue the intact parts of this one",
             code="case.damaged",
         )
-
-
-def beside(path: Path, tail: str) -> Path:
-    return path.with_name(path.name + tail)
-
-
-def copied_with_journal(path: Path, folder: Path) -> Path:
-    """The file with its journal in a folder of ours, as they were at one moment."""
-    parts = [path, *(beside(path, tail) for tail in JOURNALS)]
-    for _ in range(COPY_AGAIN):
-        before = [_stamp(part) for part in parts]
-        for part, stamp in zip(parts, before, strict=True):
-            target = folder / ("case.carina" + part.name[len(path.name) :])
-            target.unlink(missing_ok=True)
-            if stamp is not None:
-                shutil.copyfile(part, target)
-        if [_stamp(part) for part in parts] == before:
-            return folder / "case.carina"
-    raise refused(
-        path,
-        "another program keeps changing it; close the case in that program, or try again in a moment",
-        code="case.read-only",
-    )
-
-
-def _stamp(path: Path) -> tuple[int, int, int] | None:
-    try:
-        found = path.stat()
-    except FileNotFoundError:
-        return None
-    return found.st_ino, found.st_size, found.st_mtime_ns

@@ -15,16 +15,15 @@ from typing import Any, Final
 
 from carina.case import facts as f
 from carina.case.database import (
+    check_header,
     check_whole,
     connected,
-    copied_with_journal,
-    has_journal,
-    needed_header,
     no_surprise,
     set_up,
     told,
     transaction,
 )
+from carina.case.journals import copied_with_journal, has_journal
 from carina.case.moment import Moment
 from carina.case.packed_ct import packed_volume, write_ct
 from carina.case.packing import as_checked_json, from_json
@@ -168,7 +167,7 @@ class CaseFile:
         """
         place = Path(path)
         with told(place), contextlib.ExitStack() as undo:
-            needed_header(place)
+            check_header(place)
             left = has_journal(place)
             scratch: ScratchFolder | None = None
             looked_at = place

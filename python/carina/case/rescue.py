@@ -13,11 +13,12 @@ import msgspec
 import numpy as np
 
 from carina.case import facts as f
-from carina.case.database import connected, copied_with_journal, needed_header, no_surprise, told
+from carina.case.database import check_header, connected, no_surprise, told
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.facts import TargetFacts
 from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
 from carina.case.history import Step
+from carina.case.journals import copied_with_journal
 from carina.case.moment import Moment
 from carina.case.packed_ct import packed_volume
 from carina.case.packing import from_json
@@ -64,7 +65,7 @@ def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
     """
     place = Path(path)
     with told(place), ScratchFolder() as folder:
-        needed_header(place)
+        check_header(place)
         copy = copied_with_journal(place, folder)
         with contextlib.closing(connected(copy, "rw")) as connection:
             return _Rescue(connection, place).write(Path(target))

@@ -13,7 +13,6 @@ from carina.case.trouble import refused
 __all__ = [
     "APPLICATION_ID",
     "CONTENT",
-    "JOURNALS",
     "MIGRATIONS",
     "SCHEMA",
     "SINCE",
@@ -26,7 +25,6 @@ __all__ = [
 APPLICATION_ID: Final = 0x43415249
 """``CARI``."""
 SCHEMA: Final = 2
-JOURNALS: Final = ("-wal", "-journal")
 Standing = Literal["ours", "older", "newer"]
 # What is content is kept once, found by its digest, and never changed; what points to it does so by its id.
 _CONTENT = "id INTEGER PRIMARY KEY, digest BLOB NOT NULL UNIQUE"

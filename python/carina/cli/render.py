@@ -17,6 +17,7 @@ from carina.cli.console import interruptible, print_json, progress_printer, say
 from carina.cli.opened import Opened, check_case_options, opened
 from carina.cli.optics import SeenThrough
 from carina.config import load_settings
+from carina.disk import open_regular_text
 from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.render import (
     LEAD_VIEW,
@@ -52,7 +53,7 @@ def chosen_transfer(text: str | None) -> TransferFunction | None:
     if not text.endswith(".json"):
         return transfer_preset(text)
     try:
-        with Path(text).open(encoding="utf-8") as file:
+        with open_regular_text(text) as file:
             document = file.read(MAX_TRANSFER_BYTES + 1)
         if len(document) > MAX_TRANSFER_BYTES:
             raise VolumeImportError(f"{text}: too large for a transfer function", code="render.transfer")

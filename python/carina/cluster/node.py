@@ -18,7 +18,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from carina.disk import make_folder, write_whole
+from carina.disk import make_folder, open_regular, write_whole
 from carina.errors import ClusterError, UsageError
 
 __all__ = [
@@ -95,7 +95,9 @@ def check_token(path: Path) -> Path:
             f"programs on this machine; run chmod 600 {path}"
         )
         raise ClusterError(msg, code="cluster.token")
-    if len(path.read_text(encoding="ascii", errors="replace").strip()) < 16:
+    with open_regular(path) as file:
+        token = file.read(4096).decode(encoding="ascii", errors="replace").strip()
+    if len(token) < 16:
         raise ClusterError(f"the token in {path} is too short: expected 16 characters or more", code="cluster.token")
     return path
 

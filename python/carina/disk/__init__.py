@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 from carina.disk.drafts import Draft, Placement, drafted, make_folder, sweep_drafts, sync_folder, write_whole
+from carina.disk.regular_files import (
+    check_regular,
+    open_regular,
+    open_regular_text,
+    read_regular_text,
+    special_kind,
+)
 from carina.disk.scratch import ScratchFolder, scratch_folder, sweep_scratch
 from carina.disk.trouble import disk_trouble, is_disk_trouble, say_size
 
@@ -10,12 +17,17 @@ __all__ = [
     "Draft",
     "Placement",
     "ScratchFolder",
+    "check_regular",
     "disk_trouble",
     "drafted",
     "is_disk_trouble",
     "make_folder",
+    "open_regular",
+    "open_regular_text",
+    "read_regular_text",
     "say_size",
     "scratch_folder",
+    "special_kind",
     "sweep_drafts",
     "sweep_scratch",
     "sync_folder",

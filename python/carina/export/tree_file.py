@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from carina.disk import write_whole
+from carina.disk import read_regular_text, write_whole
 from carina.errors import TrackingError, VolumeImportError, check_type
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume import Note
@@ -76,10 +76,14 @@ def read_badges(path: Path | str) -> tuple[Note, ...]:
 def _read(path: Path | str) -> AirwayTree:
     source = Path(path)
     try:
-        if source.stat().st_size > MAX_BYTES:
+        try:
+            text = read_regular_text(source, max_bytes=MAX_BYTES)
+        except VolumeImportError as error:
+            if error.code != "disk.too-large":
+                raise
             msg = f"{source}: too large for an airway tree ({source.stat().st_size} bytes)"
-            raise VolumeImportError(msg, code="track.tree-format")
-        document = json.loads(source.read_text(encoding="utf-8"), parse_constant=_no_nan)
+            raise VolumeImportError(msg, code="track.tree-format") from None
+        document = json.loads(text, parse_constant=_no_nan)
         return AirwayTree.from_json(document)
     except OSError as error:
         if isinstance(error, VolumeImportError):

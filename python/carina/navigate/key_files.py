@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from carina.commands.fields import Through
+from carina.disk import read_regular_text
 from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.navigate.key_frames import KeyFrame, KeyFrameFlight
@@ -116,9 +117,13 @@ def open_key_frames(path: str | Path) -> KeyFrameFile:
     """
     place = Path(path)
     try:
-        if place.stat().st_size > MAX_BYTES:
-            raise VolumeImportError(f"{place.name}: too large for a key-frame file", code="navigate.keys")
-        document = json.loads(place.read_text(encoding="utf-8"))
+        try:
+            text = read_regular_text(place, max_bytes=MAX_BYTES)
+        except VolumeImportError as trouble:
+            if trouble.code != "disk.too-large":
+                raise
+            raise VolumeImportError(f"{place.name}: too large for a key-frame file", code="navigate.keys") from None
+        document = json.loads(text)
         if document["format"] != FORMAT or document["version"] not in {1, VERSION}:
             raise ValueError(f"expected the format {FORMAT}, version 1 or {VERSION}")
         return _timed(document) if document["version"] == 1 else _with_speeds(document)

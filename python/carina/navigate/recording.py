@@ -19,6 +19,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.disk import open_regular_text
 from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.navigate import moves as m
@@ -328,7 +329,7 @@ def open_recording(path: str | Path) -> Recording:
     try:
         if place.stat().st_size > MAX_BYTES:
             raise _refused(place, f"it is larger than {MAX_BYTES >> 20} MiB")
-        with place.open(encoding="utf-8") as file:
+        with open_regular_text(place) as file:
             return read_recording(file, place)
     except VolumeImportError:
         raise  # it is an OSError as well

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from carina.errors import UsageError
+from carina.disk import read_regular_text
+from carina.errors import CarinaError, UsageError, VolumeImportError
 
 __all__ = ["OwnFile"]
 
@@ -35,11 +36,11 @@ class OwnFile:
         """
         file = Path(path)
         try:
-            if file.stat().st_size > MOST_BYTES:
-                raise UsageError(f"{file.name}: expected at most {MOST_BYTES} bytes", code="plan.own-file")
-            return cls(file.name, json.loads(file.read_text(encoding="utf-8")))
+            return cls(file.name, json.loads(read_regular_text(file, max_bytes=MOST_BYTES)))
         except (OSError, ValueError, RecursionError) as error:
-            if isinstance(error, UsageError):
+            if isinstance(error, VolumeImportError) and error.code == "disk.too-large":
+                raise UsageError(f"{file.name}: expected at most {MOST_BYTES} bytes", code="plan.own-file") from None
+            if isinstance(error, CarinaError):
                 raise
             words = f"{file.name}: expected a JSON file with one instrument; it could not be read ({error})"
             raise UsageError(words, code="plan.own-file") from error

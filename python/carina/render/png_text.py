@@ -8,6 +8,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
+from carina.disk import open_regular
 from carina.display.png import SIGNATURE
 from carina.errors import RenderError
 from carina.volume import Note
@@ -46,7 +47,8 @@ def read_png_badges(path: str | os.PathLike[str]) -> tuple[Note, ...]:
 
 def _text(path: str | os.PathLike[str], wanted: str) -> Any:
     """The JSON of a text chunk, or None."""
-    data = Path(path).read_bytes()
+    with open_regular(path) as file:
+        data = file.read()
     if not data.startswith(SIGNATURE):
         raise RenderError(f"reading the pose of an image: expected a PNG; found {Path(path).name!r}", code="render.png")
     at = len(SIGNATURE)

@@ -11,9 +11,9 @@ import json
 import math
 import os
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from carina.disk import open_regular
 from carina.errors import CarinaError, RenderError, VolumeImportError
 from carina.scopes.lens import Calibration, Lens
 
@@ -62,8 +62,10 @@ def lens_from_file(path: str | os.PathLike[str]) -> Lens:
         If the file cannot be read, or is no such calibration; the message says what is missing.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(path) as file:
             data = file.read(MAX_BYTES + 1)
+    except VolumeImportError:
+        raise  # not a regular file
     except OSError as error:
         raise VolumeImportError(f"{path}: cannot be read: {error.strerror}", code="render.lens") from error
     if len(data) > MAX_BYTES:

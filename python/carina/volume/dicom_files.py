@@ -16,6 +16,7 @@ from pathlib import Path
 
 from pydicom.dataset import Dataset
 
+from carina.disk import special_kind
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_header
 from carina.volume.dicom_start import starts_like_dicom
@@ -106,6 +107,8 @@ def _holds_no_scan(dataset: Dataset) -> bool:
 
 
 def _read(path: Path) -> SliceHeader | UnusedFile | None:
+    if special_kind(path) is not None:
+        return UnusedFile(path, "not a file", 0, is_dicom=False)
     try:
         with path.open("rb") as file:
             head = file.read(132)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from carina.disk import open_regular
+
 __all__ = ["looks_like_dicom", "starts_like_dicom"]
 
 
 def looks_like_dicom(path: Path) -> bool:
     """True where the first bytes are a DICOM preamble, or a bare data set as old archives write it."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return starts_like_dicom(file.read(132))
     except OSError:
         return False

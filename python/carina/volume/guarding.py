@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from carina.disk import special_kind
 from carina.errors import CarinaError, GeometryError, VolumeImportError
 
 __all__ = ["guarded"]
@@ -15,6 +16,11 @@ T = TypeVar("T")
 
 def guarded(path: Path, action: Callable[[Path], T]) -> T:
     """Run an import; troubles of the disk and of memory become refusals in our words."""
+    # Libraries open the path themselves, and a pipe would block them for ever.
+    special = special_kind(path)
+    if special is not None:
+        msg = f"reading {path.name}: expected a file or a folder; found {special}; choose the scan's files"
+        raise VolumeImportError(msg, code="import.not-an-image")
     try:
         return action(path)
     except CarinaError as error:

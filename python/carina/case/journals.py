@@ -1,0 +1,203 @@
+"""Journals of SQLite beside a case file: their checks before anything is copied or replayed, and the copy."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import stat
+from pathlib import Path
+from typing import Final
+
+from carina.case.trouble import CaseFileError, refused
+from carina.disk import check_regular, disk_trouble, open_regular, say_size, special_kind
+from carina.errors import VolumeImportError
+
+__all__ = [
+    "JOURNALS",
+    "MAX_CASE_BYTES",
+    "MAX_JOURNAL_BYTES",
+    "beside",
+    "check_files",
+    "copied_with_journal",
+    "has_journal",
+]
+
+JOURNALS: Final = ("-wal", "-journal")
+MAX_JOURNAL_BYTES: Final = 16 << 30
+"""Of a journal; a live case truncates its journal to 16 MB after each checkpoint, unless a CT was packed into it."""
+MAX_CASE_BYTES: Final = 32 << 30
+"""Of a case file that has to be copied: its content is at most 2 GB, and the rest a packed CT."""
+COPY_AGAIN: Final = 5
+"""How often a file is copied again that another program wrote to meanwhile."""
+WAL_MAGIC: Final = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
+WAL_VERSION: Final = (3_007_000).to_bytes(4, "big")
+WAL_HEADER_BYTES: Final = 32
+FRAME_HEADER_BYTES: Final = 24
+JOURNAL_MAGIC: Final = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
+PAGE_BYTES: Final = tuple(1 << power for power in range(9, 17))
+
+
+def beside(path: Path, tail: str) -> Path:
+    """Return the path of a file that SQLite keeps beside a database."""
+    return path.with_name(path.name + tail)
+
+
+def has_journal(path: Path) -> bool:
+    """Return whether the file was not closed: a journal beside it contains its last changes."""
+    return any(beside(path, tail).exists() for tail in JOURNALS)
+
+
+def check_files(path: Path) -> None:
+    """Refuse a case file or journal that is not a regular file, and a journal that SQLite could not have written.
+
+    Only a few bytes of each are read.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.not-a-case`` if the path is not a file; ``case.damaged`` if a journal is not the journal of a case.
+    OSError
+        If a file cannot be read.
+    """
+    for tail in ("", *JOURNALS, "-shm"):
+        part = beside(path, tail)
+        special = special_kind(part)
+        if special is not None:
+            raise refused(
+                path, f"{part.name}: expected a file, found {special}; choose a .carina file", code="case.not-a-case"
+            )
+    for tail, check in (("-wal", _check_wal), ("-journal", _check_rollback_journal)):
+        journal = beside(path, tail)
+        try:
+            file = open_regular(journal)
+        except FileNotFoundError:
+            continue
+        except VolumeImportError:
+            found = special_kind(journal) or "a folder"
+            raise _not_a_journal(path, journal, f"expected a file, found {found}") from None
+        with file:
+            size = os.fstat(file.fileno()).st_size
+            if size > MAX_JOURNAL_BYTES:
+                raise _not_a_journal(
+                    path, journal, f"expected at most {say_size(MAX_JOURNAL_BYTES)}, found {say_size(size)}"
+                )
+            head = file.read(WAL_HEADER_BYTES)
+            file.seek(max(0, size - len(JOURNAL_MAGIC)))
+            why = check(head, file.read(len(JOURNAL_MAGIC)))
+        # A crash may leave an empty journal, or one of which the disk stored only zeros: SQLite replays neither.
+        if head.strip(b"\x00") and why is not None:
+            raise _not_a_journal(path, journal, why)
+
+
+def _check_wal(head: bytes, _tail: bytes) -> str | None:
+    # A power cut may leave any part of the header; SQLite replays nothing then.
+    if not any((magic + WAL_VERSION).startswith(head[:8]) for magic in WAL_MAGIC):
+        return "expected the header of an SQLite write-ahead log, found other content"
+    if len(head) == WAL_HEADER_BYTES and int.from_bytes(head[8:12], "big") not in PAGE_BYTES:
+        return "expected pages of 512 to 65536 bytes, found another size"
+    return None
+
+
+def _check_rollback_journal(head: bytes, tail: bytes) -> str | None:
+    # SQLite sets the header to zero after a commit; the rest may then be anything.
+    if head[:8].strip(b"\x00") and not JOURNAL_MAGIC.startswith(head[:8]):
+        return "expected the header of an SQLite rollback journal, found other content"
+    if tail == JOURNAL_MAGIC:
+        # It names a super-journal, which SQLite deletes after the replay: a file of any name.
+        return "expected the journal of one database, found one that names a file of another"
+    return None
+
+
+def copied_with_journal(path: Path, folder: Path) -> Path:
+    """Copy a case file and its journals, as they were at one moment, into a private folder.
+
+    Raises
+    ------
+    CaseFileError
+        As :func:`check_files`; ``case.damaged`` if the file is too large, ``case.read-only`` if another program keeps
+        changing it.
+    DiskError
+        ``disk.full`` before anything is copied, if the folder's disk has too little room.
+    """
+    check_files(path)
+    parts = [path, *(beside(path, tail) for tail in JOURNALS)]
+    for _ in range(COPY_AGAIN):
+        before = [_stamp(part) for part in parts]
+        sizes = [0 if stamp is None else _used_bytes(part, stamp[1]) for part, stamp in zip(parts, before, strict=True)]
+        _check_room(path, sum(sizes), folder)
+        for part, stamp, size in zip(parts, before, sizes, strict=True):
+            target = folder / ("case.carina" + part.name[len(path.name) :])
+            target.unlink(missing_ok=True)
+            if stamp is not None:
+                _copy(part, target, size)
+        if [_stamp(part) for part in parts] == before:
+            # What is replayed is the copy, whatever became of the original since its check.
+            check_files(folder / "case.carina")
+            return folder / "case.carina"
+        check_files(path)
+    raise refused(
+        path,
+        "another program keeps changing it; close the case in that program, or try again in a moment",
+        code="case.read-only",
+    )
+
+
+def _used_bytes(part: Path, size: int) -> int:
+    """Return how much of a file SQLite reads: of a write-ahead log the frames of its present run."""
+    if not part.name.endswith("-wal"):
+        return size
+    with open_regular(part) as file:
+        head = file.read(WAL_HEADER_BYTES)
+        if len(head) < WAL_HEADER_BYTES or head[:4] not in WAL_MAGIC:
+            return min(size, WAL_HEADER_BYTES)
+        salts, frame_bytes = head[16:24], FRAME_HEADER_BYTES + int.from_bytes(head[8:12], "big")
+        end = WAL_HEADER_BYTES
+        while end + frame_bytes <= size:
+            file.seek(end)
+            # Frames of an earlier run have other salts; SQLite stops at the first of them.
+            if file.read(FRAME_HEADER_BYTES)[8:16] != salts:
+                break
+            end += frame_bytes
+    return end
+
+
+def _copy(part: Path, target: Path, size: int) -> None:
+    """Copy what was measured and no more: a file that grows is copied again."""
+    with open_regular(part) as source, target.open("wb") as copy:
+        left = size
+        while left > 0 and (piece := source.read(min(left, 1 << 20))):
+            copy.write(piece)
+            left -= len(piece)
+
+
+def _check_room(path: Path, size: int, folder: Path) -> None:
+    if size > MAX_CASE_BYTES:
+        raise refused(
+            path,
+            f"expected at most {say_size(MAX_CASE_BYTES)} with its journal, found {say_size(size)}; "
+            "open an earlier copy",
+            code="case.damaged",
+        )
+    if size > shutil.disk_usage(folder).free:
+        full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise disk_trouble(full, "cannot make a temporary copy of the case in", folder, needed_bytes=size)
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    if not stat.S_ISREG(found.st_mode):
+        check_regular(path)
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def _not_a_journal(path: Path, journal: Path, why: str) -> CaseFileError:
+    return refused(
+        path,
+        f"the file {journal.name} beside it is not the journal of a case: {why}; move that file to another folder "
+        "and open the case again",
+        code="case.damaged",
+    )

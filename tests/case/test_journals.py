@@ -1,0 +1,228 @@
+"""Files beside a case file: journals are checked before anything is copied or replayed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sqlite3
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from kept_case import Doing, assert_same_moment, source_of
+
+from carina.case import CaseFile, CaseFileError, journals, migrate, rescued
+from carina.errors import DiskError
+from carina.session import is_case_file
+
+SPARSE_BYTES = 50 << 30
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A case as a window leaves it when it is killed: changes are in the journal alone."""
+    folder = tmp_path_factory.mktemp("made")
+    doing = Doing()
+    with CaseFile.create(folder / "live.carina", source_of(doing.case)) as file:
+        file.save(doing.moment())
+        for tail in ("", "-wal"):
+            shutil.copy(folder / f"live.carina{tail}", folder / f"killed.carina{tail}")
+    shutil.copy(folder / "live.carina", folder / "closed.carina")
+    return doing, folder
+
+
+@pytest.fixture
+def closed(made, tmp_path):
+    """A closed case, without a journal."""
+    return Path(shutil.copy(made[1] / "closed.carina", tmp_path / "x.carina"))
+
+
+@pytest.fixture
+def killed(made, tmp_path):
+    """A case with its journal."""
+    shutil.copy(made[1] / "killed.carina-wal", tmp_path / "x.carina-wal")
+    return Path(shutil.copy(made[1] / "killed.carina", tmp_path / "x.carina"))
+
+
+@pytest.fixture(autouse=True)
+def ends():
+    """Interrupt a call that blocks on a pipe: without it a failing test would never end."""
+    if os.name != "posix":
+        yield
+        return
+
+    def interrupt(*_arguments):
+        raise TimeoutError("the call waits for a pipe")
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def openings(path):
+    """Every way in which a case file is opened."""
+    return {
+        "read": lambda: CaseFile.open(path, read_only=True),
+        "write": lambda: CaseFile.open(path),
+        "migrate": lambda: migrate(path, path.with_name("migrated.carina")),
+        "rescue": lambda: rescued(path, path.with_name("rescued.carina")),
+    }
+
+
+def refusals(path):
+    """What each way of opening answers; all refuse, and leave all files as they were."""
+    before = {one.name: one.stat() for one in path.parent.iterdir()}
+    found = []
+    for how, opens in openings(path).items():
+        with pytest.raises(CaseFileError) as refusal:
+            opens()
+        found.append((how, refusal.value))
+    after = {one.name: one.stat() for one in path.parent.iterdir()}
+    assert after.keys() == before.keys()
+    assert all(after[name].st_mtime_ns == before[name].st_mtime_ns for name in before)
+    return found
+
+
+@pytest.mark.parametrize("tail", ["-wal", "-journal"])
+def test_a_journal_of_50_gb_is_refused_and_nothing_is_copied(closed, tail, monkeypatch):
+    with closed.with_name(closed.name + tail).open("wb") as file:
+        file.truncate(SPARSE_BYTES)
+    monkeypatch.setattr(journals, "_copy", lambda *_: pytest.fail("copied"))
+    for _, error in refusals(closed):
+        assert error.code == "case.damaged"
+        assert f"x.carina{tail}" in str(error)
+        assert "expected at most 17.2 GB, found 53.7 GB" in str(error)
+        assert "move that file" in str(error)
+
+
+def test_of_a_journal_with_a_valid_header_only_its_frames_are_copied(made, killed, monkeypatch):
+    journal = killed.with_name("x.carina-wal")
+    used = journal.stat().st_size
+    os.truncate(journal, 8 << 30)
+    copied = {}
+    copy = journals._copy
+
+    def measured(part, target, size):
+        copied[part.name] = size
+        copy(part, target, size)
+
+    monkeypatch.setattr(journals, "_copy", measured)
+    with CaseFile.open(killed, read_only=True) as file:
+        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+    assert 0 < copied["x.carina-wal"] <= used
+
+
+@pytest.mark.parametrize("tail", ["-wal", "-journal"])
+@pytest.mark.parametrize("content", [b"a letter", b"a letter" * 100, b"\x7fELF" + bytes(5000)])
+def test_a_file_that_is_no_journal_is_refused_and_stays(closed, tail, content):
+    other = closed.with_name(closed.name + tail)
+    other.write_bytes(content)
+    for _, error in refusals(closed):
+        assert error.code == "case.damaged"
+        assert "is not the journal of a case" in str(error)
+    assert other.read_bytes() == content
+
+
+@pytest.mark.parametrize("tail", ["-wal", "-journal"])
+@pytest.mark.parametrize("size", [0, 512, 5000])
+def test_an_empty_journal_or_one_of_zeros_loses_nothing(made, closed, tail, size):
+    closed.with_name(closed.name + tail).write_bytes(bytes(size))
+    for read_only in (True, False):
+        with CaseFile.open(closed, read_only=read_only) as file:
+            assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+
+
+@pytest.mark.parametrize("page", [0, 256, 100_000])
+def test_a_journal_with_an_impossible_page_size_is_refused(killed, page):
+    journal = killed.with_name("x.carina-wal")
+    content = bytearray(journal.read_bytes())
+    content[8:12] = struct.pack(">I", page)
+    journal.write_bytes(content)
+    for _, error in refusals(killed):
+        assert "expected pages of 512 to 65536 bytes" in str(error)
+
+
+def test_a_journal_that_names_a_file_of_another_database_is_refused_and_that_file_stays(closed, tmp_path):
+    # SQLite deletes the file that the end of a rollback journal names, once the journal has been replayed.
+    victim = tmp_path / "work.txt"
+    victim.write_text("years of work")
+    pages = closed.stat().st_size // 4096
+    name = str(victim).encode()
+    header = journals.JOURNAL_MAGIC + struct.pack(">IIIII", 1, 7, pages, 512, 4096)
+    page = closed.read_bytes()[:4096]
+    record = (
+        struct.pack(">I", 1) + page + struct.pack(">I", (7 + sum(page[n] for n in range(3896, 0, -200))) & 0xFFFFFFFF)
+    )
+    trailer = struct.pack(">I", 1 + (1 << 30) // 4096) + name + struct.pack(">II", len(name), sum(name))
+    journal = closed.with_name("x.carina-journal")
+    journal.write_bytes(header.ljust(512, b"\x00") + record + trailer + journals.JOURNAL_MAGIC)
+    for _, error in refusals(closed):
+        assert error.code == "case.damaged"
+        assert "names a file of another" in str(error)
+    assert victim.read_text() == "years of work"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+@pytest.mark.parametrize("tail", ["", "-wal", "-journal", "-shm"])
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_a_pipe_or_device_in_the_place_of_a_case_or_its_journal_is_refused(closed, tail, kind):
+    path = closed.with_name(closed.name + tail)
+    path.unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    assert is_case_file(closed)
+    for _, error in refusals(closed):
+        assert error.code == "case.not-a-case"
+        assert {"pipe": "a named pipe (FIFO)", "device": "a device"}[kind] in str(error)
+        assert f"x.carina{tail}: expected a file" in str(error)
+
+
+def test_a_folder_beside_a_case_is_refused(closed):
+    closed.with_name("x.carina-wal").mkdir()
+    for _, error in refusals(closed):
+        assert "found a folder" in str(error)
+
+
+def test_a_copy_that_does_not_fit_is_refused_before_it_is_made(killed, monkeypatch):
+    usage = shutil.disk_usage
+
+    def full(path):
+        return usage(path)._replace(free=1000) if hasattr(usage(path), "_replace") else replace(usage(path), free=1000)
+
+    monkeypatch.setattr(journals.shutil, "disk_usage", full)
+    monkeypatch.setattr(journals, "_copy", lambda *_: pytest.fail("copied"))
+    with pytest.raises(DiskError) as refusal:
+        CaseFile.open(killed, read_only=True)
+    assert refusal.value.code == "disk.full"
+
+
+def test_a_case_file_that_is_too_large_to_copy_is_refused(killed, monkeypatch):
+    monkeypatch.setattr(journals, "MAX_CASE_BYTES", 10_000)
+    for _, error in refusals(killed):
+        assert "expected at most 10 kB with its journal" in str(error)
+
+
+def test_a_journal_of_sqlite_itself_passes(made, closed, tmp_path):
+    # A hot rollback journal, as a killed writer leaves it.
+    connection = sqlite3.connect(closed, isolation_level=None)
+    connection.execute("PRAGMA journal_mode=DELETE")
+    connection.execute("PRAGMA cache_size=1")
+    connection.execute("BEGIN")
+    connection.execute("UPDATE moment SET facts = facts || zeroblob(0)")
+    connection.execute("CREATE TABLE more (x)")
+    connection.executemany("INSERT INTO more VALUES (zeroblob(4000))", [()] * 40)
+    hot = tmp_path / "hot"
+    hot.mkdir()
+    for tail in ("", "-journal"):
+        shutil.copy(closed.with_name(closed.name + tail), hot / f"x.carina{tail}")
+    connection.execute("ROLLBACK")
+    connection.close()
+    for read_only in (True, False):
+        with CaseFile.open(hot / "x.carina", read_only=read_only) as file:
+            assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
