@@ -23,7 +23,7 @@ from carina.case.database import (
     told,
     transaction,
 )
-from carina.case.journals import copied_with_journal, has_journal
+from carina.case.journals import copied_with_journal, has_journal, set_foreign_aside
 from carina.case.moment import Moment
 from carina.case.packed_ct import packed_volume, write_ct
 from carina.case.packing import as_checked_json, from_json
@@ -206,6 +206,7 @@ class CaseFile:
                     )
                 return cls(place, connection, read_only=True, note=note, scratch=scratch)
         with told(place):
+            set_foreign_aside(place)
             connection = connected(place, "rw")
             try:
                 set_up(connection)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import shutil
 import stat
@@ -21,7 +22,10 @@ __all__ = [
     "check_files",
     "copied_with_journal",
     "has_journal",
+    "set_foreign_aside",
 ]
+
+logger = logging.getLogger(__name__)
 
 JOURNALS: Final = ("-wal", "-journal")
 MAX_JOURNAL_BYTES: Final = 16 << 30
@@ -49,14 +53,14 @@ def has_journal(path: Path) -> bool:
 
 
 def check_files(path: Path) -> None:
-    """Refuse a case file or journal that is not a regular file, and a journal that SQLite could not have written.
+    """Refuse a case file or journal that is not a regular file, a huge journal, and one that names another file.
 
-    Only a few bytes of each are read.
+    Only a few bytes of each are read. A journal with a damaged beginning passes, because SQLite replays nothing of it.
 
     Raises
     ------
     CaseFileError
-        ``case.not-a-case`` if the path is not a file; ``case.damaged`` if a journal is not the journal of a case.
+        ``case.not-a-case`` if the path is not a file; ``case.damaged`` for a journal.
     OSError
         If a file cannot be read.
     """
@@ -67,7 +71,7 @@ def check_files(path: Path) -> None:
             raise refused(
                 path, f"{part.name}: expected a file, found {special}; choose a .carina file", code="case.not-a-case"
             )
-    for tail, check in (("-wal", _check_wal), ("-journal", _check_rollback_journal)):
+    for tail in JOURNALS:
         journal = beside(path, tail)
         try:
             file = open_regular(journal)
@@ -78,35 +82,46 @@ def check_files(path: Path) -> None:
             raise _not_a_journal(path, journal, f"expected a file, found {found}") from None
         with file:
             size = os.fstat(file.fileno()).st_size
-            if size > MAX_JOURNAL_BYTES:
-                raise _not_a_journal(
-                    path, journal, f"expected at most {say_size(MAX_JOURNAL_BYTES)}, found {say_size(size)}"
-                )
-            head = file.read(WAL_HEADER_BYTES)
             file.seek(max(0, size - len(JOURNAL_MAGIC)))
-            why = check(head, file.read(len(JOURNAL_MAGIC)))
-        # A crash may leave an empty journal, or one of which the disk stored only zeros: SQLite replays neither.
-        if head.strip(b"\x00") and why is not None:
-            raise _not_a_journal(path, journal, why)
+            end = file.read(len(JOURNAL_MAGIC))
+        if size > MAX_JOURNAL_BYTES:
+            raise _not_a_journal(
+                path, journal, f"expected at most {say_size(MAX_JOURNAL_BYTES)}, found {say_size(size)}"
+            )
+        if tail == "-journal" and end == JOURNAL_MAGIC:
+            # It names a super-journal, which SQLite deletes after the replay: a file of any name.
+            raise _not_a_journal(
+                path, journal, "expected the journal of one database, found one that names a file of another"
+            )
 
 
-def _check_wal(head: bytes, _tail: bytes) -> str | None:
-    # A power cut may leave any part of the header; SQLite replays nothing then.
-    if not any((magic + WAL_VERSION).startswith(head[:8]) for magic in WAL_MAGIC):
-        return "expected the header of an SQLite write-ahead log, found other content"
-    if len(head) == WAL_HEADER_BYTES and int.from_bytes(head[8:12], "big") not in PAGE_BYTES:
-        return "expected pages of 512 to 65536 bytes, found another size"
-    return None
+def set_foreign_aside(path: Path) -> None:
+    """Rename a file beside a case that has the name of a journal and is none, because SQLite would overwrite it.
+
+    A power cut may leave such a file, too: a journal of which the disk did not store the beginning.
+    """
+    for tail in JOURNALS:
+        journal = beside(path, tail)
+        try:
+            with open_regular(journal) as file:
+                head = file.read(WAL_HEADER_BYTES)
+        except FileNotFoundError:
+            continue
+        if not head.strip(b"\x00") or _is_replayed(tail, head):
+            continue
+        number = 1
+        while (target := beside(journal, f".not-a-journal-{number}")).exists():
+            number += 1
+        journal.rename(target)
+        logger.warning("a file beside a case was not its journal; it was renamed")
 
 
-def _check_rollback_journal(head: bytes, tail: bytes) -> str | None:
-    # SQLite sets the header to zero after a commit; the rest may then be anything.
-    if head[:8].strip(b"\x00") and not JOURNAL_MAGIC.startswith(head[:8]):
-        return "expected the header of an SQLite rollback journal, found other content"
-    if tail == JOURNAL_MAGIC:
-        # It names a super-journal, which SQLite deletes after the replay: a file of any name.
-        return "expected the journal of one database, found one that names a file of another"
-    return None
+def _is_replayed(tail: str, head: bytes) -> bool:
+    """Return whether SQLite replays a file that begins so."""
+    if tail == "-journal":
+        return head[:8] == JOURNAL_MAGIC
+    is_log = len(head) == WAL_HEADER_BYTES and head[:4] in WAL_MAGIC and head[4:8] == WAL_VERSION
+    return is_log and int.from_bytes(head[8:12], "big") in PAGE_BYTES
 
 
 def copied_with_journal(path: Path, folder: Path) -> Path:
@@ -124,12 +139,15 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
     parts = [path, *(beside(path, tail) for tail in JOURNALS)]
     for _ in range(COPY_AGAIN):
         before = [_stamp(part) for part in parts]
-        sizes = [0 if stamp is None else _used_bytes(part, stamp[1]) for part, stamp in zip(parts, before, strict=True)]
+        sizes = [
+            0 if stamp is None else _used_bytes(part, part.name[len(path.name) :], stamp[1])
+            for part, stamp in zip(parts, before, strict=True)
+        ]
         _check_room(path, sum(sizes), folder)
-        for part, stamp, size in zip(parts, before, sizes, strict=True):
+        for part, size in zip(parts, sizes, strict=True):
             target = folder / ("case.carina" + part.name[len(path.name) :])
             target.unlink(missing_ok=True)
-            if stamp is not None:
+            if size or part is path:
                 _copy(part, target, size)
         if [_stamp(part) for part in parts] == before:
             # What is replayed is the copy, whatever became of the original since its check.
@@ -143,14 +161,16 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
     )
 
 
-def _used_bytes(part: Path, size: int) -> int:
+def _used_bytes(part: Path, tail: str, size: int) -> int:
     """Return how much of a file SQLite reads: of a write-ahead log the frames of its present run."""
-    if not part.name.endswith("-wal"):
+    if not tail:
         return size
     with open_regular(part) as file:
         head = file.read(WAL_HEADER_BYTES)
-        if len(head) < WAL_HEADER_BYTES or head[:4] not in WAL_MAGIC:
-            return min(size, WAL_HEADER_BYTES)
+        if not _is_replayed(tail, head):
+            return 0
+        if tail == "-journal":
+            return size
         salts, frame_bytes = head[16:24], FRAME_HEADER_BYTES + int.from_bytes(head[8:12], "big")
         end = WAL_HEADER_BYTES
         while end + frame_bytes <= size:
