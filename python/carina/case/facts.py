@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Union
 import msgspec
 from msgspec import Meta
 
+from carina.case.bounds import MAX_MESSAGE_CHARS, MAX_MM, MAX_NAME_CHARS, MAX_NUMBER
 from carina.case.lesions import LesionFacts
 from carina.case.packing import from_json
 from carina.case.routes import NeedleLine
@@ -20,6 +21,7 @@ from carina.commands.tree import AskedPath
 from carina.commands.value import LocalCommand
 from carina.render import Sight
 from carina.track import Uncertainty
+from carina.value import TEXT
 
 __all__ = [
     "EARLIER_NAMES",
@@ -45,12 +47,14 @@ __all__ = [
 
 MAX_BRANCHES = 100_000
 MAX_LIST = 1_000_000
+CtValue = Annotated[int, Meta(ge=-(2**31), le=2**31)]
 RowId = Annotated[int, Meta(ge=1, le=2**53)]
-Number = Annotated[float, Meta(ge=-1e300, le=1e300)]
-Mm = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Mm = Annotated[float, Meta(ge=-MAX_MM, le=MAX_MM)]
 Numbers = Annotated[tuple[Mm, ...], Meta(max_length=MAX_LIST)]
-LongWords = Annotated[str, Meta(max_length=100_000)]
-ShortWords = Annotated[str, Meta(min_length=1, max_length=4000)]
+Message = Annotated[str, Meta(max_length=MAX_MESSAGE_CHARS, pattern=TEXT)]
+Name = Annotated[str, Meta(max_length=MAX_NAME_CHARS, pattern=TEXT)]
+ShortWords = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_CHARS, pattern=TEXT)]
 EARLIER_NAMES = {"edit_keys": "edit_key_frames", "set_key_flight": "set_key_frame_flight"}
 """What commands were called in files of earlier versions, and are called now."""
 _EARLIER = re.compile(rf'^\{{"type":"({"|".join(EARLIER_NAMES)})"')
@@ -65,7 +69,7 @@ class BadgeFacts(_Facts, frozen=True):
     """A lasting note."""
 
     code: ShortWords
-    words: LongWords
+    words: Message
     badge: bool
 
 
@@ -77,12 +81,12 @@ class BranchFacts(_Facts, frozen=True, omit_defaults=True):
     children: Annotated[tuple[BranchId, ...], Meta(max_length=MAX_BRANCHES)]
     generation: Annotated[int, Meta(ge=0, le=MAX_BRANCHES)]
     kind: Literal["tracked", "bridge", "manual"] = "tracked"
-    name: LongWords | None = None
+    name: Name | None = None
     cost: Number | None = None
     confidence: Part | None = None
     name_confidence: Part | None = None
     name_from: Literal["anatomy", "person"] | None = None
-    variant: LongWords | None = None
+    variant: Name | None = None
     doubtful_mm: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
 
 
@@ -99,7 +103,7 @@ class AirwaysFacts(_Facts, frozen=True):
     root_lps: PointLps
     threshold: Number | None
     """Null where a mask gave the lumen."""
-    notes: Annotated[tuple[LongWords, ...], Meta(max_length=1000)]
+    notes: Annotated[tuple[Message, ...], Meta(max_length=1000)]
     wall_levels: tuple[Number, Number, Number] | None
     next_id: Count | None
     edits: Ids
@@ -162,14 +166,14 @@ class MeasuresFacts(_Facts, frozen=True):
 
     blur_mm: tuple[Mm, Mm] | None
     noise: Number
-    notes: Annotated[tuple[LongWords, ...], Meta(max_length=1000)]
+    notes: Annotated[tuple[Message, ...], Meta(max_length=1000)]
 
 
 class SpanFacts(_Facts, frozen=True):
     """A branch along a route."""
 
     branch_id: Annotated[int, Meta(ge=-1, le=2**31)]
-    name: LongWords | None
+    name: Name | None
     generation: Annotated[int, Meta(ge=-1, le=MAX_BRANCHES)]
     from_mm: Mm
     to_mm: Mm
@@ -180,7 +184,7 @@ class RouteFacts(_Facts, frozen=True):
     """A route without its points."""
 
     route_id: ShortWords
-    title: LongWords
+    title: Name
     forks_mm: Numbers
     lookouts_mm: Numbers
     spans: Annotated[tuple[SpanFacts, ...], Meta(max_length=MAX_BRANCHES)]
@@ -200,15 +204,15 @@ class TargetFacts(_Facts, AskedPath, frozen=True, forbid_unknown_fields=False):
     """A target; ``route`` is a row of that table."""
 
     target_id: ShortWords
-    name: LongWords
+    name: Name
     lps: PointLps
     used_lps: PointLps | None
     snapped_mm: Mm | None
     length_mm: Mm | None
-    problem: LongWords | None
+    problem: Message | None
     route: RowId | None
     outside_mm: Mm | None = None
-    value_range: tuple[int, int] | None = None
+    value_range: tuple[CtValue, CtValue] | None = None
     lesion: LesionFacts | None = None
     note: TargetNote = ""
     priority: TargetRank = 1
@@ -219,7 +223,7 @@ class KeyFrameFacts(_Facts, frozen=True):
 
     key_id: ShortWords
     lps_from_camera: Matrix4
-    name: LongWords | None
+    name: Name | None
     speed_mm_s: Mm | None
 
 
@@ -245,7 +249,7 @@ class MomentFacts(_Facts, frozen=True):
     tip: dict[Identifier, Any]
     scope: ScopeFacts | None
     search_status: ShortWords
-    search_words: LongWords | None
+    search_words: Message | None
     person_moved: bool
     numbers: Annotated[dict[Identifier, Count], Meta(max_length=1000)]
     saved_by: ShortWords = "unknown"

@@ -14,6 +14,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from carina.case import facts as f
+from carina.case.bounds import (
+    MAX_LABEL_CHARS,
+    MAX_S,
+    MAX_WHOLE,
+    bounded_number,
+    bounded_text,
+    bounded_whole,
+    check_plain,
+)
 from carina.case.database import (
     check_header,
     check_whole,
@@ -26,7 +35,7 @@ from carina.case.database import (
 from carina.case.journals import copied_with_journal, has_journal, set_foreign_aside
 from carina.case.moment import Moment
 from carina.case.packed_ct import packed_volume, write_ct
-from carina.case.packing import as_checked_json, from_json
+from carina.case.packing import MAX_JSON_BYTES, as_checked_json, from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
 from carina.case.save_mark import SaveMark, read_save_mark, write_save_mark
@@ -310,13 +319,15 @@ class CaseFile:
             found = connection.execute("SELECT position FROM moment").fetchone()
             position = 0 if found is None else found[0]
             rows = connection.execute(
-                "SELECT substr(label, 1, 4000), substr(command, 1, 200), at_s FROM step ORDER BY n LIMIT ?",
-                (MAX_STEPS,),
+                "SELECT n, substr(label, 1, ?), substr(command, 1, 200), at_s FROM step ORDER BY n LIMIT ?",
+                (MAX_LABEL_CHARS + 1, MAX_STEPS),
             ).fetchall()
         with no_surprise():
+            for number, label, _, at_s in rows:
+                check_step(number, label, at_s)
             return tuple(
-                StepFacts(str(label), _kind_of(command), float(at_s), n < position)
-                for n, (label, command, at_s) in enumerate(rows[1:])
+                StepFacts(label, _kind_of(command), at_s, n < position)
+                for n, (_, label, command, at_s) in enumerate(rows[1:])
             )
 
     def summary(self) -> CaseSummary:
@@ -386,7 +397,10 @@ class CaseFile:
         """What was kept under this word (a plan, a report, scores), by its numbers."""
         with self._lock, told(self.path):
             rows = self._open().execute("SELECT json FROM extra WHERE kind = ? ORDER BY n", (kind,)).fetchall()
-            return tuple(from_json(said, f.decoders().extra, f"extra data of kind {kind}") for (said,) in rows)
+            where = f"extra data of kind {kind[:80]}"
+            found = tuple(from_json(said, f.decoders().extra, where) for (said,) in rows)
+            check_plain(found, where, most_chars=MAX_JSON_BYTES)
+            return found
 
     def set_extra(self, kind: str, values: tuple[Any, ...]) -> None:
         """Keep plain JSON values under a word, in the place of those before."""
@@ -695,10 +709,26 @@ def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
     count = connection.execute("SELECT count(*) FROM step").fetchone()[0]
     if not 1 <= count <= MAX_STEPS:
         raise damaged("history", f"1 to {MAX_STEPS} steps", str(count))
-    rows = connection.execute("SELECT n, label, command, at_s, document FROM step ORDER BY n").fetchall()
+    sql = "SELECT n, substr(label, 1, ?), command, at_s, document FROM step ORDER BY n"
+    rows = connection.execute(sql, (MAX_LABEL_CHARS + 1,)).fetchall()
+    for row in rows:
+        check_step(row[0], row[1], row[3])
     if [row[0] for row in rows] != list(range(rows[0][0], rows[0][0] + count)):
         raise damaged("history", "consecutive step numbers", "a gap")
     return rows
+
+
+def check_step(number: int, label: object, at_s: object) -> None:
+    """Check the columns of a step that have no digest.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    bounded_whole(number, "number of a step", -MAX_WHOLE, MAX_WHOLE)
+    bounded_text(label, f"label of step {number}", MAX_LABEL_CHARS)
+    bounded_number(at_s, f"time of step {number}", 0.0, MAX_S)
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
+from carina.case.bounds import MAX_LABEL_CHARS, shortened
 from carina.commands import Command
 from carina.display import one_line
 
@@ -106,7 +107,7 @@ class History(Generic[D]):
         del self._steps[self._position :]
         if merges and self._steps:
             label = self._steps.pop().label
-        self._steps.append(Step(label, document, command, at_s))
+        self._steps.append(Step(shortened(label, MAX_LABEL_CHARS), document, command, at_s))
         while len(self._steps) > MAX_STEPS:
             self._forget_oldest()
         self._position = len(self._steps)

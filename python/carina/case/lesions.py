@@ -6,6 +6,7 @@ from typing import Any
 
 import msgspec
 
+from carina.case.bounds import check_plain
 from carina.case.document import Lesion
 from carina.case.trouble import damaged
 from carina.commands.plan import PlanOptions
@@ -35,7 +36,14 @@ def made_lesion(facts: LesionFacts) -> Lesion:
     CaseFileError
         ``case.damaged``.
     """
+    where = "the boundary of a target"
+    # Its voxels are one long text.
+    check_plain({name: value for name, value in facts.record.items() if name != "nodule"}, where)
+    nodule = facts.record.get("nodule")
+    check_plain(
+        {name: value for name, value in nodule.items() if name != "inside"} if isinstance(nodule, dict) else {}, where
+    )
     try:
         return Lesion(PlanTarget.from_record(facts.record), facts.options)
     except CarinaError as trouble:
-        raise damaged("the boundary of a target", "its record", str(trouble)[:200]) from None
+        raise damaged(where, "its record", str(trouble)[:200]) from None

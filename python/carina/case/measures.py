@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case import facts as f
+from carina.case.bounds import MAX_MM, MAX_NUMBER, bounded_array
 from carina.case.packing import deflated, inflated, packed_ints, unpacked_ints
 from carina.case.trouble import damaged
 from carina.track import BranchMeasures, BranchSummary, ForkMeasures, Stenosis
@@ -95,20 +96,22 @@ def branch_from(
         raise damaged(where, f"{num_points} sections", str(count)[:40])
     width = sum(FIGURES.values())
     numbers = np.frombuffer(inflated(figures, 8 * width * count, where), dtype="<f8").reshape(width, count)
-    if np.isinf(numbers).any():
-        raise damaged(where, "finite numbers or no value", "infinite numbers")
+    known = numbers[~np.isnan(numbers)]
+    bounded_array(known, where, -MAX_NUMBER, MAX_NUMBER)
     values: dict[str, Any] = {}
     at = 0
     for name, wide in FIGURES.items():
         values[name] = numbers[at] if wide == 1 else np.ascontiguousarray(numbers[at : at + wide].T)
         at += wide
     steps = unpacked_ints(rays, sum(RAYS.values()) * count, where).reshape(count, sum(RAYS.values()))
+    bounded_array(steps.ravel(), where, NO_RAY, MAX_MM * RAYS_PER_MM)
     at = 0
     for name, wide in RAYS.items():
         part = steps[:, at : at + wide]
         values[name] = np.where(part == NO_RAY, np.nan, part / RAYS_PER_MM)
         at += wide
     marks = unpacked_ints(flags, count, where)
+    bounded_array(marks, where, 0, AT_JUNCTION | AT_EDGE)
     return BranchMeasures(
         branch_id=facts.branch_id,
         at_junction=_frozen(marks & AT_JUNCTION != 0),

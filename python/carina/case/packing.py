@@ -10,11 +10,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.case.bounds import MAX_NAME_CHARS, cleaned
 from carina.case.trouble import damaged
 from carina.errors import UsageError
 
 __all__ = [
     "DTYPES",
+    "MAX_JSON_BYTES",
     "MAX_PIECE_BYTES",
     "MOST_DEFLATED",
     "as_checked_json",
@@ -100,7 +102,14 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
     """
     try:
         said = as_json(value)
-        decoder.decode(said)
+        try:
+            decoder.decode(said)
+        except msgspec.ValidationError:
+            # A long message or a control character in a name must not keep anyone's work from being saved.
+            said = as_json(cleaned(msgspec.json.decode(said), MAX_NAME_CHARS))
+            decoder.decode(said)
+        if len(said) > MAX_JSON_BYTES:
+            raise ValueError(f"expected at most {MAX_JSON_BYTES} bytes, found {len(said)}")
         return said.decode()
     except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError) as trouble:
         raise UsageError(f"{what} cannot be saved: {trouble}", code="case.value") from trouble

@@ -12,6 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case import facts as f
+from carina.case.bounds import (
+    MAX_MM,
+    MAX_NUMBER,
+    bounded_array,
+    bounded_number,
+    check_ascending,
+    check_plain,
+    check_tip,
+)
 from carina.case.database import no_surprise
 from carina.case.document import ChosenKeyFrame, Document, KeyFrames, Target
 from carina.case.history import Step
@@ -35,6 +44,7 @@ from carina.track import (
     DrawnPart,
     TreeEdit,
     TreeMeasures,
+    Uncertainty,
     edits_from_json,
     edits_to_json,
 )
@@ -48,6 +58,9 @@ __all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]
 
 Rows = dict[str, dict[int, tuple[Any, ...]]]
 """By table and id, the columns after the id."""
+BOUNDS: Final = {"f8": (-MAX_MM, MAX_MM), "i8": (-1, 2**31), "u4": (0, 2**32)}
+"""Of the numbers of an array, by its type."""
+LENGTH_MM: Final = (0.0, MAX_MM)
 NO_TREES: Final = 4
 """Trees that are kept at hand while airways are read: those of a base and of its edits."""
 
@@ -151,6 +164,10 @@ class CaseReader:
             if present is not None and self.columns("airways", present)[0] is not None:
                 # The document holds it; this reader lives as long as any step does.
                 del self._whole[present]
+            check_tip(facts.tip, "tip", has_route=documents[position].route is not None)
+            route = documents[position].route
+            if route is not None:
+                self._check_path(route)
             scope = facts.scope
             return Moment(
                 first=documents[0],
@@ -168,6 +185,14 @@ class CaseReader:
                 numbers=facts.numbers,
                 measures=measures,
             )
+
+    def _check_path(self, route: ChosenRoute) -> None:
+        """Refuse a shown route that cannot be flown; the curves of others are made when they are shown."""
+        try:
+            length_mm = route.path.length_mm
+        except CarinaError as trouble:
+            raise damaged("route", "a flight path", f"points that make none ({str(trouble)[:200]})") from None
+        bounded_number(length_mm, "route", *LENGTH_MM)
 
     def airways_of(self, document: int) -> int | None:
         """The row of a document's airways."""
@@ -194,7 +219,9 @@ class CaseReader:
             transfer=self.transfer(transfer),
             look=self.look(look),
             airways=None if airways is None else self.any_airways(airways),
-            lumen_threshold=threshold,
+            lumen_threshold=None
+            if threshold is None
+            else bounded_number(threshold, f"row {row} of document", -MAX_NUMBER, MAX_NUMBER),
             targets=self._value("targets", targets, self._decoders.targets, self.made_targets),
             route=None if route is None else self.route(route),
             key_frames=self.keys(keys),
@@ -205,7 +232,7 @@ class CaseReader:
 
     def transfer(self, row: int) -> TransferFunction:
         """A row of ``value``."""
-        made: TransferFunction = self._value("transfer", row, self._decoders.transfer, TransferFunction.from_json)
+        made: TransferFunction = self._value("transfer", row, self._decoders.transfer, _transfer)
         return made
 
     def look(self, row: int) -> Look:
@@ -257,7 +284,13 @@ class CaseReader:
         facts: f.RouteFacts = from_json(said, self._decoders.route, where)
         points = self._array(columns[0], "f8", width=3)
         kinds = ("f8", "f8", "f8", "i8", "i8")
-        rest = [self._array(one, kind, count=len(points)) for one, kind in zip(columns[1:6], kinds, strict=True)]
+        bounds = (LENGTH_MM, LENGTH_MM, LENGTH_MM, None, None)
+        rest = [
+            self._array(one, kind, count=len(points), bounds=limits)
+            for one, kind, limits in zip(columns[1:6], kinds, bounds, strict=True)
+        ]
+        for places in (rest[0], facts.forks_mm, facts.lookouts_mm, facts.path_forks_mm, facts.path_lookouts_mm):
+            check_ascending(places, where)
         path_points = self._array(columns[6], "f8", width=3)
         if len(points) < 2 or len(path_points) < 2:
             raise damaged(where, "at least two points", f"{len(points)}")
@@ -338,7 +371,7 @@ class CaseReader:
             edits=tuple(self._value("edit", edit, self._decoders.edit, _edit) for edit in facts.edits),
             base=whole_base,
             next_id=facts.next_id,
-            uncertain=self._value("uncertain", facts.uncertain, self._decoders.uncertain, lambda found: found),
+            uncertain=self._value("uncertain", facts.uncertain, self._decoders.uncertain, _uncertain),
             bridges=tuple(self._array(bridge, "f8", width=3) for bridge in facts.bridges),
             evidence=KeptForVolume() if whole_base is None else whole_base.evidence,
         )
@@ -419,14 +452,14 @@ class CaseReader:
             name=facts.name,
             kind=facts.kind,
             points=line,
-            radius=self._array(radius, "f8", count=len(line)),
+            radius=self._array(radius, "f8", count=len(line), bounds=LENGTH_MM),
             cost=facts.cost,
             confidence=facts.confidence,
             name_confidence=facts.name_confidence,
             name_from=facts.name_from,
             variant=facts.variant,
             doubtful_mm=facts.doubtful_mm,
-            wall_mm=None if wall is None else self._array(wall, "f8", count=len(line)),
+            wall_mm=None if wall is None else self._array(wall, "f8", count=len(line), bounds=LENGTH_MM),
         )
 
     def _lumen(self, row: int) -> NDArray[np.uint8]:
@@ -505,7 +538,15 @@ class CaseReader:
 
     # ------------------------------------------------------------ content
 
-    def _array(self, row: int, dtype: str, *, count: int | None = None, width: int = 0) -> NDArray[Any]:
+    def _array(
+        self,
+        row: int,
+        dtype: str,
+        *,
+        count: int | None = None,
+        width: int = 0,
+        bounds: tuple[float, float] | None = None,
+    ) -> NDArray[Any]:
         known = self._arrays.get(row)
         where = f"row {row} of array"
         if known is None:
@@ -524,8 +565,7 @@ class CaseReader:
             raise damaged(where, f"{width or 1} columns of {dtype}", f"shape {shape} of {known.dtype}")
         if count is not None and shape[0] != count:
             raise damaged(where, f"{count} numbers", str(shape[0]))
-        if dtype == "f8" and not np.isfinite(known).all():
-            raise damaged(where, "finite numbers", "infinite or undefined numbers")
+        bounded_array(known, where, *(bounds or BOUNDS[dtype]))
         return known
 
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
@@ -567,8 +607,19 @@ class CaseReader:
 
 def _edit(row: dict[str, Any]) -> TreeEdit:
     """By its constructor: what a program made of it may lie beyond what is taken from a window."""
+    check_plain(row, "an edit")
     (edit,) = edits_from_json({**edits_to_json(()), "edits": [row]})
     return edit
+
+
+def _transfer(document: dict[str, Any]) -> TransferFunction:
+    check_plain(document, "a transfer function")
+    return TransferFunction.from_json(document)
+
+
+def _uncertain(found: tuple[Uncertainty, ...]) -> tuple[Uncertainty, ...]:
+    check_plain([msgspec.to_builtins(one) for one in found], "uncertain places")
+    return found
 
 
 def _keys(facts: f.KeyFramesFacts) -> KeyFrames:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import sqlite3
 import threading
 from collections.abc import Callable, Collection, Sequence
@@ -11,6 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from carina.case.bounds import (
+    MAX_MESSAGE_CHARS,
+    MAX_NAME_CHARS,
+    MAX_S,
+    MAX_WHOLE,
+    bounded_number,
+    bounded_text,
+    bounded_whole,
+    shortened,
+)
 from carina.case.database import no_surprise, told, transaction
 from carina.case.packing import deflated, digest_of, inflated
 from carina.case.trouble import damaged
@@ -82,7 +93,7 @@ class RecordingTable:
                 made = connection.execute(
                     "INSERT INTO recording (id, place, name, words, begun_s, length_s, complete) VALUES "
                     "(?, (SELECT 1 + coalesce(max(place), 0) FROM recording), ?, '', ?, 0.0, 0)",
-                    (number, name, float(begun_s)),
+                    (number, shortened(name, MAX_NAME_CHARS), _seconds(begun_s)),
                 )
             assert made.lastrowid is not None
             return made.lastrowid
@@ -100,20 +111,18 @@ class RecordingTable:
                     )
                 connection.execute(
                     "UPDATE recording SET length_s = ?, complete = ? WHERE id = ?",
-                    (float(length_s), int(complete), recording_id),
+                    (_seconds(length_s), int(complete), recording_id),
                 )
 
     def all(self) -> tuple[RecordingFacts, ...]:
         """In their order."""
         rows = self._reading().execute(
-            "SELECT id, substr(name, 1, 4000), substr(words, 1, 100000), begun_s, length_s, complete "
-            "FROM recording ORDER BY place, id LIMIT 100000"
+            "SELECT id, place, substr(name, 1, ?), substr(words, 1, ?), begun_s, length_s, complete "
+            "FROM recording ORDER BY place, id LIMIT 100000",
+            (MAX_NAME_CHARS + 1, MAX_MESSAGE_CHARS + 1),
         )
         with no_surprise():
-            return tuple(
-                RecordingFacts(n, str(name), str(words), float(begun), float(length), bool(complete))
-                for n, name, words, begun, length, complete in rows
-            )
+            return tuple(_facts_of(row) for row in rows)
 
     def text(self, recording_id: int) -> str:
         """Its lines."""
@@ -152,6 +161,8 @@ class RecordingTable:
     def change(self, recording_id: int, *, name: str | None, words: str | None) -> None:
         """Call or describe it otherwise."""
         sql = "UPDATE recording SET name = coalesce(?, name), words = coalesce(?, words) WHERE id = ?"
+        name = None if name is None else shortened(name, MAX_NAME_CHARS)
+        words = None if words is None else shortened(words, MAX_MESSAGE_CHARS)
         self._change(sql, (name, words, recording_id), recording_id)
 
     def order(self, recording_ids: Sequence[int]) -> None:
@@ -178,11 +189,11 @@ class RecordingTable:
             rows = connection.execute("SELECT id, place, name, words FROM recording")
             found = {number: tuple(others) for number, *others in rows}
             gone = [(number,) for number in removed if number in found]
-            as_wanted = [
-                (place, one.name, one.words, one.recording_id)
+            texts = [
+                (place, shortened(one.name, MAX_NAME_CHARS), shortened(one.words, MAX_MESSAGE_CHARS), one.recording_id)
                 for place, one in enumerate(wanted, start=1)
-                if one.recording_id in found and found[one.recording_id] != (place, one.name, one.words)
             ]
+            as_wanted = [row for row in texts if row[3] in found and found[row[3]] != row[:3]]
             if gone or as_wanted:
                 with transaction(connection):
                     connection.executemany("DELETE FROM recording WHERE id = ?", gone)
@@ -318,6 +329,26 @@ class RecordingWriter(io.TextIOBase):
             finally:
                 with self._lock:
                     super().close()
+
+
+def _facts_of(row: tuple[object, ...]) -> RecordingFacts:
+    """Check the columns of a recording, which have no digest."""
+    number, place, name, words, begun_s, length_s, complete = row
+    where = f"recording {number}"
+    bounded_whole(place, where, -MAX_WHOLE, MAX_WHOLE)
+    return RecordingFacts(
+        bounded_whole(number, where, 1, MAX_WHOLE),
+        bounded_text(name, where, MAX_NAME_CHARS),
+        bounded_text(words, where, MAX_MESSAGE_CHARS),
+        bounded_number(begun_s, where, 0.0, MAX_S),
+        bounded_number(length_s, where, 0.0, MAX_S),
+        bool(bounded_whole(complete, where, 0, 1)),
+    )
+
+
+def _seconds(value: float) -> float:
+    """Return a time that can be read back: of a clock that was wrong the nearest bound."""
+    return min(max(float(value), 0.0), MAX_S) if math.isfinite(value) else 0.0
 
 
 def _time_of(line: str) -> float:

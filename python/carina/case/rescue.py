@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from carina.case import facts as f
+from carina.case.bounds import MAX_LABEL_CHARS, MAX_NUMBER, MAX_S, check_tip, shortened
 from carina.case.database import check_header, connected, no_surprise, told
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.facts import TargetFacts
@@ -166,7 +167,7 @@ class _Rescue:
         return Moment(
             first=documents[0][1],
             steps=tuple(
-                Step(str(label)[:4000], document, self._command(command), at_s if isinstance(at_s, float) else 0.0)
+                Step(shortened(str(label), MAX_LABEL_CHARS), document, self._command(command), _seconds(at_s))
                 for (_, label, command, at_s, _), document in documents[1:]
             ),
             position=min(max(position, 0), len(documents) - 1),
@@ -203,6 +204,7 @@ class _Rescue:
             with no_surprise():
                 position, said = self._connection.execute("SELECT position, facts FROM moment").fetchone()
                 facts: f.MomentFacts = from_json(said, f.decoders().moment, "current state")
+                check_tip(facts.tip, "tip", has_route=True)
                 return int(position), facts
         except TROUBLE:
             self._lost.append("the displayed views and the tip position")
@@ -267,7 +269,9 @@ class _Rescue:
             transfer=part("the transfer function", lambda: reader.transfer(transfer), transfer_preset("endoscopic")),
             look=part("the scope and lens settings", lambda: reader.look(look), Look()),
             airways=part("the airways", lambda: reader.any_airways(airways), None) if whole else None,
-            lumen_threshold=threshold if isinstance(threshold, float) else None,
+            lumen_threshold=threshold
+            if isinstance(threshold, float) and -MAX_NUMBER <= threshold <= MAX_NUMBER
+            else None,
             targets=part("the targets", lambda: self._targets(targets, what), ()),
             route=None if route is None else part("the route", lambda: reader.route(route), None),
             key_frames=part("the key frames", lambda: reader.keys(keys), KeyFrames()),
@@ -305,13 +309,13 @@ class _Rescue:
             try:
                 with no_surprise():
                     text = table.text(number)
-                    begun = float(begun_s)
+                    begun = _seconds(begun_s)
             except TROUBLE:
                 self._lost.append(f"the recording {str(name)[:80]}")
                 continue
-            with made.record(str(name)[:4000], begun_s=begun) as writer:
+            with made.record(str(name), begun_s=begun) as writer:
                 writer.write(text)
-            made.change_recording(writer.recording_id, words=str(words)[:100_000])
+            made.change_recording(writer.recording_id, words=str(words))
 
     def _copy_scan(self, made: CaseFile) -> None:
         try:
@@ -336,6 +340,11 @@ class _Rescue:
                     kept.setdefault(str(kind), []).append(value)
         for kind, values in kept.items():
             made.set_extra(kind, tuple(values))
+
+
+def _seconds(value: object) -> float:
+    """Return the time of a step or recording, 0 where it is lost."""
+    return value if isinstance(value, float) and 0.0 <= value <= MAX_S else 0.0
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:

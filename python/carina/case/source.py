@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case import facts as f
+from carina.case.bounds import bounded_text, bounded_whole, check_plain
 from carina.case.packing import as_checked_json, from_json
 from carina.case.trouble import damaged
 from carina.display import one_line
@@ -90,7 +91,10 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
         raise damaged(where, "an invertible transform", "a matrix that is not invertible")
     if not isinstance(digest, str) or len(digest) > 128 or not (path is None or _is_path(path)):
         raise damaged(where, "a digest and a relative path", "other values")
+    bounded_text(digest, where, 128)
+    bounded_whole(is_hu, where, 0, 1)
     facts = from_json(choices, f.decoders().choices, where)
+    check_plain(facts, where)
     try:
         return SourceFacts((nz, ny, nx), places, digest, bool(is_hu), path, facts)
     except UsageError:
@@ -98,6 +102,7 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
 
 
 def _is_path(path: object) -> bool:
+    # A file name may have any character but this one; the terminal shows it without control characters.
     return isinstance(path, str) and 0 < len(path) <= MAX_PATH_CHARS and "\x00" not in path
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case import facts as f
+from carina.case.bounds import MAX_LABEL_CHARS, MAX_S, is_readable_tip, shortened
 from carina.case.document import Document, KeyFrames, Target
 from carina.case.history import Step
 from carina.case.lesions import lesion_facts
@@ -98,9 +99,10 @@ class CaseWriter:
         for airways, measures in moment.measures:
             self._measures(self._airways(airways), measures)
         scope = moment.scope
+        has_route = moment.history().current.route is not None
         facts = f.MomentFacts(
             sight=moment.sight,
-            tip=moment.tip,
+            tip=moment.tip if is_readable_tip(moment.tip, has_route=has_route) else {},
             scope=None if scope is None else f.ScopeFacts(scope.insertion_mm, scope.roll_rad, scope.flexion_rad),
             search_status=moment.search_status,
             search_words=moment.search_words,
@@ -128,9 +130,10 @@ class CaseWriter:
             # What a program asked for may lie beyond what can be read; the step is known by its words then.
             with contextlib.suppress(UsageError):
                 said = as_checked_json(command, self._decoders.command, "a command")
-        # Half a character is none in a file.
-        label = step.label.encode(errors="replace").decode()
-        return (label, said, float(step.at_s), self._document(step.document))
+        label = shortened(step.label, MAX_LABEL_CHARS)
+        # A clock that was wrong: no step may make the case unreadable.
+        at_s = min(max(float(step.at_s), 0.0), MAX_S) if math.isfinite(step.at_s) else 0.0
+        return (label, said, at_s, self._document(step.document))
 
     def _write_steps(self, entries: list[tuple[object, StepRow]]) -> None:
         """Only rows that changed; where the oldest steps were forgotten, the others keep their numbers."""

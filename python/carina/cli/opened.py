@@ -44,8 +44,10 @@ class Opened:
 
     @property
     def tip(self) -> Pose | None:
-        """Where the tip was left; None for a scan."""
-        return None if self.moment is None else Pose(np.array(self.moment.tip["lps_from_camera"], dtype=np.float64))
+        """Where the tip was left; None for a scan, or for a rescued case that lost it."""
+        if self.moment is None or not self.moment.tip:
+            return None
+        return Pose(np.array(self.moment.tip["lps_from_camera"], dtype=np.float64))
 
     def airways(self, progress: ProgressCallback) -> Airways:
         """Those of the case, with all edits; of a scan those that are found, once.

@@ -48,7 +48,7 @@ __all__ = [
 Numbers = Annotated[tuple[float, ...], Meta(max_length=2_000_000)]
 MaybeNumbers = Annotated[tuple[float | None, ...], Meta(max_length=2_000_000)]
 PointsLps = Annotated[tuple[PointLps, ...], Meta(max_length=1_000_000)]
-Matrix4 = Annotated[tuple[float, ...], Meta(min_length=16, max_length=16)]
+Matrix4 = Annotated[tuple[Coordinate, ...], Meta(min_length=16, max_length=16)]
 """4x4, row-major."""
 Identifier = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
 OwnName = Annotated[str, Meta(min_length=1, max_length=80, pattern=TEXT)]

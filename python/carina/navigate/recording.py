@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import io
 import json
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +32,8 @@ __all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording"
 FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
+MAX_LENGTH_S = 1e7
+"""Of a recording: four months."""
 """Of characters: a path of a million points."""
 
 
@@ -364,7 +365,7 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
                 break  # the last line of a recording that was cut off
             raise _refused(place, f"line {len(lines) + 2} is not a JSON object")
         at_s = line.get("end", line.get("t"))
-        if not isinstance(at_s, int | float) or not math.isfinite(at_s) or at_s < last_s:
+        if not isinstance(at_s, int | float) or not last_s <= at_s <= MAX_LENGTH_S:
             raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier time than the line before")
         if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall")):
             raise _refused(place, f"line {len(lines) + 2} contains an invalid movement, view or wall record")

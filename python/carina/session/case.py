@@ -300,7 +300,8 @@ def restore(case: OpenCase, kept: Moment) -> None:
     document = case.document
     case.flown_route = document.route
     case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
-    case.navigator.restore(kept.tip, case.navigator.path)
+    if kept.tip:  # a rescued case may have lost it
+        case.navigator.restore(kept.tip, case.navigator.path)
     status: AirwayStatus = "found" if document.airways is not None else "waiting"
     if document.airways is None and kept.search_status == "failed":
         status = "failed"

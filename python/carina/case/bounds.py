@@ -1,0 +1,222 @@
+"""Bounds of the numbers and texts of a case file; content beyond them is damaged and is not shown.
+
+The bounds are listed in docs/case-file.md. What Carina writes is within them: the writer shortens texts and leaves out
+what cannot be read back.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.case.trouble import damaged
+from carina.errors import CarinaError
+from carina.scopes import Pose
+from carina.value import TEXT
+
+__all__ = [
+    "MAX_LABEL_CHARS",
+    "MAX_MESSAGE_CHARS",
+    "MAX_MM",
+    "MAX_NAME_CHARS",
+    "MAX_NUMBER",
+    "MAX_S",
+    "MAX_WHOLE",
+    "bounded_array",
+    "bounded_number",
+    "bounded_text",
+    "bounded_whole",
+    "check_ascending",
+    "check_plain",
+    "check_tip",
+    "cleaned",
+    "is_readable_tip",
+    "shortened",
+]
+
+MAX_S: Final = 1e10
+"""Seconds since a case was begun: 317 years, so that a clock that is wrong does not matter."""
+MAX_MM: Final = 1e6
+MAX_PLACE_MM: Final = 1e5
+MAX_NUMBER: Final = 1e9
+"""Of a number without a unit of length: a cost, a value of the CT, an angle, a percentage."""
+MAX_WHOLE: Final = 2**53
+MAX_LABEL_CHARS: Final = 1000
+"""Of a step's label; Carina's own have at most about 200 characters."""
+MAX_NAME_CHARS: Final = 4000
+"""Of a name or a title: as long as any text of the wire."""
+MAX_MESSAGE_CHARS: Final = 20_000
+"""Of a note or a message."""
+MAX_DEPTH: Final = 32
+_TEXT: Final = re.compile(TEXT)
+_NOT_TEXT: Final = re.compile(r"[\x00-\x08\x0b-\x1f\ud800-\udfff]")
+
+
+# ------------------------------------------------------------ reading
+
+
+def bounded_number(value: object, where: str, low: float, high: float) -> float:
+    """Return a finite number within its bounds.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise damaged(where, f"a number from {low:g} to {high:g}", _shown(value))
+    return float(value)
+
+
+def bounded_whole(value: object, where: str, low: int, high: int) -> int:
+    """Return a whole number within its bounds.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise damaged(where, f"a whole number from {low} to {high}", _shown(value))
+    return value
+
+
+def bounded_text(value: object, where: str, most: int) -> str:
+    """Return a text of bounded length without control characters; line breaks and tabs are allowed.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    if not isinstance(value, str):
+        raise damaged(where, "text", _shown(value))
+    if len(value) > most:
+        raise damaged(where, f"at most {most} characters", f"{len(value)}")
+    if _TEXT.fullmatch(value) is None:
+        raise damaged(where, "text without control characters", _shown(value))
+    return value
+
+
+def bounded_array(values: NDArray[Any], where: str, low: float, high: float) -> None:
+    """Refuse an array with a number that is undefined or outside the bounds.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    # A comparison with NaN is false.
+    if len(values) and not (np.min(values) >= low and np.max(values) <= high):
+        raise damaged(where, f"numbers from {low:g} to {high:g}", "other numbers")
+
+
+def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> None:
+    """Refuse places that go back.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    if (np.diff(np.asarray(values, dtype=np.float64)) < 0.0).any():
+        raise damaged(where, "numbers in ascending order", "a different order")
+
+
+def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHARS) -> None:
+    """Check plain JSON whose fields this part does not know: its depth, numbers and texts.
+
+    Parameters
+    ----------
+    most_chars
+        Of each text.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    waiting: list[tuple[object, int]] = [(value, 0)]
+    while waiting:
+        one, depth = waiting.pop()
+        if depth > MAX_DEPTH:
+            raise damaged(where, f"at most {MAX_DEPTH} levels of JSON", "more")
+        if isinstance(one, str):
+            bounded_text(one, where, most_chars)
+        elif isinstance(one, int | float) and not isinstance(one, bool):
+            if not -1e15 <= one <= 1e15:
+                raise damaged(where, "numbers from -1e15 to 1e15", _shown(one))
+        elif isinstance(one, Mapping):
+            waiting += ((part, depth + 1) for pair in one.items() for part in pair)
+        elif isinstance(one, list | tuple):
+            waiting += ((part, depth + 1) for part in one)
+
+
+def check_tip(tip: Mapping[str, Any], where: str, *, has_route: bool) -> None:
+    """Check a tip's state (:meth:`carina.navigate.Navigator.state`); an empty one begins at the usual place.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    if not tip:
+        return
+    expected = "a pose, a mode, offsets and a place on the path"
+    try:
+        arrays = {name: np.array(tip[name], dtype=np.float64) for name in ("entry", "look", "shift_lps")}
+        matrix = np.array(tip["lps_from_camera"], dtype=np.float64)
+        Pose(matrix)
+        mode, operator = tip["mode"], tip["operator"]
+        path_mm = bounded_number(tip["path_mm"], where, -MAX_MM, MAX_MM)
+        bounded_number(tip["base_roll_rad"], where, -MAX_NUMBER, MAX_NUMBER)
+    except (KeyError, TypeError, ValueError, OverflowError) as trouble:
+        raise damaged(where, expected, f"other content ({str(trouble)[:100]})") from None
+    if [array.shape for array in arrays.values()] != [(3, 3), (3, 3), (3,)] or not math.isfinite(path_mm):
+        raise damaged(where, expected, "arrays of another shape")
+    for turn in (arrays["entry"], arrays["look"]):
+        bounded_array(turn.ravel(), where, -1.001, 1.001)
+    bounded_array(arrays["shift_lps"], where, -MAX_MM, MAX_MM)
+    bounded_array(matrix.ravel(), where, -MAX_MM, MAX_MM)
+    if mode not in {"free", "path"} or operator not in {"head", "facing"} or (mode == "path" and not has_route):
+        raise damaged(where, expected, f"mode {_shown(mode)}, operator {_shown(operator)}")
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > MAX_WHOLE:
+        return "a larger number"
+    return repr(value)[:60]
+
+
+# ------------------------------------------------------------ writing
+
+
+def shortened(text: str, most: int) -> str:
+    """Return a text within the bounds of reading: without control characters, and with an ellipsis where it is cut."""
+    text = _NOT_TEXT.sub("\ufffd", text)
+    return text if len(text) <= most else text[: most - 1] + "\u2026"
+
+
+def cleaned(value: Any, most: int) -> Any:
+    """Return plain JSON with all its texts :func:`shortened`."""
+    if isinstance(value, str):
+        return shortened(value, most)
+    if isinstance(value, Mapping):
+        return {cleaned(key, most): cleaned(part, most) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [cleaned(part, most) for part in value]
+    return value
+
+
+def is_readable_tip(tip: Mapping[str, Any], *, has_route: bool) -> bool:
+    """Return whether a tip's state can be read back."""
+    try:
+        check_tip(tip, "tip", has_route=has_route)
+    except CarinaError:
+        return False
+    return True
