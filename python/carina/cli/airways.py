@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import carina
 from carina.cli.adding import add_branches, error_json
 from carina.cli.arguments import check_output_file
-from carina.cli.console import print_json, progress_printer, say
+from carina.cli.console import print_json, progress_printer, say, show
 from carina.cli.opened import Opened, check_case_options, opened
 from carina.errors import UsageError
 from carina.export import (
@@ -99,16 +99,16 @@ def find(
             }
         )
         return exit_code
-    print(
+    show(
         f"{len(airways.tree)} branches up to generation {deepest}, {length_mm / 1000.0:.2f} m in total, "
         f"lumen volume {lumen_ml:.1f} ml"
     )
     for row in airways.tree.rows():
         kind = kind_words(row.branches[0].kind)
         wide = f"{row.calibre:>4} mm wide" if kind is None else f"{kind}: the CT shows no airway here"
-        print(f"{'  ' * row.depth}{row.id:>4} {row.name or '-':<18} {row.length_mm:6.1f} mm long, {wide}")
+        show(f"{'  ' * row.depth}{row.id:>4} {row.name or '-':<18} {row.length_mm:6.1f} mm long, {wide}")
     for absence in airways.absent:
-        print(absence.words)
+        show(absence.words)
     return exit_code
 
 
@@ -127,10 +127,10 @@ def _absence_row(absence: Absence) -> dict[str, Any]:
 def print_formats() -> None:
     """What ``carina export`` writes, and who reads it."""
     for kind, title in EXPORT_TITLES.items():
-        print(title)
+        show(title)
         for row in EXPORT_FORMATS:
             if row.kind == kind:
-                print(f"  {row.suffix:<10} {row.words}")
+                show(f"  {row.suffix:<10} {row.words}")
 
 
 def write(

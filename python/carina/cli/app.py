@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +13,7 @@ from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
 from carina.cli.arguments import check_output_folder, parse_point, parse_size
-from carina.cli.console import exit_codes, fail, print_json, progress_printer
+from carina.cli.console import exit_codes, fail, log_to_terminal, print_json, progress_printer, say_usage, show
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, TokenOption
 from carina.errors import UsageError
 
@@ -97,11 +96,11 @@ def _workstation(
             print_json({"url": url, "token": token, **told})
             return
         if "phone" in told:
-            print(
-                f"Open on the phone: {told['phone']['url']}\nCertificate fingerprint "
-                f"(SHA-256): {told['phone']['sha256']}"
+            show(
+                f"Open on the phone: {told['phone']['url']}",
+                f"Certificate fingerprint (SHA-256): {told['phone']['sha256']}",
             )
-        print(f"Carina is open at {url}\nPress Ctrl-C to close it.", flush=True)
+        show(f"Carina is open at {url}", "Press Ctrl-C to close it.", flush=True)
 
     with exit_codes(as_json):
         from carina.cli.cluster import opened_cluster
@@ -143,7 +142,7 @@ def root(
     Without a command, open the workstation's start page.
     """
     if version:
-        print(f"carina {carina.__version__}")
+        show(f"carina {carina.__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
         _workstation(path=None, demo=None, host="127.0.0.1", port=0, browser=True, as_json=False)
@@ -492,8 +491,8 @@ def phantom(
         if as_json:
             print_json(summary)
         else:
-            print(f"{summary['branches']} branches, {made.volume!r}")
-            print("\n".join(summary["files"]))
+            show(f"{summary['branches']} branches, {made.volume!r}")
+            show(*summary["files"])
 
 
 @app.command()
@@ -636,10 +635,10 @@ def main() -> None:
     with exit_codes(as_json):
         from carina.config import load_settings
 
-        logging.basicConfig(level=load_settings().log_level, format="%(levelname)s %(name)s: %(message)s")
+        log_to_terminal(load_settings().log_level)
         try:
             code = app(prog_name="carina", standalone_mode=False)
         except USAGE_ERROR as error:
-            error.show()
+            say_usage(error)
             fail(as_json, UsageError.code, error.format_message(), UsageError.exit_code)
     raise SystemExit(code if isinstance(code, int) else 0)

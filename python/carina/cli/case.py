@@ -10,12 +10,13 @@ from typing import Any
 
 from carina.case import CaseFile, RecordingFacts, migrate, rescued
 from carina.cli.arguments import check_output_file
-from carina.cli.console import print_json, progress_printer, say
+from carina.cli.console import print_json, progress_printer, say, show
 from carina.cli.opened import case_scans, newest_state
 from carina.config import load_settings
 from carina.disk import say_size, write_whole
 from carina.errors import DiskError, UsageError
 from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore
+from carina.session.record_repair import repair_records
 from carina.volume import VolumeCache
 
 __all__ = [
@@ -99,7 +100,7 @@ def info(path: Path, *, as_json: bool) -> int:
     if as_json:
         print_json(case_json(path))
     else:
-        print("\n".join(case_lines(path)))
+        show(*case_lines(path))
     return 0
 
 
@@ -111,7 +112,7 @@ def history(path: Path, *, as_json: bool) -> int:
         print_json({"steps": [{"n": n, **asdict(step)} for n, step in enumerate(steps, 1)]})
         return 0
     for n, step in enumerate(steps, 1):
-        print(f"{n:>4}  {_clock(step.at_s):>9}  {step.label}{'' if step.holds else '  (undone)'}")
+        show(f"{n:>4}  {_clock(step.at_s):>9}  {step.label}{'' if step.holds else '  (undone)'}")
     if not steps:
         say("nothing has been changed in this case yet")
     return 0
@@ -120,6 +121,8 @@ def history(path: Path, *, as_json: bool) -> int:
 def kept(*, as_json: bool) -> int:
     """Print the cases that are kept on this machine, the last used first."""
     records = _records()
+    for message in repair_records(records):
+        say(f"note: {message}")
     found = records.all()
     short = _short_ids(found)
     if as_json:
@@ -144,7 +147,7 @@ def kept(*, as_json: bool) -> int:
     for one in found:
         used = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.used_s))
         size = say_size(records.num_bytes(one))
-        print(f"{short[one.case_id]:<8} {used}  {_many(one.num_changes, 'change'):>12}  {size:>9}  {one.shown_title}")
+        show(f"{short[one.case_id]:<8} {used}  {_many(one.num_changes, 'change'):>12}  {size:>9}  {one.shown_title}")
     if not found:
         say("no cases are stored on this machine")
     return 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from carina.cli.console import print_json, say
+from carina.cli.console import print_json, say, show
 from carina.cluster import ClusterRenderer, Console
 from carina.cluster.node import (
     DEFAULT_PORT,
@@ -83,11 +83,13 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
             if as_json:
                 print_json({"address": node.address, "token_file": str(_token(token))})
             else:
-                print(
-                    f"The cluster is at {node.address}. Copy the token file {_token(token)}\n"
-                    f"to each additional machine, and run there\n  carina cluster join {node.address}\n"
-                    f"and here, in another terminal\n  carina open PATH --cluster {node.address}\n"
-                    "Traffic is not encrypted: use a private network (docs/cluster.md).\n"
+                show(
+                    f"The cluster is at {node.address}. Copy the token file {_token(token)}",
+                    "to each additional machine, and run there",
+                    f"  carina cluster join {node.address}",
+                    "and here, in another terminal",
+                    f"  carina open PATH --cluster {node.address}",
+                    "Traffic is not encrypted: use a private network (docs/cluster.md).",
                     "Press Ctrl-C to stop the cluster.",
                     flush=True,
                 )
@@ -119,7 +121,7 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
                     if as_json:
                         print_json({"address": node.address, "ip": node.ip})
                     else:
-                        print(
+                        show(
                             f"This machine ({node.ip}) has joined the cluster at {node.address}. "
                             "Press Ctrl-C to leave it.",
                             flush=True,
@@ -154,11 +156,11 @@ def status(address: str | None, *, token: Path | None, as_json: bool) -> int:
         print_json({"address": f"{host}:{port}", "members": members})
         return 0
     num = sum(m["renderers"] for m in members if m["alive"])
-    print(f"{host}:{port}: {num} renderer{'s' if num != 1 else ''}")
+    show(f"{host}:{port}: {num} renderer{'s' if num != 1 else ''}")
     for member in members:
         state = "busy" if member["busy"] else "free"
         state = ("no renderer" if not member["renderers"] else state) if member["alive"] else "offline"
-        print(f"  {member['ip']:<16} {state:<12} {member['store_bytes'] / 2**30:.1f} GiB for volumes")
+        show(f"  {member['ip']:<16} {state:<12} {member['store_bytes'] / 2**30:.1f} GiB for volumes")
     return 0
 
 

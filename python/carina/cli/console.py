@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -14,22 +15,57 @@ from contextlib import contextmanager
 from typing import Any, NoReturn, TypeVar
 
 from carina.disk import disk_trouble, is_disk_trouble
+from carina.display.terminal import as_line, as_terminal_text, escaped_json
 from carina.errors import CancelledError, CarinaError
 
-__all__ = ["exit_codes", "fail", "interruptible", "print_json", "progress_printer", "say"]
+__all__ = [
+    "exit_codes",
+    "fail",
+    "interruptible",
+    "log_to_terminal",
+    "print_json",
+    "progress_printer",
+    "say",
+    "say_usage",
+    "show",
+]
 
 Result = TypeVar("Result")
 ProgressCallback = Callable[[str, float | None], None]
 
 
 def say(text: str) -> None:
-    """A line of progress or a remark, on stderr."""
-    print(text, file=sys.stderr, flush=True)
+    """Print a line of progress or a remark on stderr, without control characters."""
+    print(as_terminal_text(text), file=sys.stderr, flush=True)
+
+
+def show(*lines: object, flush: bool = False) -> None:
+    """Print result lines on stdout; the content of files cannot add control characters or line breaks."""
+    print("\n".join(as_line(str(line)) for line in lines), flush=flush)
+
+
+def say_usage(error: Any) -> None:
+    """Print a refusal of the argument parser with its usage line on stderr; file names in it are cleaned."""
+    text = io.StringIO()
+    error.show(file=text)
+    say(text.getvalue().rstrip())
+
+
+class _LogFormatter(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return as_terminal_text(super().format(record))
+
+
+def log_to_terminal(level: str) -> None:
+    """Print the log on stderr, without control characters."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_LogFormatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=level, handlers=[handler])
 
 
 def print_json(payload: dict[str, Any]) -> None:
     """One JSON object on stdout; NaN and infinities are refused, so every reader can parse it."""
-    print(json.dumps(payload, allow_nan=False, ensure_ascii=False, indent=2), flush=True)
+    print(escaped_json(json.dumps(payload, allow_nan=False, ensure_ascii=False, indent=2)), flush=True)
 
 
 def progress_printer() -> ProgressCallback:
@@ -47,7 +83,7 @@ def progress_printer() -> ProgressCallback:
                 say(what)
         if not live or now - state["shown"] < 0.1:
             return
-        text = what
+        text = as_line(what)
         if fraction is not None and 0.02 < fraction < 1.0:
             left_s = math.ceil((now - state["start"]) * (1.0 - fraction) / fraction)
             text += f" {100 * fraction:3.0f} %, {left_s} s left"

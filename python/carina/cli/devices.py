@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import structs
 
-from carina.cli.console import print_json, say
+from carina.cli.console import print_json, say, show
 from carina.commands import DeviceControls
 from carina.errors import UsageError
 from carina.navigate import HandleSample, PoseSample, Sample, SampleFilter, filter_latency_ms
@@ -63,13 +63,13 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
         )
     elif not sources:
         for port in ports:
-            print(f"{port['port']}  {port['title']}")
+            show(f"{port['port']}  {port['title']}")
         if trouble is not None:
-            print(trouble)
+            show(trouble)
         elif not ports:
-            print("no serial port was found")
-        print(IN_THE_WINDOW)
-        print(f"To see what a device sends: carina devices --device DEVICE, where DEVICE is one of {', '.join(KINDS)}")
+            show("no serial port was found")
+        show(IN_THE_WINDOW)
+        show(f"To see what a device sends: carina devices --device DEVICE, where DEVICE is one of {', '.join(KINDS)}")
     return 0 if all(status.num_samples > 0 for status in statuses) else 4
 
 

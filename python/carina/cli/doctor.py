@@ -11,7 +11,7 @@ from importlib import resources
 from typing import Any
 
 import carina
-from carina.cli.console import print_json
+from carina.cli.console import print_json, show
 from carina.cli.doctor_gpu import gpu_facts, gpu_lines
 from carina.config import Settings, load_settings
 from carina.disk import say_size
@@ -80,21 +80,21 @@ def report(*, as_json: bool) -> int:
     if as_json:
         print_json(facts)
         return 1 if problems else 0
-    print(f"Carina {facts['carina']} on Python {facts['python']}, {facts['platform']}")
-    print(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
+    show(f"Carina {facts['carina']} on Python {facts['python']}, {facts['platform']}")
+    show(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
     for line in gpu_lines(gpu):
-        print(f"  {line}")
-    print(f"  web UI: {'built' if web_ui else 'missing'}; browser: {browser or 'none found on PATH'}")
+        show(f"  {line}")
+    show(f"  web UI: {'built' if web_ui else 'missing'}; browser: {browser or 'none found on PATH'}")
     for name, version in facts["packages"].items():
-        print(f"  {name} {version or 'MISSING'}")
+        show(f"  {name} {version or 'MISSING'}")
     for name, (use, how) in OPTIONAL.items():
         version = facts["optional"][name]
-        print(f"  {name} {version}" if version else f"  {name}: not installed; for {use}: {how}")
+        show(f"  {name} {version}" if version else f"  {name}: not installed; for {use}: {how}")
     if cached is not None:
         off = "" if cached["on"] else " (cache off)"
-        print(f"  cached CTs: {cached['num']}, {say_size(cached['num_bytes'])}{off}")
+        show(f"  cached CTs: {cached['num']}, {say_size(cached['num_bytes'])}{off}")
     for problem in problems:
-        print(f"  problem: {problem}")
+        show(f"  problem: {problem}")
     if not problems:
-        print("  nothing is missing")
+        show("  nothing is missing")
     return 1 if problems else 0

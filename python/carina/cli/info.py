@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from carina.cli.case import case_json, case_lines
-from carina.cli.console import print_json, progress_printer, say
+from carina.cli.console import print_json, progress_printer, say, show
 from carina.cli.opened import check_case_options, opened_volume
 from carina.session import is_case_file
 from carina.volume import badges_of, inspect_path, quality_gate
@@ -47,24 +47,24 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: P
     else:
         nz, ny, nx = volume.shape_zyx
         sx, sy, sz = volume.spacing_mm
-        print(f"{volume.source.title} ({volume.source.format})")
-        print(f"  {nx} x {ny} x {nz} voxels of {sx:.3f} x {sy:.3f} x {sz:.3f} mm")
+        show(f"{volume.source.title} ({volume.source.format})")
+        show(f"  {nx} x {ny} x {nz} voxels of {sx:.3f} x {sy:.3f} x {sz:.3f} mm")
         unit = "HU" if volume.is_hu else f"not HU: {volume.not_hu_reason}"
-        print(f"  values {low} to {high}, {unit}")
+        show(f"  values {low} to {high}, {unit}")
         for other in volume.source.other_series:
             state = f"cannot be opened: {other.refused}" if other.refused else "open it with --series"
-            print(
+            show(
                 f"  also found: series {other.key}, {other.modality}, {other.num_slices} slices, "
                 f"{other.description or 'no description'} ({state})"
             )
         for note in volume.source.notes:
-            print(f"  {'finding' if note.badge else 'note'}: {note.words}")
+            show(f"  {'finding' if note.badge else 'note'}: {note.words}")
         for finding in quality.findings:
-            print(f"  quality: {finding.words}")
+            show(f"  quality: {finding.words}")
         if volume.source.citation:
-            print(f"  {volume.source.citation}")
+            show(f"  {volume.source.citation}")
         if case:
-            print("\n".join(case_lines(path)))
+            show(*case_lines(path))
     if strict and (quality.findings or badges):
         codes = ", ".join([*(badge.code for badge in badges), *(finding.code for finding in quality.findings)])
         say(f"carina: the scan check found problems ({codes}); exit code 3 because of --strict")

@@ -9,7 +9,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from carina.disk import make_folder, write_whole
+from carina.disk import make_folder, read_regular_text, write_whole
 from carina.errors import UsageError, VolumeImportError
 from carina.render import Picture
 
@@ -56,10 +56,10 @@ class KeptFrames:
         if not folder.exists() or (folder.is_dir() and next(folder.iterdir(), None) is None):
             return None
         try:
-            document = json.loads((folder / JOB).read_text(encoding="utf-8"))
+            document = json.loads(read_regular_text(folder / JOB, max_bytes=1 << 20))
             if document["format"] == FORMAT and document["version"] == 1:
                 return str(document["job"])
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             pass
         raise UsageError(
             f"--keep: expected a new or empty folder, or one with frames of this flight; {folder} contains other files"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.config import BACKENDS
-from carina.disk import write_whole
+from carina.disk import read_regular_text, write_whole
 from carina.display import one_line
 from carina.errors import RenderError
 
@@ -183,12 +183,12 @@ def _carina() -> str:
 def _read(path: Path) -> list[Verdict]:
     """The record, or nothing where it is missing or not ours: it can be measured again."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_regular_text(path, max_bytes=1 << 20))
         # Another Carina has other casters on either side.
         if (data["format"], data["version"], data["carina"]) != (FORMAT, VERSION, _carina()):
             return []
         return [_verdict(item) for item in data["measured"]]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return []
 
 

@@ -111,7 +111,7 @@ class MapCache:
                 found = _read(file, name.values_zyx.shape)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             logger.warning("a cached IsoRegion map could not be read and will be rebuilt: %s", type(error).__name__)
             logger.debug("reading a cached map", exc_info=error)
             _remove(path)

@@ -14,7 +14,9 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.session.core import SessionCore
 from carina.session.recent import RecentCase
+from carina.session.record_repair import repair_records
 from carina.session.records import CaseRecord, CaseRecords
+from carina.session.snapshot import Trouble
 from carina.session.subject import Subject, does
 
 if TYPE_CHECKING:
@@ -69,8 +71,9 @@ class CaseList(Subject):
     # ------------------------------------------------------------ what there is
 
     def listed(self) -> tuple[ListedCase, ...]:
-        """The case used last first."""
+        """The case used last first; files that cannot be read are moved aside before, with a message."""
         records = self._saving.records
+        self._move_damaged_aside()
         kept = () if records is None else records.all()
         places = {record.place for record in kept}
         opened = () if self.core.store is None else self.core.store.recent()
@@ -79,6 +82,12 @@ class CaseList(Subject):
         only_opened = [_of_place(case) for case in opened if case.path not in places]
         # The stored cases keep their order, which no clock changes; the others are placed among them by their day.
         return tuple(heapq.merge(stored, only_opened, key=lambda one: one.used_s, reverse=True))
+
+    def _move_damaged_aside(self) -> None:
+        records, store = self._saving.records, self.core.store
+        messages = () if records is None else repair_records(records)
+        for message in (*messages, *(() if store is None else store.moved_aside())):
+            self.core.emit(Trouble("case.record", message))
 
     def _opens(self, kept: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
         """Whether the CT of a case is to be had: at its place, at another case's, in its file, or cached."""

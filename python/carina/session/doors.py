@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from carina.disk import write_whole
+from carina.disk import read_regular_text, write_whole
 from carina.display import as_words
 from carina.value import FrozenValue
 
@@ -23,6 +23,7 @@ logger = logging.getLogger(__name__)
 
 DOOR = "door.json"
 FORMAT, VERSION = "carina-door", 1
+MAX_BYTES = 1 << 16
 
 
 class Door(FrozenValue, frozen=True):
@@ -41,7 +42,10 @@ def open_door(folder: Path, door: Door) -> None:
     plain = {"format": FORMAT, "version": VERSION, **msgspec.structs.asdict(door)}
     try:
         write_whole(
-            folder / DOOR, (json.dumps(plain) + "\n").encode(), what="the connection details of this case", private=True
+            folder / DOOR,
+            (json.dumps(plain, allow_nan=False) + "\n").encode(),
+            what="the connection details of this case",
+            private=True,
         )
     except OSError as trouble:
         logger.warning("no program can join this case: %s", type(trouble).__name__)
@@ -56,7 +60,7 @@ def close_door(folder: Path) -> None:
 def read_door(folder: Path) -> Door | None:
     """None where there is none; behind one that is there nobody may live any more."""
     with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
-        plain = json.loads((folder / DOOR).read_text(encoding="utf-8"))
+        plain = json.loads(read_regular_text(folder / DOOR, max_bytes=MAX_BYTES))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:
             return msgspec.convert(plain, Door)
     return None

@@ -12,14 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from carina.disk import make_folder, write_whole
+from carina.disk import make_folder, read_regular_text, write_whole
 from carina.display import as_words, one_line
+from carina.errors import VolumeImportError
 
 __all__ = ["LocalStore", "RecentCase"]
 
 logger = logging.getLogger(__name__)
 
 MAX_RECENT = 12
+MAX_BYTES = 4 << 20
+CHARS = {"recent_id": 64, "date": 64, "title": 1000, "path": 4096}
+"""The texts of an entry, and how long each may be."""
 
 
 @one_line
@@ -40,6 +44,7 @@ class LocalStore:
     def __init__(self, folder: Path) -> None:
         self._unwritten: dict[Path, dict[str, Any]] = {}
         """What the disk did not take: it holds until Carina is closed."""
+        self._messages: list[str] = []
         self._recent_file = folder / "recent.json"
         self._notice_file = folder / "notice.json"
         self._storage_file = folder / "storage.json"
@@ -50,19 +55,34 @@ class LocalStore:
     def recent(self) -> tuple[RecentCase, ...]:
         """Newest first; entries that do not read are left out."""
         found = []
-        for entry in self._read(self._recent_file).get("cases", []):
+        entries = self._read(self._recent_file).get("cases", [])
+        for entry in entries if isinstance(entries, list) else ():
             try:
-                found.append(RecentCase(*(str(entry[key]) for key in ("recent_id", "date", "title", "path"))))
+                texts = [entry[key] for key in CHARS]
             except (KeyError, TypeError):
                 continue
+            if all(
+                isinstance(text, str) and len(text) <= most for text, most in zip(texts, CHARS.values(), strict=True)
+            ):
+                found.append(RecentCase(*texts))
         return tuple(found[:MAX_RECENT])
+
+    def moved_aside(self) -> tuple[str, ...]:
+        """Messages about files that could not be read and were moved aside; each is returned once."""
+        for path in (self._recent_file, self._notice_file, self._storage_file):
+            self._read(path)
+        messages, self._messages = tuple(self._messages), []
+        return messages
 
     def remember(self, path: str, title: str, date: str) -> None:
         """Put a case first in the list."""
         place = str(Path(path).absolute())
         recent_id = hashlib.sha256(place.encode()).hexdigest()[:16]
         self._write_cases(
-            [RecentCase(recent_id, date, title, place), *(c for c in self.recent() if c.recent_id != recent_id)]
+            [
+                RecentCase(recent_id, date, title[: CHARS["title"]], place),
+                *(c for c in self.recent() if c.recent_id != recent_id),
+            ]
         )
 
     def forget(self, path: str) -> None:
@@ -98,17 +118,51 @@ class LocalStore:
         if path in self._unwritten:
             return self._unwritten[path]
         try:
-            value = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError):
+            text = read_regular_text(path, max_bytes=MAX_BYTES)
+        except VolumeImportError as error:
+            if error.code == "disk.too-large":
+                self._move_aside(path)
             return {}
-        return value if isinstance(value, dict) else {}
+        except OSError:
+            return {}
+        except ValueError:  # not text
+            self._move_aside(path)
+            return {}
+        try:
+            value = json.loads(text, parse_constant=_no_constant)
+        except (ValueError, RecursionError):
+            value = None
+        if not isinstance(value, dict):
+            self._move_aside(path)
+            return {}
+        return value
+
+    def _move_aside(self, path: Path) -> None:
+        """Keep a file that cannot be read under another name, which no start reads."""
+        number = 1
+        while (target := path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")).exists():
+            number += 1
+        try:
+            path.rename(target)
+        except OSError as error:
+            logger.warning("could not rename %s: %s", path.name, error.strerror)
+            return
+        self._messages.append(
+            f"The settings file {path.name} was damaged and is not used. It is kept as {target.name} beside it."
+        )
 
     def _write(self, path: Path, value: dict[str, Any]) -> None:
         try:
             make_folder(path.parent, what="settings", private=True)
-            write_whole(path, (json.dumps(value, indent=1) + "\n").encode(), what="settings", private=True)
+            write_whole(
+                path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode(), what="settings", private=True
+            )
             self._unwritten.pop(path, None)
         except OSError as error:
             # Else a notice that was read would be asked for again after every change.
             self._unwritten[path] = value
             logger.warning("could not write %s: %s", path.name, error.strerror)
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number in JSON")

@@ -8,25 +8,31 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import math
 import os
+import re
 import secrets
 import shutil
 import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Any, Final
 
 import msgspec
+from msgspec import Meta
 
-from carina.disk import make_folder, write_whole
+from carina.case.bounds import shortened
+from carina.disk import make_folder, read_regular_text, write_whole
 from carina.disk.locks import Held, try_lock
 from carina.display import one_line
+from carina.errors import VolumeImportError
 from carina.session.case_names import case_code
 from carina.session.doors import Door, close_door, open_door, read_door
 from carina.session.named_lock import NamedLock
-from carina.value import FrozenValue
+from carina.value import TEXT, Count, FrozenValue
 
-__all__ = ["CaseRecord", "CaseRecords", "HeldCase"]
+__all__ = ["CaseRecord", "CaseRecords", "HeldCase", "is_damaged_record", "write_record"]
 
 logger = logging.getLogger(__name__)
 
@@ -34,6 +40,11 @@ FORMAT, VERSION = "carina-record", 1
 RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg"
 FORGOTTEN = ".forgotten"
 """The folder, among those of the cases, of what was forgotten: it can be brought back for a while."""
+MAX_RECORD_BYTES: Final = 1 << 20
+MAX_S: Final = 1e11
+"""Until the year 5138, which every clock and calendar can show."""
+MAX_TITLE_CHARS: Final = 1000
+MAX_PLACE_CHARS: Final = 4096
 FORGOTTEN_FOR_S = 24 * 3600.0
 CLAIMS = ".open-cts"
 """The folder with a lock file for each CT that a window has open."""
@@ -41,42 +52,49 @@ UNSEEN_TITLE = "Case without its CT"
 """Of a case file that was dropped and waits for its CT: the series text is the CT's."""
 
 
+Seconds = Annotated[float, Meta(ge=0.0, le=MAX_S)]
+"""Since 1970."""
+ShortText = Annotated[str, Meta(max_length=64, pattern=TEXT)]
+TitleText = Annotated[str, Meta(max_length=MAX_TITLE_CHARS, pattern=TEXT)]
+PlaceText = Annotated[str, Meta(max_length=MAX_PLACE_CHARS)]
+
+
 class CaseRecord(FrozenValue, frozen=True):
     """What this machine knows of a case beside its file."""
 
-    case_id: str
-    digest: str
+    case_id: ShortText
+    digest: Annotated[str, Meta(max_length=128, pattern=TEXT)]
     """Of the CT (:func:`carina.volume.ct_digest`): it is known again by it, wherever its files lie."""
-    place: str | None
+    place: PlaceText | None
     """Where its CT was opened from last: an absolute path, or ``demo:NAME``; None where nobody could find it again."""
-    title: str
+    title: TitleText
     """The series text of its CT; empty until that was opened here."""
-    begun_s: float
+    begun_s: Seconds
     """When it was begun and last used, seconds since 1970."""
-    used_s: float
-    copy_path: str | None = None
+    used_s: Seconds
+    copy_path: PlaceText | None = None
     """Where the copy lies that a person asked for."""
-    copied_s: float | None = None
-    copy_digest: str | None = None
+    copied_s: Seconds | None = None
+    copy_digest: ShortText | None = None
     """Digest of the named file as this case last read or wrote it; None: an earlier version of Carina wrote it."""
-    copy_save_id: str | None = None
-    copy_generation: int = 0
+    copy_save_id: ShortText | None = None
+    copy_generation: Count = 0
     """Of the save mark in that file (:class:`carina.case.save_mark.SaveMark`)."""
-    next_copy_digest: str | None = None
+    next_copy_digest: ShortText | None = None
     """Digest of a save that was about to take the file's place: after a crash the file may have it."""
-    use_number: int = 0
+    use_number: Count = 0
     """Number of the last use: each use of any case gets the next one. Clocks can be set back; this number cannot."""
-    num_changes: int = 0
+    num_changes: Count = 0
     """Steps that hold."""
-    alias: str | None = None
+    alias: TitleText | None = None
     """What its person calls it."""
-    scanned_on: str | None = None
+    scanned_on: ShortText | None = None
     """ISO date of the scan; None where its files say none."""
     holds_ct: bool = False
     """Its CT is packed in the file."""
-    pictured_s: float | None = None
+    pictured_s: Seconds | None = None
     """When its small picture was made; None where it has none."""
-    forgotten_s: float | None = None
+    forgotten_s: Seconds | None = None
     """When it was forgotten; None while it is in the list."""
 
     @property
@@ -105,7 +123,7 @@ class HeldCase:
         """Change fields of the record, in memory and on the disk; may be called from several threads."""
         with self._noting:
             self.record = msgspec.structs.replace(self.record, **values)
-            _write(self.folder, self.record)
+            write_record(self.folder, self.record)
 
     def clear(self) -> None:
         """Remove a file that was begun and never saved to, by a disk that then let nothing be removed either."""
@@ -151,6 +169,11 @@ class CaseRecords:
 
     def __repr__(self) -> str:
         return f"CaseRecords({len(self.all())} cases)"
+
+    @property
+    def folder(self) -> Path:
+        """The folder that contains the folder of each case."""
+        return self._folder
 
     def all(self) -> tuple[CaseRecord, ...]:
         """Records of all cases that have a file, the last used first.
@@ -225,7 +248,7 @@ class CaseRecords:
         # What is said to be saved must not lie in a folder that a power cut takes away.
         make_folder(self._folder, what="the cases", private=True, lasting=True)
         make_folder(folder, what="the case", private=True, lasting=True)
-        _write(folder, record)
+        write_record(folder, record)
         held = self._hold(folder, record)
         assert held is not None
         return held
@@ -345,7 +368,7 @@ class CaseRecords:
                 held.release()
             place = self._folder / FORGOTTEN / record.case_id
             held.folder.rename(place)
-            _write(place, msgspec.structs.replace(held.record, forgotten_s=self.now_s()))
+            write_record(place, msgspec.structs.replace(held.record, forgotten_s=self.now_s()))
         finally:
             held.release()
         return True
@@ -358,7 +381,7 @@ class CaseRecords:
         restored = msgspec.structs.replace(record, forgotten_s=None)
         place = self._folder / record.case_id
         self._place(record).rename(place)
-        _write(place, restored)
+        write_record(place, restored)
         return restored
 
     def empty_forgotten(self, older_than_s: float = 0.0) -> int:
@@ -382,18 +405,75 @@ class CaseRecords:
         return (self._folder if record.forgotten_s is None else self._folder / FORGOTTEN) / record.case_id
 
 
-def _write(folder: Path, record: CaseRecord) -> None:
-    plain = {"format": FORMAT, "version": VERSION, **msgspec.structs.asdict(record)}
-    write_whole(folder / RECORD, (json.dumps(plain, indent=1) + "\n").encode(), what="the case's record", private=True)
+def write_record(folder: Path, record: CaseRecord) -> None:
+    """Write the record of a case; a value that could not be read back is brought within its bounds.
+
+    Raises
+    ------
+    DiskError
+        If it cannot be written.
+    """
+    plain = {name: _within_bounds(name, value) for name, value in msgspec.structs.asdict(record).items()}
+    text = json.dumps({"format": FORMAT, "version": VERSION, **plain}, indent=1, allow_nan=False)
+    write_whole(folder / RECORD, (text + "\n").encode(), what="the case's record", private=True)
+
+
+def _within_bounds(name: str, value: Any) -> Any:
+    if isinstance(value, float):
+        return min(max(value, 0.0), MAX_S) if math.isfinite(value) else 0.0
+    return shortened(value, MAX_TITLE_CHARS) if name in {"title", "alias"} and value is not None else value
+
+
+def is_damaged_record(path: Path) -> bool:
+    """Return whether a record can be read from the disk, is not of a newer Carina, and makes no sense."""
+    try:
+        return _decoded(path) is None
+    except OSError:
+        return False
+
+
+def _decoded(path: Path) -> CaseRecord | None:
+    """Return the record in a file; None where the content is damaged.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read, or a newer Carina wrote it.
+    """
+    try:
+        plain = json.loads(read_regular_text(path, max_bytes=MAX_RECORD_BYTES), parse_constant=_no_constant)
+        if not isinstance(plain, dict) or plain.pop("format", None) != FORMAT:
+            return None
+        version = plain.pop("version", None)
+        if isinstance(version, int) and version > VERSION:
+            raise OSError("a newer version of Carina wrote this record")
+        known = {name: value for name, value in plain.items() if name in CaseRecord.__struct_fields__}
+        record = msgspec.convert(known, CaseRecord)
+    except VolumeImportError as trouble:
+        if trouble.code != "disk.too-large":
+            raise
+        return None
+    except (ValueError, RecursionError, msgspec.ValidationError):
+        return None
+    if version != VERSION:
+        return None
+    if record.case_id != path.parent.name:
+        other = path.parent.with_name(record.case_id) if re.fullmatch(r"[\w-]+", record.case_id) else None
+        if other is not None and other.exists():
+            # Its folder is found by its id: a copy of the folder of another case is not Carina's to touch.
+            raise OSError("the record belongs to another folder")
+        return None
+    return record
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number in JSON")
 
 
 def _read(path: Path) -> CaseRecord | None:
-    with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
-        plain = json.loads(path.read_text(encoding="utf-8"))
-        if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:
-            record = msgspec.convert(plain, CaseRecord)
-            # Its folder is found by its id: what names another folder is not ours to touch.
-            if record.case_id == path.parent.name:
-                return record
+    with contextlib.suppress(OSError):
+        record = _decoded(path)
+        if record is not None:
+            return record
     logger.warning("the record of a saved case could not be read")
     return None

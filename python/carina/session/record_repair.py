@@ -1,0 +1,108 @@
+"""Repair of records that cannot be read: they are moved aside, and the case stays in the list."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import sqlite3
+from pathlib import Path
+from typing import Final
+
+from carina.case import CaseFile
+from carina.disk.locks import try_lock
+from carina.errors import CarinaError
+from carina.session.records import FILE, LOCK, RECORD, CaseRecord, CaseRecords, is_damaged_record, write_record
+
+__all__ = ["ASIDE", "repair_records"]
+
+logger = logging.getLogger(__name__)
+
+ASIDE: Final = ".damaged"
+"""The folder, among those of the cases, of case folders from which nothing can be listed; a start ignores it."""
+
+
+def repair_records(records: CaseRecords) -> tuple[str, ...]:
+    """Move unreadable records aside and list their cases again; nothing is deleted.
+
+    The record is made anew from the live case file, which stays where it is. Where that cannot be read either, the
+    whole folder of the case is moved to :data:`ASIDE`. A case that a process has open is left alone.
+
+    Returns
+    -------
+    tuple of str
+        A message for the user for each case.
+    """
+    messages = []
+    for path in sorted(records.folder.glob(f"*/{RECORD}")):
+        if is_damaged_record(path):
+            try:
+                message = _repaired(records, path.parent)
+            except (OSError, CarinaError) as trouble:
+                # The disk takes nothing: the case is missing from the list, and the start goes on.
+                logger.warning("an unreadable record could not be moved aside (%s)", type(trouble).__name__)
+                continue
+            if message is not None:
+                messages.append(message)
+    return tuple(messages)
+
+
+def _repaired(records: CaseRecords, folder: Path) -> str | None:
+    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        # Its owner knows the record and writes it again; a second process repairs nothing at the same time.
+        if try_lock(descriptor) is False or not is_damaged_record(folder / RECORD):
+            return None
+        made = _record_of(folder)
+        if made is not None:
+            _move(folder / RECORD, folder, "record.damaged", ".json")
+            write_record(folder, made)
+            return (
+                f"The record of the saved case {made.case_id} was damaged. The case is in the list again, under the "
+                "name Restored case; its name, the date of its last use and the location of its scan are lost. The "
+                "damaged record is kept beside the case."
+            )
+    finally:
+        os.close(descriptor)
+    aside = records.folder / ASIDE
+    aside.mkdir(mode=0o700, exist_ok=True)
+    moved = _move(folder, aside, folder.name, "")
+    return (
+        f"The record of the saved case {folder.name} and its case file are damaged. Its files were moved to the folder "
+        f"{ASIDE}/{moved.name} of the stored cases; nothing was deleted. Use `carina case rescue` on {FILE} there to "
+        "recover its intact parts."
+    )
+
+
+def _record_of(folder: Path) -> CaseRecord | None:
+    """Return a record with what the live case file tells; None where it cannot be read."""
+    path = folder / FILE
+    try:
+        used_s = path.stat().st_mtime
+        with CaseFile.open(path, read_only=True) as case:
+            digest, steps, holds_ct = case.digest, case.history(), case.holds_ct
+    except (OSError, CarinaError, sqlite3.Error):
+        return None
+    last_s = max((step.at_s for step in steps), default=0.0)
+    with contextlib.suppress(ValueError):
+        return CaseRecord(
+            case_id=folder.name,
+            digest=digest,
+            place=None,
+            title="",
+            begun_s=used_s - last_s,
+            used_s=used_s,
+            num_changes=sum(step.holds for step in steps),
+            alias="Restored case",
+            holds_ct=holds_ct,
+        )
+    return None
+
+
+def _move(path: Path, folder: Path, stem: str, suffix: str) -> Path:
+    """Move a file or folder into a folder, under a name that nothing there has."""
+    number = 1
+    while (target := folder / f"{stem}-{number}{suffix}").exists():
+        number += 1
+    path.rename(target)
+    return target
