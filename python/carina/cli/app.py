@@ -103,20 +103,26 @@ def _workstation(
         show(f"Carina is open at {url}", "Press Ctrl-C to close it.", flush=True)
 
     with exit_codes(as_json):
+        from carina.cli.case_ids import path_or_case, stored_case
         from carina.cli.cluster import opened_cluster
         from carina.phone import PhoneSwitch
         from carina.server import serve
 
+        record = None if path is None else stored_case(path)
         if ct is not None:
             from carina.cli.opened import check_case_options
+
+            path = path if record is None else path_or_case(path)
+            record = None
 
             if path is None:
                 raise UsageError("--ct only applies to a case file (NAME.carina)")
             check_case_options(path, ct)
         with opened_cluster(cluster, token=token, mixed=mixed) as used:
             code = serve(
-                str(path) if path is not None else None,
+                str(path) if path is not None and record is None else None,
                 ct=ct,
+                case_id=None if record is None else record.case_id,
                 demo=demo,
                 host=host,
                 port=port,
@@ -150,7 +156,10 @@ def root(
 
 @app.command("open")
 def open_(
-    path: Annotated[Path | None, typer.Argument(help="CT folder or file (default: open the start page).")] = None,
+    path: Annotated[
+        Path | None,
+        typer.Argument(help="CT folder or file, case file, or the id of a stored case (default: open the start page)."),
+    ] = None,
     port: PortOption = 0,
     host: HostOption = "127.0.0.1",
     browser: BrowserOption = True,

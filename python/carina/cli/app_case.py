@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from carina.cli.case_ids import path_or_case
 from carina.cli.console import exit_codes
 from carina.cli.options import CtOption, JsonOption
 
@@ -18,7 +19,14 @@ case = typer.Typer(
     rich_markup_mode=None,
 )
 
-FileArgument = Annotated[Path, typer.Argument(help="Case file: NAME.carina.", show_default=False)]
+FileArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="Case file (NAME.carina), or the id of a stored case (see `carina case list`).",
+        show_default=False,
+        callback=path_or_case,
+    ),
+]
 CaseOutput = Annotated[Path, typer.Option("-o", "--output", help="Case file to write; it must not exist yet.")]
 
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from carina.cli.case_ids import path_or_case
+
 __all__ = ["CtOption", "JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; messages go to stderr.")]
@@ -17,8 +19,10 @@ TokenOption = Annotated[
 PathArgument = Annotated[
     Path,
     typer.Argument(
-        help="Scan to open (DICOM folder or file, NIfTI, NRRD or MetaImage), or a case file (NAME.carina).",
+        help="Scan to open (DICOM folder or file, NIfTI, NRRD or MetaImage), a case file (NAME.carina), or the id of a "
+        "stored case (see `carina case list`).",
         show_default=False,
+        callback=path_or_case,
     ),
 ]
 CtOption = Annotated[

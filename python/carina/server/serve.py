@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import uvicorn
 
-from carina.commands import OpenCaseFile, OpenDemo, OpenPath
+from carina.commands import OpenCaseFile, OpenDemo, OpenPath, OpenRecent
 from carina.config import load_settings
 from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
@@ -114,6 +114,7 @@ def serve(
     path: str | None,
     *,
     ct: Path | None = None,
+    case_id: str | None = None,
     demo: str | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -134,6 +135,8 @@ def serve(
         CT folder or file, or case file, to open; None shows the start page.
     ct
         Where the CT of the case file lies now; None looks where it was.
+    case_id
+        Open this case of the list instead of a path.
     demo
         ``"phantom"`` or ``"patient"``: open a bundled case instead.
     host
@@ -208,6 +211,8 @@ def serve(
             if path is not None:
                 place = Path(path).absolute()
                 session.do(OpenPath(str(place)) if ct is None else OpenCaseFile(place, ct))
+            elif case_id is not None:
+                session.do(OpenRecent(case_id))
             elif demo is not None:
                 session.do(OpenDemo(cast(Any, demo)))
             if on_ready is not None:
