@@ -1,0 +1,201 @@
+"""Case files with one mutation and correct digests: each opens with its content, or is refused as damaged.
+
+After each the start page opens, with the case in its list or with a message.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import shutil
+import sqlite3
+import traceback
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from kept_case import Doing, act, assert_same_moment, source_of, whole
+from mutated_case import Mutator
+
+from carina.case import CaseFile, KeptMeasures, Target
+from carina.case.bounds import MAX_LABEL_CHARS, MAX_S
+from carina.case.document import Lesion
+from carina.case.routes import path_move
+from carina.commands import AddTarget
+from carina.errors import CarinaError
+from carina.navigate import Navigator, Pilot
+from carina.plan import PlanTarget
+from carina.plan.target_edits import sphere
+from carina.scopes import Pose
+from carina.server import messages_from_server as wire
+from carina.server.messages import encode_message
+from carina.server.presenter import start_message
+from carina.session.case_list import CaseList
+from carina.session.core import SessionCore
+from carina.session.record_repair import repair_records
+from carina.session.records import CaseRecords
+from carina.session.saving import Saving
+
+NUM_MUTATIONS, NUM_IN_SOAK = 60, 2000
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A case with a little of everything, and its file."""
+    path = tmp_path_factory.mktemp("made") / "one.carina"
+    doing = Doing()
+    rng = np.random.default_rng(11)
+    with CaseFile.create(path, source_of(doing.case)) as file:
+        for name in ("target", "measure", "cut", "measure", "key", "paint", "look", "undo", "redo", "gaze"):
+            act(doing, name, lambda n: int(rng.integers(n)))
+            file.save(doing.moment())
+        middle = tuple(float(v) for v in doing.case.volume.centre_lps)
+        nodule = sphere(doing.case.volume, middle, 8.0)
+        lesion = Lesion(PlanTarget("target-2", "nodule", nodule, middle, "sphere", "lung"))
+        target = Target("target-2", "nodule", middle, lesion=lesion, note="größer", problem="no path")
+        document = replace(doing.document, targets=(*doing.document.targets, target))
+        doing.change("mark a ball", document, AddTarget(middle))
+        file.save(doing.moment())
+        file.set_extra("plan", ({"words": "größer", "score": [1.5, 2]},))
+        header = {"format": "carina-recording", "version": 1, "tip": doing.moment().tip, "begin": []}
+        pose = np.eye(4).ravel().tolist()
+        lines = [header, {"t": 0.5, "view": {}}, {"t": 0.75, "move": {"move": "Stop"}, "pose": pose}, {"end": 1.0}]
+        with file.record("flight", begun_s=1.0) as recording:
+            for line in lines:
+                recording.write(json.dumps(line) + "\n")
+    return doing, path
+
+
+def mutated(made, path, seed):
+    """A copy with one mutation; what it is."""
+    shutil.copy(made[1], path)
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("PRAGMA foreign_keys=OFF")
+        mutator = Mutator(connection, seed)
+        mutator.mutate()
+    return mutator.said
+
+
+def opened(path, doing, again):
+    """Everything that opening a case comes to; its content, saved and read once more, is the same."""
+    volume = doing.case.volume
+    with CaseFile.open(path, read_only=True) as file:
+        history, recordings = file.history(), file.recordings()
+        file.summary()
+        for facts in recordings:
+            file.recording(facts.recording_id).recorded_poses()
+        file.extra("plan")
+        moment = file.load(volume)
+        source = file.source
+    assert all(0.0 <= step.at_s <= MAX_S and len(step.label) <= MAX_LABEL_CHARS for step in history)
+    assert all(math.isfinite(one.begun_s + one.length_s) for one in recordings)
+    document = moment.history().current
+    if document.airways is not None:
+        whole(document.airways, doing.case)
+    for route in (document.route, *(target.route for target in document.targets)):
+        if route is not None:
+            _ = route.frames
+    for _, measures in moment.measures:
+        assert isinstance(measures, KeptMeasures)
+        measures.load()
+    # As the session shows it.
+    pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=volume))
+    pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
+    pilot.navigator.restore(moment.tip, pilot.navigator.path)
+    steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in history)
+    json.loads(encode_message(wire.History(steps, moment.position)), parse_constant=pytest.fail)
+    with CaseFile.create(again, source) as file:
+        file.save(moment)
+    with CaseFile.open(again) as file:
+        found = file.load(volume)
+    assert lesions(found) == lesions(moment)
+    assert_same_moment(without_lesions(found), without_lesions(moment), doing.case, deep=False)
+
+
+def lesions(moment):
+    """The boundaries of the shown targets, as values that can be compared."""
+    return [one.lesion and one.lesion.target.to_record() for one in moment.history().current.targets]
+
+
+def without_lesions(moment):
+    def plain(document):
+        return replace(document, targets=tuple(replace(one, lesion=None) for one in document.targets))
+
+    steps = tuple(replace(step, document=plain(step.document)) for step in moment.steps)
+    return replace(moment, first=plain(moment.first), steps=steps)
+
+
+def start_page(path, folder):
+    """What the start page shows of a data folder with this case, whose record is unreadable as well."""
+    place = folder / "cases" / "0123456789abcdef"
+    place.mkdir(parents=True)
+    shutil.copy(path, place / "case.carina")
+    (place / "record.json").write_text('{"format": "carina-record", "version": 1, "begun_s": -Infinity}')
+    records = CaseRecords(folder / "cases", lambda: 1.7e9)
+    messages = repair_records(records)
+    assert len(messages) == 1
+    core = SessionCore(lambda *_: None)
+    listed = CaseList(core, Saving(core, records, None)).listed()
+    assert len(listed) == len(records.all())
+    # Nothing is lost: the case is listed, or its folder lies beside the others.
+    assert len(listed) + len(list((folder / "cases" / ".damaged").glob("*/case.carina"))) == 1
+    text = encode_message(start_message(notice_accepted=True, recent=listed, patient_citation=None, storage=None))
+    json.loads(text, parse_constant=pytest.fail)
+    return len(listed)
+
+
+def where(trouble):
+    """The last lines of the traceback, for a failing test."""
+    frames = traceback.extract_tb(trouble.__traceback__)[-3:]
+    return "; ".join(f"{frame.filename.rpartition('/')[2]}:{frame.lineno}" for frame in frames)
+
+
+def run(made, folder, seeds):
+    """How many opened, were refused (by code) and are listed afterwards; what went wrong otherwise."""
+    found, wrong = Counter(), []
+    for seed in seeds:
+        place = folder / str(seed)
+        place.mkdir()
+        path = place / "mutated.carina"
+        said = mutated(made, path, seed)
+        before = path.read_bytes()
+        try:
+            opened(path, made[0], place / "again.carina")
+            found["opened"] += 1
+        except CarinaError as refusal:
+            found[refusal.code] += 1
+            if len(str(refusal)) > 1000:
+                wrong.append(f"seed {seed}: {said}: a message of {len(str(refusal))} characters")
+        except Exception as trouble:
+            wrong.append(f"seed {seed}: {said}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}")
+        try:
+            found["listed"] += start_page(path, place)
+        except Exception as trouble:
+            wrong.append(
+                f"seed {seed}, start page: {said}: {type(trouble).__name__}: {str(trouble)[:300]} at {where(trouble)}"
+            )
+        assert path.read_bytes() == before
+        shutil.rmtree(place)
+    return found, wrong
+
+
+def test_a_case_without_a_mutation_opens(made, tmp_path):
+    opened(made[1], made[0], tmp_path / "again.carina")
+    assert start_page(made[1], tmp_path) == 1
+
+
+def test_a_mutated_case_opens_or_is_refused_and_the_start_page_opens(made, tmp_path):
+    found, wrong = run(made, tmp_path, range(NUM_MUTATIONS))
+    assert wrong == [], "\n".join(wrong)
+    # Both happen: the mutations are neither all harmless nor all refused.
+    assert found["opened"] >= 5
+    assert found["case.damaged"] >= 20
+
+
+@pytest.mark.soak
+def test_2000_mutated_cases_open_or_are_refused_and_the_start_page_opens(made, tmp_path):
+    found, wrong = run(made, tmp_path, range(1000, 1000 + NUM_IN_SOAK))
+    print(dict(found))
+    assert wrong == [], "\n".join(wrong)
