@@ -20,6 +20,7 @@ from carina.navigate import Navigator, Pilot, Recorder, case_key, open_recording
 from carina.phantom import write_phantom
 from carina.scopes import Pose
 from carina.session.case import moment_of
+from carina.session.case_names import neutral_alias
 from carina.session.records import CaseRecords
 from carina.version import VERSION
 from carina.volume import CtSource, VolumeCache, ct_digest, open_volume
@@ -222,13 +223,13 @@ def test_kept_cases_are_listed_and_forgotten(carina, tmp_path):
 
     assert carina("case", "list", "--json").json() == {"cases": []}
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
-    held = records.begin("ab" * 32, "/scans/one", "CT thorax")
+    held = records.begin("ab" * 32, "/scans/one")
     copy = tmp_path / "one.carina"
     copy.write_bytes(b"a copy")
     held.note(num_changes=3, copy_path=str(copy))
     held.path.write_bytes(b"x" * 5000)
     row = carina("case", "list", "--json").json()["cases"][0]
-    assert (row["title"], row["num_changes"], row["copy"]) == ("CT thorax", 3, str(copy))
+    assert (row["title"], row["num_changes"], row["copy"]) == (neutral_alias(row["id"]), 3, str(copy))
     assert row["bytes"] >= 5000
     listed = carina("case", "list").out
     assert listed.startswith(row["id"][:6])
@@ -254,7 +255,7 @@ def test_the_cached_scan_goes_with_the_last_case_of_it(carina, ct):
     records = CaseRecords(settings.cases_dir, lambda: 0.0)
     ids = []
     for _ in range(2):
-        held = records.begin(ct_digest(volume), str(ct), "CT")
+        held = records.begin(ct_digest(volume), str(ct))
         held.path.touch()
         ids.append(held.record.case_id)
         held.release()
@@ -319,7 +320,7 @@ def live_case(case, monkeypatch, tmp_path):
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
     with CaseFile.open(case, read_only=True) as copy:
-        held = records.begin(copy.digest, str(case.parent / "scans" / "ct.nii.gz"), "CT")
+        held = records.begin(copy.digest, str(case.parent / "scans" / "ct.nii.gz"))
         copy.write_copy(held.path)
         volume = package.open_volume(case.parent / "scans" / "ct.nii.gz")
         moment = copy.load(volume)

@@ -183,7 +183,7 @@ def test_every_message_that_opens_saves_lists_or_reaches_devices_is_refused_over
 
 def test_a_watcher_is_told_of_no_folder_no_other_case_and_no_link(desk):
     live, window, page = desk
-    live.session.store.remember("/scans/somebody/Miller^Anna/ct", "Chest", "2026-01-01")
+    live.session.store.remember("/scans/somebody/Miller^Anna/ct", "2026-01-01")
     with watching(page.url) as watcher:
         watcher.until_state(lambda s: s.case is not None)
         window.send(wire.SetPhone(on=True), wire.WatchDevices(on=True))

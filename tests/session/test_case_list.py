@@ -108,7 +108,7 @@ def test_only_its_person_may_read_a_small_picture(desk, tmp_path):
 
 
 def test_a_place_that_was_opened_before_cases_were_kept_is_listed_and_opens(desk, tmp_path):
-    desk.store.remember(str(tmp_path / "old"), "Thorax 1.5", "2026-01-31")
+    desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     (old,) = desk.listed()
     assert old.num_changes is None
     desk.session.do(c.OpenRecent(old.recent_id))
@@ -122,7 +122,7 @@ def test_a_place_that_was_opened_before_cases_were_kept_is_listed_and_opens(desk
 
 
 def test_a_place_alone_is_taken_out_of_the_list(desk, tmp_path):
-    desk.store.remember(str(tmp_path / "old"), "Thorax 1.5", "2026-01-31")
+    desk.store.remember(str(tmp_path / "old"), "2026-01-31")
     desk.session.do(c.ForgetCase(desk.listed()[0].recent_id))
     assert desk.listed() == ()
     assert desk.session.cases.storage().forgotten == ()
@@ -308,7 +308,7 @@ def test_the_cache_of_cts_is_told_emptied_and_switched_off_for_the_next_time_too
 
 def test_a_record_that_names_another_folder_is_not_taken(tmp_path):
     records = CaseRecords(tmp_path, lambda: 1_800_000_000.0)
-    held = records.begin("one CT", None, "Thorax")
+    held = records.begin("one CT", None)
     held.release()
     path = held.folder / "record.json"
     path.write_text(path.read_text().replace(held.record.case_id, "../elsewhere"))

@@ -164,7 +164,7 @@ def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
 
 def test_a_case_that_a_window_has_open_may_be_looked_at(saved):
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
-    held = records.begin("ab" * 32, None, "CT")
+    held = records.begin("ab" * 32, None)
     shutil.copyfile(saved, held.path)
     held.note(copy_path=str(saved))
     with pytest.warns(UserWarning, match="in a Carina window"):

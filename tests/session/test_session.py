@@ -6,6 +6,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -446,7 +447,8 @@ def test_recent_cases_keep_the_path_in_the_local_file_and_open_by_id(tmp_path):
     bench.open(str(tmp_path / "other"))
     bench.open(str(tmp_path / "bad"))
     bench.open(str(tmp_path / "case"))
-    assert [(c.title, c.date) for c in store.recent()] == [("Thorax 1.5", "2026-01-31"), ("Other", "2026-01-31")]
+    places = [(Path(c.path).name, c.date) for c in store.recent()]
+    assert places == [("case", "2026-01-31"), ("other", "2026-01-31")]
     bench.session.do(OpenRecent(store.recent()[1].recent_id))
     bench.background.run_all()
     assert bench.session.snapshot().case.volume.source.title == "Other"
@@ -458,8 +460,8 @@ def test_an_unreadable_list_of_recent_cases_is_an_empty_one(tmp_path):
     store = LocalStore(tmp_path)
     (tmp_path / "recent.json").write_text('{"cases": [1, {"title": "half"}]', encoding="utf-8")
     assert store.recent() == ()
-    store.remember("/scans/a", "A", "2026-01-31")
-    assert [c.title for c in store.recent()] == ["A"]
+    store.remember("/scans/a", "2026-01-31")
+    assert [Path(c.path).name for c in store.recent()] == ["a"]
     assert list(tmp_path.glob(".*")) == []  # no temporary file stays
     assert not store.notice_accepted()
     store.accept_notice()
@@ -550,10 +552,10 @@ def test_what_the_disk_does_not_take_is_remembered_until_the_end(tmp_path):
     (tmp_path / "config").write_text("", encoding="utf-8")
     store = LocalStore(tmp_path / "config")
     store.accept_notice()
-    store.remember("/scans/a", "A", "2026-01-31")
-    store.remember("/scans/b", "B", "2026-01-31")
+    store.remember("/scans/a", "2026-01-31")
+    store.remember("/scans/b", "2026-01-31")
     assert store.notice_accepted()
-    assert [c.title for c in store.recent()] == ["B", "A"]
+    assert [Path(c.path).name for c in store.recent()] == ["b", "a"]
     assert not LocalStore(tmp_path / "config").notice_accepted()
 
 

@@ -23,7 +23,7 @@ from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub
 from carina.server.programs import JOIN_PATH, serve_program
 from carina.server.reports import Reports
-from carina.server.security import Gate
+from carina.server.security import Gate, comes_from_this_machine
 from carina.server.uploads import Uploads
 from carina.server.web_files import asset_path, web_folder
 from carina.server.window import Window
@@ -166,7 +166,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return
 
         async def attach(_hello: object) -> Window:
-            return hub.attach()
+            return hub.attach(at_machine=comes_from_this_machine(websocket.scope))
 
         await converse(websocket, attach)
 

@@ -111,8 +111,13 @@ class Hub:
         self.session.close()
         self._uploads.close()
 
-    def attach(self) -> Window:
-        """One window more, which gets everything; from the event loop.
+    def attach(self, *, at_machine: bool = False) -> Window:
+        """Add a window, which gets everything; from the event loop.
+
+        Parameters
+        ----------
+        at_machine
+            Whether its browser runs on this machine.
 
         Raises
         ------
@@ -122,7 +127,7 @@ class Hub:
         if len(self._working) >= MAX_WINDOWS:
             msg = f"Carina is already open in {MAX_WINDOWS} windows; close one of them, then connect again"
             raise ProtocolError(msg, code="protocol.too-many-windows")
-        window = Window(next(self._numbers), self, rate_hz=self._rate_hz)
+        window = Window(next(self._numbers), self, rate_hz=self._rate_hz, at_machine=at_machine)
         window.start()
         self._windows[window.number] = window
         self.devices.window_came()

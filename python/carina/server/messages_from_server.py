@@ -49,12 +49,13 @@ class ServerHello(ServerMessage, frozen=True, tag="hello"):
 
 
 class RecentCase(FrozenValue, frozen=True):
-    """A case opened before, without names."""
+    """A case opened before, without the name of its CT's file."""
 
     recent_id: Identifier
     date: Identifier
     """ISO date of the last use."""
     title: Words
+    """Name that its user gave, else the neutral alias, such as *Case K7M4QX*."""
     used_s: float | None = None
     """The same in seconds since 1970, where more than the day is known."""
     begun_s: float | None = None
@@ -148,6 +149,7 @@ class CaseInfo(FrozenValue, frozen=True):
     """The open volume."""
 
     title: Words
+    """Neutral alias of the case, such as *Case K7M4QX*; ``saving.title`` is the name that its user gave."""
     format: Words
     is_hu: bool
     not_hu_reason: Words | None
@@ -164,6 +166,8 @@ class CaseInfo(FrozenValue, frozen=True):
     off: tuple[FeatureOff, ...]
     number: Count = 0
     """Grows with each case opened: two cases may be of one CT."""
+    ct_name: Words | None = None
+    """Name of the CT's file, or the text of its series. Only a window on the machine that runs Carina is sent it."""
 
 
 class Target(AskedPath, frozen=True):

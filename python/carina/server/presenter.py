@@ -117,14 +117,14 @@ def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
     )
 
 
-def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
+def _case(snapshot: Snapshot, *, names_ct: bool) -> wire.CaseInfo | None:
     case = snapshot.case
     if case is None:
         return None
     volume = case.volume
     source = volume.source
     return wire.CaseInfo(
-        title=source.title,
+        title=snapshot.neutral_title,
         format=source.format,
         is_hu=volume.is_hu,
         not_hu_reason=volume.not_hu_reason,
@@ -141,6 +141,7 @@ def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
         citation=source.citation,
         off=tuple(wire.FeatureOff(o.what, o.why) for o in case.off),
         number=snapshot.case_number,
+        ct_name=source.title if names_ct else None,
     )
 
 
@@ -148,12 +149,15 @@ def _notes(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:
     return tuple(wire.CaseNote(note.code, note.words, note.badge) for note in notes)
 
 
-def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
-    """All that is shown, but the pose, the tree and the route."""
+def state_message(snapshot: Snapshot, *, frame_rate_hz: float, names_ct: bool = False) -> wire.State:
+    """Return all that is shown, but the pose, the tree and the route.
+
+    ``names_ct`` adds the name of the CT's file, which only the user at this machine may read.
+    """
     document = snapshot.document
     airways = None if document is None else document.airways
     return wire.State(
-        case=_case(snapshot),
+        case=_case(snapshot, names_ct=names_ct),
         stage=snapshot.stage,
         airways=snapshot.airways,
         airways_words=snapshot.airways_words,

@@ -13,9 +13,9 @@ import socket
 import threading
 from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
-from typing import Literal
+from typing import Any, Literal
 
-__all__ = ["Gate", "TokenGate", "host_allowed", "is_loopback"]
+__all__ = ["Gate", "TokenGate", "comes_from_this_machine", "host_allowed", "is_loopback"]
 
 SAFE_METHODS = frozenset({"GET", "HEAD"})
 MAX_COOKIE_BYTES = 8192
@@ -29,6 +29,19 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def comes_from_this_machine(scope: Mapping[str, Any]) -> bool:
+    """Return whether the other end of a connection is on this machine, by the addresses of the ASGI scope.
+
+    A connection to a loopback address, or one whose two ends have the same address, does not leave the machine. A proxy
+    or a tunnel on this machine counts as this machine: its user has set it up.
+    """
+    client, server = scope.get("client"), scope.get("server")
+    if client is None:
+        return False
+    host = str(client[0]).removeprefix("::ffff:")
+    return is_loopback(host) or (server is not None and host == str(server[0]).removeprefix("::ffff:"))
 
 
 def _split_host(header: str) -> tuple[str, int | None] | None:

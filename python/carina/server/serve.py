@@ -187,6 +187,10 @@ def serve(
     sweep_leftovers()
     _leave_no_core(settings.log_level)
     records = CaseRecords(settings.cases_dir, time.time, settings.documents_dir)
+    store = LocalStore(settings.config_dir)
+    # Before a case is open here: the record of an open case is its owner's to write.
+    records.remove_titles()
+    store.remove_titles()
 
     def sweep() -> None:
         cache.sweep()
@@ -201,7 +205,7 @@ def serve(
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
         session = Session(
             make_renderer or _renderer_factory(),
-            store=LocalStore(settings.config_dir),
+            store=store,
             records=records,
             files=case_files(cache, records),
         )

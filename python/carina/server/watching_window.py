@@ -1,4 +1,4 @@
-"""A window of somebody who only watches, perhaps elsewhere: it changes nothing, and is told nothing private."""
+"""The window of an observer, perhaps on another machine: it changes nothing and receives nothing private."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from carina.commands import Command
 from carina.errors import UsageError
 from carina.server import messages as wire
+from carina.server.observer_texts import observer_error, observer_notes
 from carina.server.window import Host, Window
 from carina.session import Changed, Event
 from carina.session.snapshot import SavingInfo
@@ -18,6 +19,7 @@ __all__ = ["WATCHERS_RATE_HZ", "WatchingWindow"]
 WATCHERS_RATE_HZ = 30.0
 """Whoever flies needs the machine more."""
 MAX_SIDE_PX = 1600
+FAILED_SEARCH = "no airways were found"
 READ_ONLY = (wire.Ack, wire.Layout, wire.Probe, wire.Pick, wire.AskBranchDetail)
 """What it may ask beside commands, which the session itself refuses but for those of its own sight."""
 
@@ -59,19 +61,42 @@ class WatchingWindow(Window):
         return super().topic_text(topic)
 
     def _state(self) -> wire.State:
-        """Without folders, names of files and of the case, and what they may stand in."""
+        """Return the state without folders, names of files, texts of series, and the name that the user gave.
+
+        That name is the user's free text, which may be the patient's; the observer reads the neutral alias.
+        """
         state = super()._state()
         case = state.case
         if case is not None:
-            lasting = tuple(note for note in case.notes if note.badge)
-            warnings = tuple(note.words for note in lasting)
-            case = replace(case, notes=lasting, warnings=warnings, other_series=())
-        return replace(state, case=case, saving=SavingInfo(), mask_question=None)
+            notes = observer_notes(case.notes)
+            case = replace(
+                case,
+                notes=notes,
+                warnings=tuple(note.words for note in notes),
+                not_hu_reason=None,
+                quality=(),
+                other_series=(),
+                ct_name=None,
+            )
+        # A search that failed says why in the words of its error, which may name a file.
+        airways_words = FAILED_SEARCH if state.airways == "failed" else state.airways_words
+        return replace(
+            state,
+            case=case,
+            badges=observer_notes(state.badges),
+            airways_words=airways_words,
+            saving=SavingInfo(),
+            mask_question=None,
+        )
 
     def _note(self, event: Event) -> None:
-        """What is said and what goes wrong is the matter of who works here, and may name files."""
+        """Pass changes alone: messages and errors concern the user at the workstation, and may name files."""
         if isinstance(event, Changed):
             super()._note(event)
+
+    def push_error(self, error: wire.Error) -> None:
+        """Send an error without its text where the text may name a file."""
+        super().push_error(observer_error(error))
 
     def _do(self, message: Any) -> None:
         if not isinstance(message, (Command, *READ_ONLY)):

@@ -77,6 +77,8 @@ class Window:
         Where it is.
     rate_hz
         Airway pictures per second that are asked for at first.
+    at_machine
+        Whether its browser runs on this machine: only there is the name of the CT's file shown.
     """
 
     watches = False
@@ -84,8 +86,9 @@ class Window:
     layers: tuple[LayerName, ...] = LAYERS
     """Of what was mapped round the targets, what its slices carry."""
 
-    def __init__(self, number: int, host: Host, *, rate_hz: float) -> None:
+    def __init__(self, number: int, host: Host, *, rate_hz: float, at_machine: bool = False) -> None:
         self.number = number
+        self._at_machine = at_machine
         self._host = host
         self._session = host.session
         self.outbox = Outbox()
@@ -152,7 +155,10 @@ class Window:
 
     def tell(self, message: Any) -> None:
         """Send a message; from any thread."""
-        self._host.in_loop(self.outbox.push, message)
+        if isinstance(message, wire.Error):
+            self._host.in_loop(self.push_error, message)
+        else:
+            self._host.in_loop(self.outbox.push, message)
 
     def restored(self, text: str) -> str:
         """A message as this window may read it."""
@@ -187,7 +193,9 @@ class Window:
         return None if info is None else wire.encode_message(pose_message(info))
 
     def _state(self) -> wire.State:
-        return state_message(self._session.snapshot(self.number), frame_rate_hz=self.pump.rate_hz)
+        return state_message(
+            self._session.snapshot(self.number), frame_rate_hz=self.pump.rate_hz, names_ct=self._at_machine
+        )
 
     def _history_text(self, snapshot: Snapshot) -> str | None:
         """None where this window knows it already: a field of view that is dragged is one step all the time."""
@@ -232,15 +240,19 @@ class Window:
         try:
             self._do(message)
         except CarinaError as trouble:
-            self.outbox.push(wire.Error(trouble.code, str(trouble), None))
+            self.push_error(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
             if isinstance(trouble, OSError) and is_disk_trouble(trouble):
                 told = disk_trouble(trouble, "the command failed", None)
-                self.outbox.push(wire.Error(told.code, str(told), None))
+                self.push_error(wire.Error(told.code, str(told), None))
             else:
                 log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
                 words = f"the command failed: internal error in Carina ({type(trouble).__name__})"
-                self.outbox.push(wire.Error("carina.fault", words, None))
+                self.push_error(wire.Error("carina.fault", words, None))
+
+    def push_error(self, error: wire.Error) -> None:
+        """Send an error to this window; event loop only."""
+        self.outbox.push(error)
 
     def _confirm(self, num_handled: int) -> None:
         """So many commands are done; comes by way of the loop, as the session's events do, and so behind them.

@@ -22,6 +22,7 @@ from carina.navigate import Navigator, Pilot
 from carina.render import Sight
 from carina.scopes import Pose, ScopeHold
 from carina.session.airway_values import LumenWall, derived_measures, derived_wall
+from carina.session.case_names import neutral_alias, new_case_id
 from carina.session.content import ShownContent
 from carina.session.derived import Cached, Derived
 from carina.session.grey_scale import HISTOGRAM_PRESET, grey_scale
@@ -149,6 +150,8 @@ class OpenCase:
     """All of it is guarded by the session's lock."""
 
     number: int
+    case_id: str
+    """Random id: that of the case's record, once there is one."""
     info: CaseSnapshot
     content: ShownContent
     pilot: Pilot
@@ -184,6 +187,11 @@ class OpenCase:
         """A number that nothing of its kind had; with the session locked."""
         self.numbers[what] = self.numbers.get(what, 0) + 1
         return self.numbers[what]
+
+    @property
+    def neutral_title(self) -> str:
+        """Name of the case that tells nothing about its CT or its patient."""
+        return neutral_alias(self.case_id)
 
     @property
     def outline(self) -> LumenOutline | None:
@@ -266,6 +274,7 @@ def new_case(
     )
     case = OpenCase(
         number=number,
+        case_id=new_case_id(),
         info=CaseSnapshot(volume, parts.quality_words(volume), scale, volume.value_range),
         content=ShownContent(
             renderer_factory(volume, transfer), transfer, jobs=jobs, lock=lock, changed=partial(changed, "views")

@@ -4,28 +4,41 @@ from __future__ import annotations
 
 import hashlib
 import re
+import secrets
 
-__all__ = ["case_code", "neutral_alias", "suggested_file_name"]
+__all__ = ["case_code", "neutral_alias", "new_case_id", "suggested_file_name"]
 
-_CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
-"""Base 32 without I, L, O and U, which are easily misread."""
-MAX_SLUG = 40
+CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+"""Base32 without I, L, O and U (Crockford): the digits can be read aloud and typed."""
+CODE_DIGITS = 6
+MAX_SLUG_CHARS = 40
+
+
+def new_case_id() -> str:
+    """Return a random case id, 16 hexadecimal digits."""
+    return secrets.token_hex(8)
 
 
 def case_code(case_id: str) -> str:
-    """Return six characters that stand for a case id in names.
+    """Return the code that stands for a case in names: 6 digits in Crockford's base32, 2**30 codes.
 
-    Examples
-    --------
-    >>> len(case_code("00ff00ff00ff00ff"))
-    6
+    Parameters
+    ----------
+    case_id
+        Hexadecimal id of the case. The id is random, so that the code tells nothing about the CT.
     """
-    number = int.from_bytes(hashlib.blake2b(case_id.encode(), digest_size=4).digest(), "big")
-    return "".join(_CROCKFORD[(number >> shift) & 31] for shift in range(0, 30, 5))
+    number = int.from_bytes(hashlib.sha256(case_id.lower().encode()).digest()[:8], "big")
+    return "".join(CROCKFORD[number >> (5 * place) & 31] for place in range(CODE_DIGITS))
 
 
 def neutral_alias(case_id: str) -> str:
-    """Return the name of a case that its user has not named."""
+    """Return the name by which a case is shown if its user gave it none, such as ``Case K7M4QX``.
+
+    Examples
+    --------
+    >>> neutral_alias("00112233aabbccdd")
+    'Case TJM0Z7'
+    """
     return f"Case {case_code(case_id)}"
 
 
@@ -36,10 +49,10 @@ def suggested_file_name(alias: str | None, case_id: str) -> str:
 
     Examples
     --------
-    >>> suggested_file_name(None, "00ff00ff00ff00ff") == f"case-{case_code('00ff00ff00ff00ff')}"
-    True
-    >>> suggested_file_name("Nodule in RB4 / left?", "00ff00ff00ff00ff").startswith("Nodule-in-RB4-left-")
-    True
+    >>> suggested_file_name(None, "00112233aabbccdd")
+    'case-TJM0Z7'
+    >>> suggested_file_name("Nodule in RB4 / left?", "00112233aabbccdd")
+    'Nodule-in-RB4-left-TJM0Z7'
     """
-    slug = re.sub(r"[^\w]+", "-", alias or "").strip("-_")[:MAX_SLUG].strip("-_")
+    slug = re.sub(r"[^\w]+", "-", alias or "").strip("-_")[:MAX_SLUG_CHARS].strip("-_")
     return f"{slug or 'case'}-{case_code(case_id)}"

@@ -349,6 +349,7 @@ class SessionCore:
             return Snapshot(
                 case=case.info,
                 case_number=case.number,
+                neutral_title=case.neutral_title,
                 stage="opening"
                 if case.search.status in {"waiting", "finding"} and not case.document.airways
                 else "ready",

@@ -84,8 +84,6 @@ class Keeper:
         The named file that follows the case, where the case was opened from one.
     claim
         The claim on the CT, released with the case.
-    case_id
-        Id of the case.
     info
         What is said of it first.
     """
@@ -104,7 +102,6 @@ class Keeper:
         file: KeptFile | None = None,
         named: NamedFile | None = None,
         claim: NamedLock | None = None,
-        case_id: str,
         info: SavingInfo,
     ) -> None:
         self._core = core
@@ -116,7 +113,6 @@ class Keeper:
         self.digest = digest
         self.held = held
         self.file = file
-        self.case_id = case_id
         self.info = info
         self.is_telling = False
         """What changes now is only what is said about saving."""
@@ -420,8 +416,9 @@ class Keeper:
         volume = self.case.info.volume
         if self.held is None:
             self.held = self._records.begin(
-                self.digest, self.place, volume.source.title, begun_s=self.info.begun_s, case_id=self.case_id
+                self.digest, self.place, begun_s=self.info.begun_s, case_id=self.case.case_id
             )
+            self.case.case_id = self.held.record.case_id
             notes = {"scanned_on": volume.source.acquired_on} | notes
         if self.file is None:
             self.held.clear()

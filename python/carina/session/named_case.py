@@ -62,9 +62,7 @@ class NamedCase:
             except NamedFileConflictError as conflict:
                 self.note = str(conflict)
             if self.note is None and _records().open_elsewhere(self.path) is not None:
-                self.note = (
-                    f"The file {path.name} is open in a Carina window: changes made here can only be saved under another name"
-                )
+                self.note = f"The file {path.name} is open in a Carina window: changes made here can only be saved under another name"
                 self._named.close()
             self._scratch = ScratchFolder()
             original.write_copy(self._scratch.path / f"case{CASE_SUFFIX}", ct_place=original.source.path)

@@ -341,7 +341,7 @@ class Opening(Subject):
                     None if dropped is None else dropped.references,
                 )
                 if path is not None and self.core.store is not None:
-                    self.core.store.remember(path, volume.source.title, self.core.today())
+                    self.core.store.remember(path, self.core.today())
                 with self.core.lock:
                     job.check()
                     self._show(job, case)

@@ -115,7 +115,8 @@ class Case:
         snapshot = self._session.snapshot()
         if snapshot.case is None:
             return "Case(closed)"
-        return f"Case({snapshot.case.volume.source.title!r}, airways {snapshot.airways}, {len(self.history())} changes)"
+        # Without the CT's file name or series text: notebooks are handed on with their output.
+        return f"Case(airways {snapshot.airways}, {len(self.history())} changes)"
 
     # ------------------------------------------------------------ doing
 

@@ -1,11 +1,10 @@
-"""Cases opened before, and whether the safety notice was read: two small files in the person's config folder.
+"""Places of CTs opened before, and whether the safety notice was read: small private files in the user's config folder.
 
-Paths stay in these files: the wire carries an id, a date and the series text, never a name or a path.
+A place is needed to open the CT again. It stays in these files: the wire carries an id, a date and a neutral alias.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 from carina.disk import make_folder, read_regular_text, write_whole
 from carina.display import as_words, one_line
 from carina.errors import VolumeImportError
+from carina.session.case_names import neutral_alias, new_case_id
 
 __all__ = ["LocalStore", "RecentCase"]
 
@@ -22,20 +22,24 @@ logger = logging.getLogger(__name__)
 
 MAX_RECENT = 12
 MAX_BYTES = 4 << 20
-CHARS = {"recent_id": 64, "date": 64, "title": 1000, "path": 4096}
+CHARS = {"recent_id": 64, "date": 64, "path": 4096}
 """The texts of an entry, and how long each may be."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class RecentCase:
-    """A case opened before."""
+    """A CT opened before."""
 
     recent_id: str
     date: str
     """ISO date of the last opening."""
-    title: str
     path: str
+
+    @property
+    def title(self) -> str:
+        """Neutral alias by which the CT is listed."""
+        return neutral_alias(self.recent_id)
 
 
 class LocalStore:
@@ -74,16 +78,23 @@ class LocalStore:
         messages, self._messages = tuple(self._messages), []
         return messages
 
-    def remember(self, path: str, title: str, date: str) -> None:
-        """Put a case first in the list."""
+    def remember(self, path: str, date: str) -> None:
+        """Put the place of a CT first in the list."""
         place = str(Path(path).absolute())
-        recent_id = hashlib.sha256(place.encode()).hexdigest()[:16]
-        self._write_cases(
-            [
-                RecentCase(recent_id, date, title[: CHARS["title"]], place),
-                *(c for c in self.recent() if c.recent_id != recent_id),
-            ]
-        )
+        cases = self.recent()
+        known = next((one for one in cases if one.path == place), None)
+        # A random id: a digest of the path could be compared with guessed names.
+        recent_id = new_case_id() if known is None else known.recent_id
+        self._write_cases([RecentCase(recent_id, date, place), *(c for c in cases if c.path != place)])
+
+    def remove_titles(self) -> bool:
+        """Rewrite a list of an earlier version without file names and series texts; return whether it was rewritten."""
+        entries = self._read(self._recent_file).get("cases", [])
+        old = isinstance(entries, list) and any(isinstance(one, dict) and "title" in one for one in entries)
+        if old:
+            # New ids, too: those of earlier versions were digests of the paths.
+            self._write_cases([RecentCase(new_case_id(), one.date, one.path) for one in self.recent()])
+        return old
 
     def forget(self, path: str) -> None:
         """Take a case out of the list."""
@@ -93,10 +104,8 @@ class LocalStore:
             self._write_cases(left)
 
     def _write_cases(self, cases: list[RecentCase]) -> None:
-        entries = [
-            {"recent_id": c.recent_id, "date": c.date, "title": c.title, "path": c.path} for c in cases[:MAX_RECENT]
-        ]
-        self._write(self._recent_file, {"format": "carina-recent", "version": 1, "cases": entries})
+        entries = [{"recent_id": c.recent_id, "date": c.date, "path": c.path} for c in cases[:MAX_RECENT]]
+        self._write(self._recent_file, {"format": "carina-recent", "version": 2, "cases": entries})
 
     def notice_accepted(self) -> bool:
         """Whether "not a medical device" was read on this machine."""

@@ -1,6 +1,7 @@
 """The cases of a person on this machine: a private folder each, with the live case file and what leads back to its CT.
 
-Paths, titles and dates stay in these folders; the case file itself holds none, so that it can be handed on.
+Paths and dates stay in these folders; the case file itself holds none, so that it can be handed on. The name of the
+CT's file and the text of its series are not stored: a case without a name of its user's is shown by a neutral alias.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import logging
 import math
 import os
 import re
-import secrets
 import shutil
 import sys
 import threading
@@ -27,7 +27,7 @@ from carina.disk import make_folder, read_regular_text, write_whole
 from carina.disk.locks import Held, try_lock
 from carina.display import one_line
 from carina.errors import VolumeImportError
-from carina.session.case_names import case_code
+from carina.session.case_names import neutral_alias, new_case_id
 from carina.session.doors import Door, close_door, open_door, read_door
 from carina.session.named_lock import NamedLock
 from carina.value import TEXT, Count, FrozenValue
@@ -36,7 +36,9 @@ __all__ = ["CaseRecord", "CaseRecords", "HeldCase", "is_damaged_record", "write_
 
 logger = logging.getLogger(__name__)
 
-FORMAT, VERSION = "carina-record", 1
+FORMAT, VERSION = "carina-record", 2
+READ_VERSIONS = (1, 2)
+"""Version 1 also held ``title``: the name of the CT's file, or the text of its series."""
 RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg"
 FORGOTTEN = ".forgotten"
 """The folder, among those of the cases, of what was forgotten: it can be brought back for a while."""
@@ -48,8 +50,6 @@ MAX_PLACE_CHARS: Final = 4096
 FORGOTTEN_FOR_S = 24 * 3600.0
 CLAIMS = ".open-cts"
 """The folder with a lock file for each CT that a window has open."""
-UNSEEN_TITLE = "Case without its CT"
-"""Of a case file that was dropped and waits for its CT: the series text is the CT's."""
 
 
 Seconds = Annotated[float, Meta(ge=0.0, le=MAX_S)]
@@ -67,8 +67,6 @@ class CaseRecord(FrozenValue, frozen=True):
     """Of the CT (:func:`carina.volume.ct_digest`): it is known again by it, wherever its files lie."""
     place: PlaceText | None
     """Where its CT was opened from last: an absolute path, or ``demo:NAME``; None where nobody could find it again."""
-    title: TitleText
-    """The series text of its CT; empty until that was opened here."""
     begun_s: Seconds
     """When it was begun and last used, seconds since 1970."""
     used_s: Seconds
@@ -99,8 +97,8 @@ class CaseRecord(FrozenValue, frozen=True):
 
     @property
     def shown_title(self) -> str:
-        """What it is called in the list."""
-        return (self.title or UNSEEN_TITLE) if self.alias is None else self.alias
+        """Name of the case in lists: its user's, else the neutral alias."""
+        return neutral_alias(self.case_id) if self.alias is None else self.alias
 
 
 @one_line
@@ -215,18 +213,19 @@ class CaseRecords:
         return next((one for one in self.all() if one.digest == digest), None)
 
     def begin(
-        self, digest: str, place: str | None, title: str, *, begun_s: float | None = None, case_id: str | None = None
+        self, digest: str, place: str | None, *, begun_s: float | None = None, case_id: str | None = None
     ) -> HeldCase:
         """Store the record of a new case, and own the case.
 
         Parameters
         ----------
-        digest, place, title
+        digest, place
             As of :class:`CaseRecord`.
         begun_s
             When the case was begun, in seconds since 1970; None is now.
         case_id
-            An id from :meth:`new_case_id`; None makes one.
+            Of :func:`new_case_id`, where the case was shown before its record; the record has another one if a case
+            of this machine is shown by the same name.
 
         Raises
         ------
@@ -234,14 +233,12 @@ class CaseRecords:
             If the disk does not take it.
         """
         now_s = self.now_s()
-        case_id = self.new_case_id() if case_id is None else case_id
         record = CaseRecord(
-            case_id,
+            self._unused_id(case_id),
             digest,
             place,
-            title,
-            now_s if begun_s is None else begun_s,
-            now_s,
+            begun_s=now_s if begun_s is None else begun_s,
+            used_s=now_s,
             use_number=self.next_use_number(),
         )
         folder = self._folder / record.case_id
@@ -253,13 +250,13 @@ class CaseRecords:
         assert held is not None
         return held
 
-    def new_case_id(self) -> str:
-        """Return a random id whose short code no case on this computer has."""
-        codes = {case_code(one.case_id) for one in (*self.all(), *self.forgotten())}
-        while True:
-            case_id = secrets.token_hex(8)
-            if case_code(case_id) not in codes:
-                return case_id
+    def _unused_id(self, case_id: str | None) -> str:
+        """Return an id whose neutral alias no other case of this machine is shown by."""
+        shown = {one.shown_title.casefold() for one in (*self.all(), *self.forgotten())}
+        chosen = case_id or new_case_id()
+        while neutral_alias(chosen).casefold() in shown:
+            chosen = new_case_id()
+        return chosen
 
     def hold(self, record: CaseRecord) -> HeldCase | None:
         """Own a case; None where another process does."""
@@ -342,6 +339,28 @@ class CaseRecords:
         held.release()
         return True
 
+    def remove_titles(self) -> int:
+        """Rewrite the records of earlier versions without file names and series texts; return how many were rewritten.
+
+        A case that another process has open is left: its record is rewritten at a later start.
+        """
+        rewritten = 0
+        for path in (*self._folder.glob(f"*/{RECORD}"), *(self._folder / FORGOTTEN).glob(f"*/{RECORD}")):
+            if not _holds_title(path) or (record := _read(path)) is None:
+                continue
+            with contextlib.suppress(OSError):
+                held = self._hold(path.parent, record)
+                if held is None:
+                    continue
+                try:
+                    # Its owner may have written it between the look and the lock.
+                    if _holds_title(path) and (newest := _read(path)) is not None:
+                        write_record(path.parent, newest)
+                        rewritten += 1
+                finally:
+                    held.release()
+        return rewritten
+
     # ------------------------------------------------------------ forgetting
 
     def forgotten(self) -> tuple[CaseRecord, ...]:
@@ -421,7 +440,7 @@ def write_record(folder: Path, record: CaseRecord) -> None:
 def _within_bounds(name: str, value: Any) -> Any:
     if isinstance(value, float):
         return min(max(value, 0.0), MAX_S) if math.isfinite(value) else 0.0
-    return shortened(value, MAX_TITLE_CHARS) if name in {"title", "alias"} and value is not None else value
+    return shortened(value, MAX_TITLE_CHARS) if name == "alias" and value is not None else value
 
 
 def is_damaged_record(path: Path) -> bool:
@@ -455,7 +474,7 @@ def _decoded(path: Path) -> CaseRecord | None:
         return None
     except (ValueError, RecursionError, msgspec.ValidationError):
         return None
-    if version != VERSION:
+    if version not in READ_VERSIONS:
         return None
     if record.case_id != path.parent.name:
         other = path.parent.with_name(record.case_id) if re.fullmatch(r"[\w-]+", record.case_id) else None
@@ -477,3 +496,11 @@ def _read(path: Path) -> CaseRecord | None:
             return record
     logger.warning("the record of a saved case could not be read")
     return None
+
+
+def _holds_title(path: Path) -> bool:
+    """Return whether a record that can be read holds a title, as those of earlier versions do."""
+    with contextlib.suppress(OSError, ValueError, RecursionError):
+        plain = json.loads(read_regular_text(path, max_bytes=MAX_RECORD_BYTES))
+        return isinstance(plain, dict) and "title" in plain
+    return False

@@ -61,11 +61,10 @@ class Reopened:
     flights: tuple[RecordingFacts, ...] = ()
 
     def note_ct(self, volume: Volume) -> None:
-        """What was not known of its CT when it was begun: it was dropped without it, or by an earlier Carina."""
-        record, source = self.held.record, volume.source
-        title, scanned_on = record.title or source.title, record.scanned_on or source.acquired_on
-        if (title, scanned_on) != (record.title, record.scanned_on):
-            self.held.note(title=title, scanned_on=scanned_on)
+        """Note the date of the CT, where the case was begun without the CT or by an earlier Carina."""
+        scanned_on = self.held.record.scanned_on or volume.source.acquired_on
+        if scanned_on != self.held.record.scanned_on:
+            self.held.note(scanned_on=scanned_on)
 
 
 class Between:
@@ -159,7 +158,7 @@ class Between:
         self._claim_ct(is_new=False)
         if self._reopened is None:
             self._is_new = True
-            self._reopened = self._saving.taken_over(case, volume.source.title, mark)
+            self._reopened = self._saving.taken_over(case, mark)
         self._reopened.note_ct(volume)
         try:
             return self._reopened.file.load(volume)
@@ -318,11 +317,11 @@ class Saving(Subject):
         except (OSError, sqlite3.Error, CarinaError):
             return ()
 
-    def taken_over(self, case: CaseFile, title: str, mark: FileMark | None) -> Reopened:
+    def taken_over(self, case: CaseFile, mark: FileMark | None) -> Reopened:
         """Store a copy of a case file as a new case; the file follows the case, unless it was dropped (no mark)."""
         assert self.records is not None
         assert self._files is not None
-        held = self.records.begin(case.digest, None, title)
+        held = self.records.begin(case.digest, None)
         try:
             case.write_copy(held.path, private=True)
             file = self._files.open(held.path)
@@ -368,7 +367,7 @@ class Saving(Subject):
         if self.records is None or self._files is None:
             return False
         if self._record_of(case, None) is None:
-            reopened = self.taken_over(case, "", None)
+            reopened = self.taken_over(case, None)
             reopened.file.close()
             reopened.held.release()
         self._awaited = case.digest
@@ -423,12 +422,15 @@ class Saving(Subject):
         """Store this case from now on; the caller holds the session's lock."""
         assert self.records is not None
         assert self._files is not None
-        case_id = self.records.new_case_id() if reopened is None else reopened.held.record.case_id
-        suggested = self._suggested(None if reopened is None else reopened.held.record.alias, case_id)
+        stored = None if reopened is None else reopened.held.record
+        suggested = (
+            self._suggested(None, case.case_id) if stored is None else self._suggested(stored.alias, stored.case_id)
+        )
         begun_s = self.records.now_s() - (self.core.clock() - case.begun_s)
         info = SavingInfo(keeps=True, begun_s=begun_s, suggested=suggested)
         if reopened is not None:
             record = reopened.held.record
+            case.case_id = record.case_id
             case.begun_s = self.core.clock() - max(0.0, self.records.now_s() - record.begun_s)
             copy = None if record.copy_path is None else Path(record.copy_path)
             info = SavingInfo(
@@ -455,7 +457,6 @@ class Saving(Subject):
             file=None if reopened is None else reopened.file,
             named=named,
             claim=claim,
-            case_id=case_id,
             info=info,
         )
         self._kept = kept

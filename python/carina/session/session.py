@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from carina.commands import Command, Question, all_commands, checked
-from carina.display import as_words
 from carina.errors import UsageError
 from carina.session.case_list import CaseList
 from carina.session.core import Event, SessionCore
@@ -119,7 +118,7 @@ class Session:
 
     def __repr__(self) -> str:
         case = self._core.case
-        return f"Session({'no case' if case is None else as_words(case.info.volume.source.title)})"
+        return f"Session({'no case' if case is None else case.neutral_title})"
 
     # ------------------------------------------------------------ the two doors
 

@@ -923,7 +923,7 @@ export interface ServerHelloMessage {
   readonly watches: boolean;
 }
 
-/** A case opened before, without names. */
+/** A case opened before, without the name of its CT's file. */
 export interface RecentCase {
   readonly recent_id: string;
   readonly date: string;
@@ -1026,6 +1026,7 @@ export interface CaseInfo {
   readonly citation: Citation | null;
   readonly off: readonly FeatureOff[];
   readonly number: number;
+  readonly ct_name: string | null;
 }
 
 /** What the airway view is seen through, and from where: chosen by a person, and undone. */
