@@ -24,6 +24,7 @@ __all__ = [
     "ProtocolError",
     "RenderError",
     "TrackingError",
+    "UnsavedWorkError",
     "UsageError",
     "VolumeImportError",
     "check_type",
@@ -82,6 +83,16 @@ class DiskError(CarinaError, OSError):
     def __str__(self) -> str:
         # OSError formats its arguments as errno and strerror; ours is one sentence.
         return str(self.args[0]) if self.args else ""
+
+
+class UnsavedWorkError(CarinaError):
+    """Carina ended, or a case was closed, with work that no disk has taken.
+
+    The message says how many changes are lost, why, and where the last saved state is.
+    """
+
+    code = "case.not-saved"
+    exit_code = 5
 
 
 class GeometryError(CarinaError, ValueError):

@@ -45,6 +45,8 @@ class Hub:
         What is driven.
     uploads
         Dropped files.
+    closes_session
+        Whether the session is closed when the hub stops; else its owner closes it.
     """
 
     def __init__(
@@ -61,8 +63,10 @@ class Hub:
         cluster_status: Callable[[], ClusterStatus] | None = None,
         web: Path | None = None,
         watch_address: str | None = None,
+        closes_session: bool = True,
     ) -> None:
         self.session = session
+        self._closes_session = closes_session
         self.clock = clock
         self.threads = threads
         self.simd = simd
@@ -108,7 +112,8 @@ class Hub:
             window.end()
         for thread in (*self._leaving, *(t for window in windows for t in window.threads)):
             thread.join()
-        self.session.close()
+        if self._closes_session:
+            self.session.close()
         self._uploads.close()
 
     def attach(self, *, at_machine: bool = False) -> Window:

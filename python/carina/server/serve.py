@@ -20,6 +20,7 @@ from carina.errors import UsageError
 from carina.render import ClusterStatus
 from carina.server.app import create_app, web_folder
 from carina.server.device_desk import Phone
+from carina.server.end_signals import EndSignals
 from carina.server.ending import EndingServer
 from carina.server.hub import Hub
 from carina.server.impatient import impatient
@@ -27,6 +28,7 @@ from carina.server.listening import bind
 from carina.server.programs import door_of
 from carina.server.security import Gate, is_loopback
 from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
+from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
 from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files, is_case_file
@@ -74,8 +76,13 @@ def make_server(
     phone: Phone | None = None,
     cluster_status: Callable[[], ClusterStatus] | None = None,
     watch_address: str | None = None,
+    closes_session: bool = True,
 ) -> uvicorn.Server:
-    """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
+    """Return the server over a session.
+
+    ``server.run(sockets=[sock])`` runs it, and ``server.should_exit = True`` ends it; the session is closed then,
+    unless ``closes_session`` is false.
+    """
     uploads = uploads or Uploads()
     info = build_info or {}
     hub = Hub(
@@ -88,6 +95,7 @@ def make_server(
         cluster_status=cluster_status,
         web=web,
         watch_address=watch_address,
+        closes_session=closes_session,
     )
     strangers = Strangers()
     config = uvicorn.Config(
@@ -127,7 +135,7 @@ def serve(
     make_renderer: RendererFactory | None = None,
     cluster_status: Callable[[], ClusterStatus] | None = None,
 ) -> int:
-    """Start the workstation and stay until Ctrl-C.
+    """Start the workstation and stay until Ctrl-C, SIGTERM or SIGHUP.
 
     Parameters
     ----------
@@ -165,7 +173,7 @@ def serve(
     Returns
     -------
     int
-        0 after Ctrl-C.
+        0 after Ctrl-C, SIGTERM or SIGHUP with all work saved.
 
     Raises
     ------
@@ -173,6 +181,8 @@ def serve(
         If both a path and a demo are given, or the demo is unknown.
     VolumeImportError
         If nothing at ``path`` can be opened; no server was started then.
+    UnsavedWorkError
+        If work is lost. A user at a terminal is asked first, and may save the case elsewhere.
     CarinaError
         ``server.port`` if the port is in use; with ``phone``, ``phone.missing`` or ``server.no-network``.
     """
@@ -237,25 +247,35 @@ def serve(
             cluster_status=cluster_status,
             # Where a person said that the phone's page listens, this one does too.
             watch_address=phone_address,
+            # Closed below, where a user can still be asked what to do with unsaved work.
+            closes_session=False,
         )
-        try:
-            if phone and page is not None:
-                opened = page.start()
-                print(_PHONE_WARNING.format(address=opened.address), file=sys.stderr, flush=True)
-                if on_phone is not None:
-                    on_phone(opened.url, opened.sha256)
-            unquieten = quieten(time.monotonic)
+
+        def stop() -> None:
+            server.should_exit = True
+
+        with EndSignals(stop) as signals:
             try:
-                server.run(sockets=[sock])
+                if phone and page is not None:
+                    opened = page.start()
+                    print(_PHONE_WARNING.format(address=opened.address), file=sys.stderr, flush=True)
+                    if on_phone is not None:
+                        on_phone(opened.url, opened.sha256)
+                unquieten = quieten(time.monotonic)
+                try:
+                    server.run(sockets=[sock])
+                finally:
+                    unquieten()
+            except KeyboardInterrupt:
+                # uvicorn has ended cleanly and raises the signal again; Ctrl-C is how a workstation is closed.
+                pass
             finally:
-                unquieten()
-        except KeyboardInterrupt:
-            # uvicorn has ended cleanly and raises the signal again; Ctrl-C is how a workstation is closed.
-            pass
-        finally:
-            if page is not None:
-                page.stop()
-            session.close()
+                signals.begin_closing()
+                try:
+                    if page is not None:
+                        page.stop()
+                finally:
+                    close_session(session, ConsoleTerminal(is_gone=signals.has_terminal_closed))
     return 0
 
 

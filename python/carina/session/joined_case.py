@@ -218,7 +218,15 @@ class JoinedCase:
         return found
 
     def close(self) -> None:
-        """Leave it to its owner; as the owner, write what is not written yet."""
+        """Leave the case to its owner; as the owner, write what is not written yet.
+
+        Raises
+        ------
+        UnsavedWorkError
+            If the owner has ended, this program could not take over, and changes made since then are in no file.
+        CarinaError
+            As the owner: ``case.not-saved`` if the disk does not take the latest changes.
+        """
         with self._lock:
             self._closed = True
             link, self._link = self._link, None
@@ -227,6 +235,9 @@ class JoinedCase:
                 link.close()
             elif self._named is None:
                 self._session.do(c.KeepNow())
+            else:
+                live = self._records.live_path(self._case_id)
+                self._named.check_saved(self._session.ask(c.MomentToKeep()), kept=self._followed.moment, live=live)
         finally:
             self._session.close()
             if self._named is not None:

@@ -24,6 +24,7 @@ from carina.session.jobs import log_fault
 from carina.session.kept_files import WholeCase
 from carina.session.named_file import FileMark, NamedFile, NamedFileConflictError, path_beside
 from carina.session.snapshot import SavingInfo, Topic, Trouble
+from carina.session.unsaved_work import UnsavedWork, unsaved_labels
 
 if TYPE_CHECKING:
     from carina.case.save_mark import SaveMark
@@ -129,6 +130,8 @@ class Keeper:
         self._busy: object = None
         """What is being written; None: nothing is."""
         self._is_slow = False
+        self._saved = None if file is None else moment_of(case)
+        """As the live file has the case."""
         self._num_begun = self._num_kept = self._num_failed = 0
         """Writes: the last that was begun, the last that is on the disk, and how many failed."""
         self._num_saved = self._num_copied = 0
@@ -235,6 +238,28 @@ class Keeper:
     def has_conflict(self) -> bool:
         """The named file has content that this window did not write."""
         return self.info.copy_conflict is not None
+
+    def unsaved(self) -> UnsavedWork | None:
+        """Return the work that no disk has taken; None if there is none. Not with ``_wake`` held."""
+        with self._core.lock:
+            moment, num_flights = moment_of(self.case), len(self.case.flights.unwritten)
+        with self._wake:
+            is_saved = self._is_elsewhere or (self._changed_s is None and self._busy is None)
+            renamed = "alias" in self._notes
+            saved, problem, held = self._saved, self.info.problem, self.held
+        labels = unsaved_labels(moment if is_saved else saved, moment, renamed=renamed)
+        if not labels and (is_saved or not num_flights):
+            return None
+        return UnsavedWork(
+            case_number=self.case.number,
+            title=self.info.title or self.case.neutral_title,
+            labels=labels,
+            num_flights=0 if is_saved else num_flights,
+            problem=problem or NOT_RESPONDING,
+            saved_path=None if held is None or saved is None else held.path,
+            num_saved=0 if saved is None else saved.position,
+            copy_path=self.copy_path,
+        )
 
     def call(self, alias: str | None, suggested: str | None) -> None:
         """Store the user's name of the case, and suggest a file name made from it."""
@@ -435,6 +460,7 @@ class Keeper:
                 flights = self.case.flights.listed
                 recorded, removed = self.case.flights.unwritten, self.case.flights.removed
             self.file.save(moment)
+            self._saved = moment
             for recording in recorded:
                 self.file.keep_recording(recording)
             if flights is not self._flights_kept:
@@ -472,8 +498,9 @@ class Keeper:
         """All that is left, then the file and the right to it."""
         if self._changed_s is not None or self._notes:
             self._attempt()
-        # Nobody waits for a disk here; a picture takes what it takes.
-        self._picture()
+        # A thumbnail is of no use where the disk takes nothing, and its message would hide the one that matters.
+        if self.info.problem is None:
+            self._picture()
         with self._watched():
             if self._copier is not None:
                 # What it began last would else take the place of what is newer.

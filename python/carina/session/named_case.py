@@ -15,6 +15,7 @@ from carina.errors import UsageError
 from carina.session.case_scan import CASE_SUFFIX, CaseScans, FoundScan, way_between
 from carina.session.named_file import NamedFile, NamedFileConflictError, open_marked, path_beside
 from carina.session.records import CaseRecords
+from carina.session.unsaved_work import check_saved
 from carina.volume import Volume, VolumeCache, ct_digest
 
 __all__ = ["NamedCase"]
@@ -158,6 +159,20 @@ class NamedCase:
             scratch.remove()
         if named is not None:
             named.close()
+
+    def check_saved(self, moment: Moment, *, kept: Moment | None = None, live: Path | None = None) -> None:
+        """Refuse to close a case whose file cannot be written and does not have the changes of a moment.
+
+        ``kept`` is the moment in the live file ``live``, where this object has neither read nor written a file.
+
+        Raises
+        ------
+        UnsavedWorkError
+            If a change is in no file.
+        """
+        path = self.path or live
+        if path is not None and self.note is not None:
+            check_saved(path, self.note, self._saved or kept, moment)
 
     def is_behind(self, moment: Moment) -> bool:
         """Whether the case has a file that it may write, and the file has an earlier moment."""

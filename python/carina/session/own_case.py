@@ -37,7 +37,13 @@ class ProgramCase(Protocol):
         """Write it as one whole file."""
 
     def close(self) -> None:
-        """Save it where it belongs, and give everything back."""
+        """Save the case to its file, and release everything.
+
+        Raises
+        ------
+        DiskError, UnsavedWorkError
+            If the file cannot be written; everything is released then, too.
+        """
 
 
 class OwnCase:
@@ -84,11 +90,12 @@ class OwnCase:
         return self._named.save(case.volume, moment, path, replace=replace, flights=flights)
 
     def close(self) -> None:
-        """Only what was changed is written."""
+        """Write the file if the case has changed."""
         try:
             case = self._session.snapshot().case
             if case is not None:
                 moment = self._session.ask(MomentToKeep())
+                self._named.check_saved(moment)
                 if self._named.is_behind(moment):
                     self._named.save_at_end(case.volume, moment, self._session.ask(FlightsToKeep()))
         finally:

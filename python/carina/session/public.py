@@ -173,12 +173,14 @@ class Case:
         return self._case.save(path, replace=replace)
 
     def close(self) -> None:
-        """Save it where it belongs, if it has a file; stop what runs and give the memory back.
+        """Save the case to its file, if it has one; stop what runs and release the memory.
 
         Raises
         ------
         DiskError
-            If it cannot be written; all is closed then, too.
+            If the file cannot be written; all is closed then, too.
+        UnsavedWorkError
+            If another program has the file open, so that changes made here are in no file; all is closed then, too.
         """
         self._case.close()
 

@@ -306,6 +306,10 @@ class CaseRecords:
         """A case of the list."""
         return next((one for one in self.all() if one.case_id == case_id), None)
 
+    def live_path(self, case_id: str) -> Path:
+        """Return where the live file of a case in the list is, whether its record can be read or not."""
+        return self._folder / case_id / FILE
+
     def path_of(self, record: CaseRecord) -> Path:
         """The live case file; another process may be writing it."""
         return self._place(record) / FILE

@@ -31,6 +31,7 @@ from carina.session.named_lock import LockedElsewhereError, NamedLock
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
 from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
 from carina.session.subject import Subject, answers, does
+from carina.session.unsaved_work import UnsavedWork
 from carina.volume import same_geometry
 
 if TYPE_CHECKING:
@@ -492,17 +493,66 @@ class Saving(Subject):
         kept = self._kept
         if kept is None:
             return
-        self._ending = [keeper for keeper in self._ending if not keeper.has_ended]
-        if not kept.end(within_s):
+        self._ending = [keeper for keeper in self._ending if not keeper.has_ended or keeper.unsaved() is not None]
+        has_ended = kept.end(within_s)
+        if not has_ended or kept.unsaved() is not None:
             self._ending.append(kept)
-            if within_s is not None:
+            if not has_ended and within_s is not None:
                 logger.warning("Carina is closing before the latest changes to a case have been written to disk")
         if self._kept is kept:
             self._kept = None
 
-    def close(self) -> None:
-        """Write the rest, and end the threads."""
-        self.let_go(CLOSING_S)
+    def unsaved(self) -> tuple[UnsavedWork, ...]:
+        """Return the work that no disk has taken, of the open case and of those closed before.
+
+        Waits for each disk until the disk takes the work, refuses it or is silent. Not with the session locked.
+        """
+        if self._kept is not None:
+            self._kept.settle()
+        for keeper in self._ending:
+            keeper.end()
+        return tuple(work for keeper in self._keepers() if (work := keeper.unsaved()) is not None)
+
+    def save_elsewhere(self, case_number: int, path: Path) -> Path:
+        """Save a case with unsaved work to another file, and return the file.
+
+        Parameters
+        ----------
+        case_number
+            Of :class:`UnsavedWork`.
+        path
+            A new file, or a folder: the file there is named by the neutral alias.
+
+        Raises
+        ------
+        UsageError
+            ``case.exists``, ``case.no-place``: if the file exists, or its folder does not.
+        CarinaError
+            If the case cannot be written there either.
+        """
+        keeper = next(one for one in self._keepers() if one.case.number == case_number)
+        target = path.expanduser().absolute()
+        if target.is_dir():
+            target /= keeper.case.neutral_title.replace(" ", "-")
+        target = _with_suffix(target)
+        if target.exists():
+            raise UsageError(f"{target} already exists; choose another name", code="case.exists")
+        if not target.parent.is_dir():
+            raise UsageError(f"the folder {target.parent} does not exist", code="case.no-place")
+        try:
+            keeper.save_to(target)
+        except OSError as trouble:
+            raise disk_trouble(trouble, "cannot save the case to", target) from trouble
+        except sqlite3.Error as trouble:
+            raise CarinaError(f"cannot save the case to {target}: {trouble}", code="case.not-saved") from trouble
+        return target
+
+    def _keepers(self) -> tuple[Keeper, ...]:
+        return (*self._ending, *(() if self._kept is None else (self._kept,)))
+
+    def close(self, within_s: float = CLOSING_S) -> None:
+        """Write the rest, and end the threads; a disk that does not respond is waited for ``within_s``."""
+        self.let_go(within_s)
         if self._files is not None:
             self._files.close()
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from carina.commands import Command, Question, all_commands, checked
@@ -34,11 +35,12 @@ from carina.session.recent import LocalStore
 from carina.session.recording import FlightRecording
 from carina.session.records import CaseRecords
 from carina.session.routing import Routing
-from carina.session.saving import KeptFiles, Saving
+from carina.session.saving import CLOSING_S, KeptFiles, Saving
 from carina.session.scene import ShownCase
 from carina.session.snapshot import KeyFramesInfo, PoseInfo, Snapshot
 from carina.session.subject import handlers_of
 from carina.session.target_editing import TargetEditing
+from carina.session.unsaved_work import UnsavedWork
 
 __all__ = ["Session"]
 
@@ -232,8 +234,27 @@ class Session:
         """Recent cases and the safety notice."""
         return self._core.store
 
-    def close(self) -> None:
-        """End a recording, stop all jobs and give the threads back."""
+    def unsaved(self) -> tuple[UnsavedWork, ...]:
+        """End a recording, stop all jobs, and return the work that no disk has taken; waits for the disks."""
         self._recording.stop()
-        self._saving.close()
+        self._core.jobs.cancel_kinds()
+        return self._saving.unsaved()
+
+    def save_elsewhere(self, case_number: int, path: Path) -> Path:
+        """Save a case with unsaved work to another file or folder, and return the file.
+
+        Raises
+        ------
+        CarinaError
+            If it cannot be written there either; ``case.exists``, ``case.no-place``.
+        """
+        return self._saving.save_elsewhere(case_number, path)
+
+    def close(self, within_s: float = CLOSING_S) -> None:
+        """End a recording, stop all jobs and give the threads back.
+
+        A disk that does not respond is waited for ``within_s``; :meth:`unsaved` says afterwards what is lost.
+        """
+        self._recording.stop()
+        self._saving.close(within_s)
         self._core.close()

@@ -196,7 +196,7 @@ class Snapshot:
     case_number: int = 0
     """Grows with each case opened."""
     neutral_title: str = ""
-    """Name of the case that tells nothing about its CT or its patient; ``saving.title`` is the one that its user gave."""
+    """Name of the case that tells nothing about its CT or patient; ``saving.title`` is the one that its user gave."""
     stage: Stage = "empty"
     airways: AirwayStatus = "none"
     airways_words: str | None = None

@@ -1,0 +1,62 @@
+"""Signals that end the workstation: all save first, and a second one ends at once."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+__all__ = ["EndSignals"]
+
+CLOSED_TERMINAL = "SIGHUP"
+ENDING = ("SIGTERM", CLOSED_TERMINAL)
+"""Ctrl-C (SIGINT) is Python's and the server's own."""
+
+
+class EndSignals:
+    """Handlers of SIGTERM and SIGHUP while the server runs and while the session is closed.
+
+    Without these handlers either signal ends the process at once: SIGHUP in the middle of the work, SIGTERM after the
+    server has ended and before the session is closed. A signal that is ignored (``nohup``) stays ignored.
+
+    Parameters
+    ----------
+    stop
+        Ask the server to end; called for the first signal.
+    """
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop = stop
+        self._former: dict[signal.Signals, Any] = {}
+        self._received: list[int] = []
+        self._is_closing = False
+
+    @property
+    def has_terminal_closed(self) -> bool:
+        """Whether the terminal has gone: nobody can answer."""
+        return any(signal.Signals(number).name == CLOSED_TERMINAL for number in self._received)
+
+    def begin_closing(self) -> None:
+        """Note that the server has ended: a signal from now on interrupts as Ctrl-C does."""
+        self._is_closing = True
+
+    def __enter__(self) -> EndSignals:
+        # Signals can only be handled in the main thread; a server in another one is stopped by its owner.
+        if threading.current_thread() is threading.main_thread():
+            for name in ENDING:
+                number = getattr(signal, name, None)
+                if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                    self._former[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        self._received.append(number)
+        if self._is_closing:
+            raise KeyboardInterrupt
+        self._stop()

@@ -1,0 +1,124 @@
+"""The question on the terminal when Carina ends with unsaved work, and the error with which it ends if work is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import Protocol
+
+from carina.errors import CarinaError
+from carina.session import Session
+from carina.session.unsaved_work import UnsavedWork, unsaved_error
+
+__all__ = ["ConsoleTerminal", "Terminal", "close_session"]
+
+RETRY, QUIT = "r", "q"
+HELP = (
+    f"Type {RETRY} to try again, the path of another folder or file to save the case there, or {QUIT} to quit and lose "
+    "these changes (Ctrl-C also quits)."
+)
+PROMPT = f"[{RETRY}/PATH/{QUIT}] "
+
+
+class Terminal(Protocol):
+    """Where the question is asked."""
+
+    @property
+    def is_interactive(self) -> bool:
+        """Whether a user can answer."""
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+
+    def ask(self, prompt: str) -> str | None:
+        """Print a prompt and return the line that the user types; None at the end of the input."""
+
+
+class ConsoleTerminal:
+    """Standard input and standard error; standard output is left to ``--json``.
+
+    Parameters
+    ----------
+    is_gone
+        Whether the terminal was closed.
+    """
+
+    def __init__(self, *, is_gone: bool = False) -> None:
+        self._is_gone = is_gone
+
+    @property
+    def is_interactive(self) -> bool:
+        """Whether both are a terminal."""
+        try:
+            return not self._is_gone and sys.stdin.isatty() and sys.stderr.isatty()
+        except (AttributeError, ValueError):  # closed, or a program without a console
+            return False
+
+    def say(self, text: str) -> None:
+        """Print a line; nothing where the terminal has gone."""
+        with contextlib.suppress(OSError, ValueError):
+            print(text, file=sys.stderr, flush=True)
+
+    def ask(self, prompt: str) -> str | None:
+        """Return the line that the user types; None at the end of the input, and where the terminal has gone."""
+        try:
+            print(prompt, end="", file=sys.stderr, flush=True)
+            line = sys.stdin.readline()
+        except (OSError, ValueError):
+            return None
+        return line.strip() if line else None
+
+
+def close_session(session: Session, terminal: Terminal) -> None:
+    """Close a session; first ask what to do with unsaved work, where a user can answer.
+
+    A user who interrupts quits at once.
+
+    Raises
+    ------
+    UnsavedWorkError
+        If work is lost, or a file that the user saved the case to does not have all of it.
+    """
+    quits = False
+    try:
+        if terminal.is_interactive:
+            quits = not _ask_until_saved(session, terminal)
+    except KeyboardInterrupt:
+        quits = True
+    with contextlib.suppress(KeyboardInterrupt):
+        if quits:
+            # The user has seen the problem: no disk is waited for again.
+            session.close(0.0)
+        else:
+            session.close()
+    lost = session.unsaved()
+    if lost:
+        raise unsaved_error(lost)
+
+
+def _ask_until_saved(session: Session, terminal: Terminal) -> bool:
+    """Ask until no work is unsaved, and return True; False if the user quits."""
+    while work := session.unsaved():
+        one = work[0]
+        _describe(one, terminal)
+        answer = terminal.ask(PROMPT)
+        if answer is None or answer.lower() == QUIT:
+            return False
+        if answer in {"", "?"}:
+            continue
+        if answer.lower() != RETRY:
+            try:
+                terminal.say(f"saved as {session.save_elsewhere(one.case_number, Path(answer))}")
+            except CarinaError as trouble:
+                terminal.say(f"carina: {trouble}")
+    return True
+
+
+def _describe(work: UnsavedWork, terminal: Terminal) -> None:
+    terminal.say(f"Carina cannot close yet: {work.amount} of {work.title} not saved.")
+    if work.labels:
+        terminal.say(f"  latest changes: {work.shown_labels}")
+    terminal.say(f"  reason: {work.problem}")
+    terminal.say(f"  {work.saved_state}")
+    terminal.say(HELP)

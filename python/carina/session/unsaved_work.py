@@ -1,0 +1,149 @@
+"""Work on a case that no disk has taken: what it is, and where the last saved state of the case is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from carina.case.document import Document
+from carina.case.history import Step
+from carina.case.moment import Moment
+from carina.display import one_line
+from carina.errors import UnsavedWorkError
+
+__all__ = ["UnsavedWork", "check_saved", "unsaved_error", "unsaved_labels"]
+
+SHOWN_LABELS = 3
+"""The last changes that a message names."""
+MAX_LABEL_CHARS = 80
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class UnsavedWork:
+    """Work on one case that is not on a disk."""
+
+    case_number: int
+    """By which the session knows the case."""
+    title: str
+    """Name that the user gave, else the neutral alias."""
+    labels: tuple[str, ...]
+    """Labels of the changes, the oldest first."""
+    num_flights: int
+    """Recorded flights that are not saved to their end."""
+    problem: str
+    """Why the disk did not take the work."""
+    saved_path: Path | None
+    """The live case file with the last saved state; None if nothing of the case was saved."""
+    num_saved: int
+    """Changes in that file."""
+    copy_path: Path | None = None
+    """The file that the user saved the case to, with a state that may be older."""
+
+    @property
+    def amount(self) -> str:
+        """Number of changes and recorded flights, for a message."""
+        parts = [_count(len(self.labels), "change")] if self.labels else []
+        if self.num_flights:
+            parts.append(_count(self.num_flights, "recorded flight"))
+        return " and ".join(parts)
+
+    @property
+    def shown_labels(self) -> str:
+        """Labels of the last changes, the newest first, without control characters."""
+        newest_first = tuple(reversed(self.labels))
+        shown = "; ".join(_printable(label) for label in newest_first[:SHOWN_LABELS])
+        more = len(newest_first) - SHOWN_LABELS
+        return shown if more <= 0 else f"{shown}; and {more} more"
+
+    @property
+    def saved_state(self) -> str:
+        """Where the last saved state of the case is, for a message."""
+        if self.saved_path is None:
+            return "nothing of this case has been saved yet"
+        copy = "" if self.copy_path is None else f", and an earlier state in {self.copy_path}"
+        return f"the last saved state, with {_count(self.num_saved, 'change')}, is in {self.saved_path}{copy}"
+
+
+def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = False) -> tuple[str, ...]:
+    """Return the labels of what was done to a case since a saved moment, the oldest first.
+
+    Parameters
+    ----------
+    saved
+        As the case was saved last; None if it never was.
+    moment
+        As the case is.
+    renamed
+        Whether the name of the case is not saved either.
+    """
+    known = Counter[tuple[str, float]]() if saved is None else Counter(_keys(saved.steps[: saved.position]))
+    done = []
+    for key in _keys(moment.steps[: moment.position]):
+        if known[key] > 0:
+            known[key] -= 1
+        else:
+            done.append(key)
+    undone = (known & Counter(_keys(moment.steps[moment.position :]))).elements()
+    name = ["name of the case"] if renamed else []
+    return (*(f"undo: {label}" for label, _ in undone), *(label for label, _ in done), *name)
+
+
+def unsaved_error(lost: Sequence[UnsavedWork]) -> UnsavedWorkError:
+    """Return the error that says which work is lost, why, and where the last saved state is."""
+    sentences = [
+        f"{one.amount} of {_printable(one.title)} could not be saved"
+        f"{f' ({one.shown_labels})' if one.labels else ''}: {one.problem}; {one.saved_state}"
+        for one in lost
+    ]
+    return UnsavedWorkError(". ".join(sentences))
+
+
+def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> None:
+    """Refuse to close a case whose file does not have the changes made here.
+
+    Parameters
+    ----------
+    path
+        The file of the case.
+    why
+        Why the file cannot be written.
+    saved, moment
+        As the file has the case, and as the case is.
+
+    Raises
+    ------
+    UnsavedWorkError
+        If a change is in no file. A moved tip or another view is not a change.
+    """
+    labels = unsaved_labels(saved, moment)
+    if labels:
+        raise unsaved_error(
+            [
+                UnsavedWork(
+                    case_number=0,
+                    title=path.name,
+                    labels=labels,
+                    num_flights=0,
+                    problem=why,
+                    saved_path=path,
+                    num_saved=0 if saved is None else saved.position,
+                )
+            ]
+        )
+
+
+def _keys(steps: Sequence[Step[Document]]) -> list[tuple[str, float]]:
+    """Return what tells steps apart; a step that a later change of the same gesture replaced has another time."""
+    return [(step.label, step.at_s) for step in steps]
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _printable(text: str) -> str:
+    shown = "".join(char if char.isprintable() else "\ufffd" for char in text)
+    return shown if len(shown) <= MAX_LABEL_CHARS else f"{shown[: MAX_LABEL_CHARS - 1]}\u2026"

@@ -1,0 +1,222 @@
+"""Work that no disk has taken: what it is called, and that no end of a session hides it."""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import replace
+
+import pytest
+
+from carina import commands as c
+from carina.errors import UnsavedWorkError
+from carina.server.unsaved_question import ConsoleTerminal, close_session
+from carina.session import keeping
+from carina.session.unsaved_work import unsaved_labels
+from kept_desk import Desk, MemoryFile
+
+WAIT_S = 60.0
+
+
+class ScriptedTerminal:
+    """A user who gives these answers; an exception among them is raised."""
+
+    def __init__(self, *answers, is_interactive=True):
+        self.is_interactive = is_interactive
+        self.answers = list(answers)
+        self.said = []
+        self.num_asked = 0
+
+    def say(self, text):
+        self.said.append(text)
+
+    def ask(self, _prompt):
+        self.num_asked += 1
+        answer = self.answers.pop(0) if self.answers else None
+        if callable(answer):
+            answer = answer()
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    @property
+    def text(self):
+        return "\n".join(self.said)
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """A case with three saved changes and five more on a disk that is full."""
+    MemoryFile.kept.clear()
+    monkeypatch.setattr(keeping, "SLOW_S", WAIT_S)
+    desk = Desk(tmp_path)
+    desk.start()
+    desk.open()
+    for outline in ("octagon", "none", "round"):
+        desk.session.do(c.SetOutline(outline))
+    desk.saved()
+    fill(desk)
+    for n in range(5):
+        desk.session.do(c.EditKeyFrames(c.KeyFrameAdd()))
+        desk.clock.advance(2.0)
+        assert len(desk.session.history()) == 4 + n
+    yield desk
+    clear(desk)
+    desk.session.close()
+
+
+def fill(desk):
+    desk.files[-1].refuses = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def clear(desk):
+    desk.files[-1].refuses = None
+
+
+def saved_steps(desk):
+    return [step.label for step in MemoryFile.kept[str(desk.files[-1].path)][1].steps]
+
+
+def test_unsaved_work_names_the_changes_the_case_the_reason_and_the_last_saved_state(desk):
+    (work,) = desk.session.unsaved()
+    assert len(work.labels) == 5
+    assert work.labels == tuple(desk.session.history()[3:])
+    assert work.title == desk.session.snapshot().neutral_title
+    assert "disk" in work.problem
+    assert (work.saved_path, work.num_saved) == (desk.files[-1].path, 3)
+    assert work.amount == "5 changes"
+    assert str(desk.files[-1].path) in work.saved_state
+
+
+def test_a_session_without_unsaved_work_ends_without_a_question(desk):
+    clear(desk)
+    terminal = ScriptedTerminal()
+    close_session(desk.session, terminal)
+    assert (terminal.num_asked, terminal.said) == (0, [])
+    assert len(saved_steps(desk)) == 8
+
+
+def test_a_program_without_a_terminal_is_not_asked_and_ends_with_the_error(desk):
+    terminal = ScriptedTerminal(is_interactive=False)
+    with pytest.raises(UnsavedWorkError) as lost:
+        close_session(desk.session, terminal)
+    assert terminal.num_asked == 0
+    assert (lost.value.exit_code, lost.value.code) == (5, "case.not-saved")
+    text = str(lost.value)
+    for part in ("5 changes", "could not be saved", "with 3 changes", str(desk.files[-1].path)):
+        assert part in text
+    assert len(saved_steps(desk)) == 3
+
+
+def test_the_user_is_told_what_is_unsaved_and_a_retry_saves_it(desk):
+    terminal = ScriptedTerminal("r", lambda: (clear(desk), "r")[1])
+    close_session(desk.session, terminal)
+    assert terminal.num_asked == 2
+    assert "5 changes" in terminal.text and str(desk.files[-1].path) in terminal.text
+    assert len(saved_steps(desk)) == 8
+
+
+def test_the_user_saves_to_another_folder_and_nothing_is_lost(desk, tmp_path):
+    stick = tmp_path / "stick"
+    stick.mkdir()
+    steps = desk.session.history()
+    name = desk.session.snapshot().neutral_title.replace(" ", "-")
+    terminal = ScriptedTerminal(str(stick))
+    close_session(desk.session, terminal)
+    (written,) = stick.iterdir()
+    assert written.name == f"{name}.carina"
+    moment = desk.written[str(written)]
+    assert tuple(step.label for step in moment.steps) == steps
+    assert f"saved as {written}" in terminal.text
+
+
+def test_a_path_that_cannot_be_used_is_refused_and_asked_for_again(desk, tmp_path):
+    taken = tmp_path / "taken.carina"
+    taken.write_bytes(b"another case")
+    terminal = ScriptedTerminal(str(taken), str(tmp_path / "nowhere" / "x"), str(tmp_path / "free"))
+    close_session(desk.session, terminal)
+    assert terminal.num_asked == 3
+    assert "already exists" in terminal.text and "does not exist" in terminal.text
+    assert taken.read_bytes() == b"another case"
+    assert str(tmp_path / "free.carina") in desk.written
+
+
+@pytest.mark.parametrize("answer", ["q", None, KeyboardInterrupt()])
+def test_a_user_who_quits_interrupts_or_is_gone_gets_the_error(desk, answer):
+    terminal = ScriptedTerminal(answer)
+    with pytest.raises(UnsavedWorkError, match="5 changes"):
+        close_session(desk.session, terminal)
+    assert terminal.num_asked == 1
+
+
+def test_an_interrupt_before_the_question_ends_with_the_error(desk, monkeypatch):
+    settle = desk.session.unsaved
+    calls = []
+
+    def interrupted():
+        calls.append(1)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return settle()
+
+    monkeypatch.setattr(desk.session, "unsaved", interrupted)
+    terminal = ScriptedTerminal()
+    with pytest.raises(UnsavedWorkError, match="5 changes"):
+        close_session(desk.session, terminal)
+    assert terminal.num_asked == 0
+
+
+def test_changes_that_were_taken_back_count_as_unsaved(desk):
+    for _ in range(6):
+        desk.session.do(c.Undo())
+    (work,) = desk.session.unsaved()
+    assert work.labels == (f"undo: {saved_steps(desk)[-1]}",)
+
+
+def test_a_tip_that_moved_is_not_lost_work(desk):
+    clear(desk)
+    desk.saved()
+    fill(desk)
+    desk.session.do(c.Steer(1.0, 0.0, 0.0, 0.0))
+    terminal = ScriptedTerminal()
+    close_session(desk.session, terminal)
+    assert terminal.num_asked == 0
+
+
+def test_a_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
+    clear(desk)
+    desk.saved()
+
+    def refuses(*_arguments, **_options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("carina.session.records.write_whole", refuses)
+    case_id = desk.session.cases.open_case[0]
+    desk.session.do(c.RenameCase(case_id, "Nodule in RB4"))
+    (work,) = desk.session.unsaved()
+    assert (work.title, work.labels) == ("Nodule in RB4", ("name of the case",))
+    monkeypatch.undo()
+
+
+def test_a_thumbnail_is_not_made_where_the_case_could_not_be_saved(desk, caplog):
+    with pytest.raises(UnsavedWorkError):
+        close_session(desk.session, ScriptedTerminal(is_interactive=False))
+    assert "thumbnail" not in caplog.text
+
+
+def test_messages_hold_no_control_characters_and_a_bounded_number_of_labels(desk):
+    (work,) = desk.session.unsaved()
+    hostile = replace(work, labels=(*["x\x1b[2J" * 1000] * 400,))
+    assert "\x1b" not in hostile.shown_labels
+    assert len(hostile.shown_labels) < 400
+    assert hostile.shown_labels.endswith("and 397 more")
+
+
+def test_nothing_is_unsaved_where_both_moments_are_the_same(desk):
+    moment = desk.session.ask(c.MomentToKeep())
+    assert unsaved_labels(moment, moment) == ()
+    assert unsaved_labels(None, moment) == desk.session.history()
+
+
+def test_a_console_that_was_closed_is_not_interactive():
+    assert not ConsoleTerminal(is_gone=True).is_interactive
