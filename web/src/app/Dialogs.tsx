@@ -20,9 +20,22 @@ export function NoticeDialog() {
             appear as airways.
           </p>
           <p>Decisions about a patient must be made by a physician, from the original images.</p>
-          <p className="quiet">
-            Your images stay on this machine. Carina sends nothing to anyone and stores no patient names.
-          </p>
+          <div className="quiet" data-testid="stored-on-disk">
+            <p>Your images stay on this machine, unless you share a case. Carina stores, readable by you alone:</p>
+            <ul>
+              <li>Cases: your work, the name that you give a case, the date of the scan and a small picture.</li>
+              <li>
+                The path of each CT, and of each file that you save a case to, so that the case can be opened again. A
+                path can contain a patient's name.
+              </li>
+              <li>Copies of opened CTs with their paths and series names, until you empty the cache.</li>
+              <li>Dropped files, until they have been read.</li>
+            </ul>
+            <p>
+              Unnamed cases are shown as "Case" with a random code. Observers, phones and reports do not receive the
+              name of a CT file. See Cases and storage to delete what is stored.
+            </p>
+          </div>
           <div className="dialog-actions">
             <Button
               autoFocus

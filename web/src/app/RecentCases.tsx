@@ -1,4 +1,4 @@
-/** The cases used last, told apart by picture, time and changes; never by a patient's name. */
+/** The cases used last, with picture, time and changes; a case without a name of its user's has a neutral alias. */
 
 import { Button } from "react-aria-components";
 import { caseFacts, RECENT_SHOWN } from "../state/case-list";
@@ -29,7 +29,7 @@ export function RecentCases() {
         />
       </div>
       {recent.length === 0 ? (
-        <p className="empty">The cases you open appear here, without patient names.</p>
+        <p className="empty">The cases you open appear here, without the names of their CT files.</p>
       ) : (
         <ul className="recent" data-testid="recent">
           {recent.slice(0, RECENT_SHOWN).map((entry) => (

@@ -135,7 +135,7 @@ function Rename({ entry, onEnd }: { entry: RecentCase; onEnd: () => void }) {
           aria-label="Case name"
         >
           <Input
-            placeholder={entry.named ? "Leave empty to use the series name" : entry.title}
+            placeholder={entry.named ? "Leave empty to use a random code" : entry.title}
             autoComplete="off"
             data-testid="case-name"
           />

@@ -17,6 +17,8 @@ const NONE: readonly CaseNote[] = [];
 export function TopBar() {
   const station = useStation();
   const title = useApp((state) => state.session?.saving.title ?? state.session?.case?.title ?? "");
+  const ctName = useApp((state) => state.session?.case?.ct_name ?? null);
+  const neutral = useApp((state) => state.session?.case?.title ?? "");
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const reason = useApp((state) => state.session?.case?.not_hu_reason ?? null);
   const badges = useApp((state) => state.session?.badges ?? NONE);
@@ -43,7 +45,7 @@ export function TopBar() {
   return (
     <header className="top-bar">
       <h1>Carina</h1>
-      <p className="case-title">{title}</p>
+      <CaseTitle title={title} neutral={neutral} ctName={ctName} />
       <SavedWords />
       {page === null ? null : (
         <Tip words="Your patient's images are on the network. Open Devices to see who is watching, or to stop sharing.">
@@ -112,6 +114,17 @@ export function TopBar() {
       />
       <KeyCardButton />
     </header>
+  );
+}
+
+/** The name of the CT's file is shown on this machine alone, and only on request: somebody may look over a shoulder. */
+function CaseTitle({ title, neutral, ctName }: { title: string; neutral: string; ctName: string | null }) {
+  if (title === "") return null;
+  const ct = ctName === null ? "" : `CT: ${ctName}. `;
+  return (
+    <p className="case-title" data-testid="case-title" title={`${ct}Observers see this case as ${neutral}.`}>
+      {title}
+    </p>
   );
 }
 

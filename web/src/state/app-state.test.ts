@@ -57,6 +57,7 @@ const OPEN: StateMessage = {
     other_series: [],
     citation: null,
     off: [],
+    ct_name: null,
   },
 };
 

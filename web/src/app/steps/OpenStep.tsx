@@ -13,6 +13,7 @@ export function OpenStep() {
   return (
     <>
       <p>{info.title}</p>
+      {info.ct_name === null ? null : <p className="quiet">CT: {info.ct_name}</p>}
       <dl className="facts">
         <div>
           <dt>Format</dt>

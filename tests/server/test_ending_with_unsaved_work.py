@@ -1,0 +1,219 @@
+"""A real workstation whose disk is full ends: it asks at a terminal, and its exit code says that work is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from forked_workstations import WAIT_S, Window
+
+from carina.case import CaseFile
+from carina.volume import write_grid
+from faulty_disk import FAULTS, FaultyDisk, has_compiler
+from made import made_phantom
+from own_folders import environment_in
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not sys.platform.startswith("linux") or not has_compiler(), reason="needs Linux and a C compiler"
+    ),
+]
+
+
+class Terminal:
+    """The program at the other side of a pseudo-terminal: what it prints is read as it comes."""
+
+    def __init__(self):
+        import pty
+        import tty
+
+        self._own, self.theirs = pty.openpty()
+        tty.setraw(self.theirs)
+        self._text = b""
+        self._news = threading.Condition()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        with contextlib.suppress(OSError):  # EIO once the program has ended
+            while data := os.read(self._own, 4096):
+                with self._news:
+                    self._text += data
+                    self._news.notify_all()
+
+    @property
+    def text(self):
+        return self._text.decode()
+
+    def until(self, part, *, times=1):
+        with self._news:
+            assert self._news.wait_for(lambda: self._text.count(part.encode()) >= times, WAIT_S), self.text
+
+    def type(self, line):
+        os.write(self._own, f"{line}\n".encode())
+
+
+class Station:
+    """``carina open`` over a full disk, with saved and unsaved changes.
+
+    Parameters
+    ----------
+    terminal
+        Whether its input and its messages are a terminal.
+    """
+
+    def __init__(self, tmp_path, disk, *, terminal):
+        self.home, self.disk = tmp_path / "home", disk
+        self.home.mkdir()
+        volume = made_phantom(spacing_mm=3.0, generations=3).volume
+        ct = tmp_path / "SURNAME_FIRSTNAME_1951.nii.gz"
+        write_grid(ct, volume.hu_zyx, volume.lps_from_ijk, what="the phantom")
+        self.terminal = Terminal() if terminal else None
+        own = {"stdin": self.terminal.theirs, "stderr": self.terminal.theirs} if self.terminal else {}
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", STARTED, "open", str(ct), "--no-browser", "--json"],
+            **({"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, "stdout": subprocess.PIPE} | own),
+            text=True,
+            env={**environment_in(self.home), **disk.environment},
+        )
+        text = ""
+        while not text.rstrip().endswith("}"):
+            line = self.process.stdout.readline()
+            assert line, "the workstation did not start"
+            text += line
+        told = json.loads(text)
+        base = told["url"].partition("/?")[0]
+        self.window = Window(f"ws{base[4:]}/ws", told["token"])
+        self.window.wait_open()
+
+    def work(self):
+        """Three changes that are saved, then five on a full disk."""
+        self.change(3)
+        data = self.home / "data"
+        end_s = time.monotonic() + WAIT_S
+        (live,) = data.rglob("case.carina")
+        while self.saved_steps(live) < 3:
+            assert time.monotonic() < end_s
+            self.window.hear(0.05)
+        self.disk.begin(FAULTS["full"], 0, data)
+        self.change(5)
+        return live
+
+    def change(self, num):
+        wanted = len(self.window.history["steps"]) + num
+        for _ in range(num):
+            self.window.send({"type": "edit_key_frames", "edit": {"kind": "add"}})
+        self.window.until(lambda: len(self.window.history["steps"]) >= wanted)
+
+    @staticmethod
+    def saved_steps(path):
+        with CaseFile.open(path, read_only=True) as case:
+            return len(case.history())
+
+    def ended(self):
+        """Exit code, standard output and messages."""
+        out, err = self.process.communicate(timeout=WAIT_S)
+        return self.process.returncode, out, self.terminal.text if self.terminal else err
+
+    def close(self):
+        self.process.kill()
+        self.process.wait(WAIT_S)
+        self.window.end()
+
+
+# A shell that starts the tests in the background hands on Ctrl-C as ignored; a user's terminal does not.
+STARTED = """
+import signal
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+from carina.cli import main
+
+main()
+"""
+
+
+@pytest.fixture
+def disk(tmp_path):
+    disk = FaultyDisk(tmp_path)
+    yield disk
+    disk.heal()
+
+
+@pytest.fixture
+def station(tmp_path, disk):
+    stations = []
+
+    def start(*, terminal):
+        stations.append(Station(tmp_path, disk, terminal=terminal))
+        return stations[-1]
+
+    yield start
+    for one in stations:
+        one.close()
+
+
+def test_ctrl_c_on_a_full_disk_asks_at_a_terminal_and_saves_to_the_path_that_is_typed(station, disk, tmp_path):
+    mine = station(terminal=True)
+    live = mine.work()
+    stick = tmp_path / "stick"
+    stick.mkdir()
+    mine.process.send_signal(signal.SIGINT)
+    mine.terminal.until("[r/PATH/q]")
+    assert mine.process.poll() is None, "it waits"
+    shown = mine.terminal.text
+    for part in ("5 changes of Case ", "latest changes: ", "the disk is full", "with 3 changes", str(live)):
+        assert part in shown
+    assert "SURNAME" not in shown
+    mine.terminal.type("r")
+    mine.terminal.until("[r/PATH/q]", times=2)
+    mine.terminal.type(str(stick))
+    mine.terminal.until("saved as ")
+    code, _, text = mine.ended()
+    assert code == 0, text
+    (written,) = stick.glob("*.carina")
+    disk.heal()
+    assert (mine.saved_steps(written), mine.saved_steps(live)) == (8, 3)
+
+
+def test_a_second_signal_at_the_question_ends_with_exit_code_5(station):
+    mine = station(terminal=True)
+    mine.work()
+    mine.process.send_signal(signal.SIGTERM)
+    mine.terminal.until("[r/PATH/q]")
+    mine.process.send_signal(signal.SIGINT)
+    code, out, text = mine.ended()
+    assert code == 5, text
+    assert json.loads(out)["error"]["code"] == "case.not-saved"
+    assert "5 changes" in text.strip().splitlines()[-1], "the last line says what is lost"
+
+
+def test_without_a_terminal_nobody_is_asked_and_the_exit_code_is_5(station):
+    mine = station(terminal=False)
+    live = mine.work()
+    mine.process.send_signal(signal.SIGINT)
+    code, out, text = mine.ended()
+    assert code == 5, text
+    error = json.loads(out)["error"]
+    assert error["code"] == "case.not-saved"
+    last = text.strip().splitlines()[-1]
+    for part in ("5 changes of Case ", "could not be saved", "with 3 changes", str(live)):
+        assert part in last and part in error["message"]
+    assert "thumbnail" not in text and "SURNAME" not in text
+
+
+def test_a_closed_terminal_saves_all_work_and_ends_with_exit_code_0(station):
+    mine = station(terminal=True)
+    mine.change(3)
+    (live,) = (mine.home / "data").rglob("case.carina")
+    mine.process.send_signal(signal.SIGHUP)
+    code, out, text = mine.ended()
+    assert (code, out) == (0, ""), text
+    assert mine.saved_steps(live) == 3
