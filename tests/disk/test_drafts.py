@@ -156,6 +156,27 @@ def test_a_file_keeps_its_permissions_and_a_private_one_has_none_for_others(tmp_
     assert stat.S_IMODE((tmp_path / "b").stat().st_mode) == 0o600
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+@pytest.mark.parametrize("lasting", [False, True])
+def test_every_private_folder_that_is_made_has_mode_0700(tmp_path, lasting):
+    before = os.umask(0o022)
+    try:
+        make_folder(tmp_path / "a" / "b" / "c", what="the test", private=True, lasting=lasting)
+        make_folder(tmp_path / "d" / "e", what="the test", lasting=lasting)
+    finally:
+        os.umask(before)
+    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.rglob("*")}
+    assert modes == {"a": 0o700, "b": 0o700, "c": 0o700, "d": 0o755, "e": 0o755}
+
+
+def test_a_file_in_the_place_of_a_folder_is_refused_and_stays(tmp_path):
+    (tmp_path / "a").write_bytes(b"x")
+    for place in (tmp_path / "a", tmp_path / "a" / "b"):
+        with pytest.raises(DiskError, match="cannot create the folder for the test"):
+            make_folder(place, what="the test", private=True)
+    assert (tmp_path / "a").read_bytes() == b"x"
+
+
 @pytest.mark.parametrize("suffix", GRID_SUFFIXES)
 def test_a_mask_that_finds_no_room_leaves_the_former_file_and_no_line_of_a_library(
     tmp_path, suffix, small_files, capfd

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
 import stat
 from pathlib import PurePosixPath
@@ -62,6 +63,24 @@ def test_a_hostile_name_stays_below_the_upload(uploads, name, tmp_path):
     assert place.is_file()
     assert place.resolve().is_relative_to(folder)
     assert place.name not in {"passwd..", ".bashrc", "con.txt"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+def test_all_folders_of_an_upload_have_mode_0700_and_its_files_0600(uploads):
+    before = os.umask(0o022)
+    try:
+        upload_id = uploads.begin()
+        add(uploads, upload_id, "Mueller/1961/series 1/one.dcm", b"x")
+        headers = uploads.begin()
+        add(uploads, headers, "Mueller/1961/ct.mhd", b"ElementDataFile = LIST\nparts/slice-1.raw\n")
+        add(uploads, headers, "Mueller/1961/parts/slice-1.raw", b"x")
+        uploads.place(headers)
+    finally:
+        os.umask(before)
+    made = [path for one in uploads._uploads.values() for path in (one.folder, *one.folder.rglob("*"))]
+    assert sum(path.is_dir() for path in made) > 8
+    for path in made:
+        assert path.stat().st_mode & 0o777 == (0o700 if path.is_dir() else 0o600), path
 
 
 @given(st.text(max_size=80))

@@ -23,6 +23,7 @@ from carina.cluster.node import (
     token_file,
 )
 from carina.config import load_settings
+from carina.disk import make_folder
 from carina.errors import ClusterError, UsageError
 from carina.render import ClusterStatus, Renderer, TransferFunction
 from carina.session import RendererFactory
@@ -44,9 +45,7 @@ def _token(path: Path | None) -> Path:
 
 
 def _log_file() -> Path:
-    folder = load_settings().state_dir
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder / "cluster.log"
+    return make_folder(load_settings().state_dir, what="the log", private=True) / "cluster.log"
 
 
 @contextmanager

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from carina.disk.drafts import Draft, Placement, drafted, make_folder, sweep_drafts, sync_folder, write_whole
+from carina.disk.drafts import (
+    Draft,
+    Placement,
+    create_folders,
+    drafted,
+    make_folder,
+    sweep_drafts,
+    sync_folder,
+    write_whole,
+)
 from carina.disk.regular_files import (
     check_regular,
     open_regular,
@@ -18,6 +27,7 @@ __all__ = [
     "Placement",
     "ScratchFolder",
     "check_regular",
+    "create_folders",
     "disk_trouble",
     "drafted",
     "is_disk_trouble",

@@ -24,7 +24,17 @@ from carina.disk.trouble import disk_trouble
 from carina.display import as_words
 from carina.errors import CarinaError
 
-__all__ = ["DRAFT", "Draft", "Placement", "drafted", "make_folder", "sweep_drafts", "sync_folder", "write_whole"]
+__all__ = [
+    "DRAFT",
+    "Draft",
+    "Placement",
+    "create_folders",
+    "drafted",
+    "make_folder",
+    "sweep_drafts",
+    "sync_folder",
+    "write_whole",
+]
 
 Placement = Callable[[Path, Path], None]
 """``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target as it was."""
@@ -218,12 +228,14 @@ def drafted(
 
 
 def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = False, lasting: bool = False) -> Path:
-    """Make a folder for results, with those above it; nothing if it is there.
+    """Make a folder, with the missing folders above it; nothing if it is there.
 
     Parameters
     ----------
-    path, what, private
+    path, what
         As of :func:`write_whole`.
+    private
+        Give the folder, and every folder above it that is made, mode 0700.
     lasting
         Its name and those above that are new are on the disk when this returns.
 
@@ -234,13 +246,30 @@ def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = Fals
     """
     folder = Path(path)
     try:
-        missing = [one for one in (folder, *folder.parents) if lasting and not one.exists()]
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700 if private else 0o777)
-        for one in missing:
+        made = create_folders(folder, private=private)
+        for one in made if lasting else ():
             sync_folder(one.parent)
     except OSError as error:
         raise disk_trouble(error, f"cannot create the folder for {what} at", folder) from error
     return folder
+
+
+def create_folders(folder: Path, *, private: bool) -> tuple[Path, ...]:
+    """Create a folder with the missing folders above it, and return those that were missing, the innermost first.
+
+    Private ones all have mode 0700: ``Path.mkdir(mode=0o700, parents=True)`` gives that mode to the innermost alone.
+
+    Raises
+    ------
+    OSError
+        If one cannot be made.
+    """
+    missing = tuple(one for one in (folder, *folder.parents) if not one.exists())
+    for one in reversed(missing):
+        one.mkdir(exist_ok=True, mode=0o700 if private else 0o777)
+    # Raises where a file has the place of the folder.
+    folder.mkdir(exist_ok=True)
+    return missing
 
 
 def sync_folder(folder: Path | str) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
-from carina.disk import drafted
+from carina.disk import drafted, make_folder
 
 __all__ = ["SLOW_NS_PER_VOXEL", "CachedMap", "MapCache", "MapName"]
 
@@ -134,7 +134,7 @@ class MapCache:
         if sum(a.nbytes for a in built.arrays) + len(header) + _START.size > self._max_bytes:
             return
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self._folder, what="IsoRegion maps", private=True)
             with drafted(self._path(name), what="an IsoRegion map", private=True) as out:
                 out.write(_START.pack(_MAGIC, MAP_VERSION, len(header)))
                 out.write(header)

@@ -17,7 +17,7 @@ from typing import BinaryIO
 
 from starlette.concurrency import run_in_threadpool
 
-from carina.disk import ScratchFolder, disk_trouble
+from carina.disk import ScratchFolder, create_folders, disk_trouble
 from carina.errors import UsageError
 from carina.server.dropped_names import DroppedNames
 
@@ -129,7 +129,7 @@ class Uploads:
         path = self._free_path(upload, name)
         written = 0
         try:
-            await run_in_threadpool(path.parent.mkdir, mode=0o700, parents=True, exist_ok=True)
+            await run_in_threadpool(create_folders, path.parent, private=True)
             with await run_in_threadpool(_open_new, path) as file:
                 async for chunk in body:
                     written += len(chunk)
@@ -219,7 +219,7 @@ def _joined(upload: _Upload, header: Path) -> Path:
         # A list, or a pattern of numbers: they must be called as it says, for as long as it is read.
         for path, (relative, _) in upload.own.items():
             back = upload.folder / relative
-            back.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            create_folders(back.parent, private=True)
             if path.is_file() and not back.exists():
                 path.replace(back)
                 header = back if path == header else header
