@@ -38,6 +38,20 @@ class EncryptedSocket:
         """Send one."""
         _await(self._loop, self._connection.send(message))
 
+    def ping(self, data: bytes, num: int) -> None:
+        """Send control frames as fast as possible, without waiting for the answers.
+
+        Raises
+        ------
+        ConnectionClosed
+            If the other side has ended the connection.
+        """
+        _await(self._loop, self._ping(data, num))
+
+    async def _ping(self, data: bytes, num: int) -> None:
+        for n in range(num):
+            await self._connection.ping(data + n.to_bytes(4, "big"))
+
     def recv(self, timeout: float | None = None) -> str | bytes:
         """The next message.
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import ssl
 
 import httpx
 import pytest
-from live_server import SHOWN, WAIT_S, Window, open_case
+from live_server import SHOWN, WAIT_S
+from observers import insecure, page_of, sharing, watching
 
 from carina import commands
 from carina.commands import all_commands
@@ -17,57 +17,16 @@ from carina.render import Sight
 from carina.server import messages as wire
 from carina.server.watch_page import MAX_WATCHERS
 from carina.server.watching_window import READ_ONLY
-from encrypted_client import connected
 from small_case import LEFT_TIP, small_bench
 
 pytest.importorskip("cryptography")
 
 
-def insecure():
-    """A browser whose person has compared the fingerprint."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname = False
-    context.verify_mode = ssl.CERT_NONE
-    return context
-
-
-@contextlib.contextmanager
-def watching(url, *, token=None, hello=True):
-    origin, _, own = url.partition("/#")
-    address = origin.removeprefix("https://")
-    with connected(f"wss://{address}/ws", origin=origin, context=insecure(), within_s=WAIT_S) as socket:
-        watcher = Window(socket, hello=False)
-        watcher.send(wire.ClientHello(wire.WIRE_VERSION, own if token is None else token))
-        if hello:
-            greeting = watcher.until(lambda m: isinstance(m, wire.ServerHello))
-            assert greeting.watches
-        yield watcher
-
-
-def page_of(window, wanted=lambda page: page is not None):
-    return window.until(lambda m: isinstance(m, wire.Watching) and wanted(m.page)).page
-
-
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
     """A window of the person at the workstation, with a case and the page for watchers open."""
-    from live_server import running
-
-    # Watchers here read why they are sent away, however busy the machine is.
-    monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
-    # Both ends are in this process: while a case is opened, its own request may come late.
-    monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 60.0)
-    monkeypatch.setattr("carina.server.lan_server.HANDSHAKE_WITHIN_S", 60.0)
-
-    web = tmp_path / "web"
-    web.mkdir()
-    (web / "index.html").write_text("the client")
-    (web / "phone.html").write_text("the phone")
-    with running(tmp_path, web=web) as live, live.window() as window:
-        window.send(SHOWN)
-        open_case(window)
-        window.send(wire.SetWatchPage(on=True))
-        yield live, window, page_of(window)
+    with sharing(tmp_path, monkeypatch) as shared:
+        yield shared
 
 
 def fields(value):

@@ -12,6 +12,7 @@ import carina
 from carina.errors import ProtocolError
 from carina.server import messages as wire
 from carina.server.closing import close_socket
+from carina.server.message_limits import FLOOD
 from carina.server.receiving import receive_text
 from carina.server.senders import start_sender
 from carina.server.window import Window
@@ -21,8 +22,8 @@ __all__ = ["converse"]
 HELLO_WITHIN_S = 20.0
 
 
-async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Awaitable[Window]]) -> None:
-    """One window, from its hello to its end.
+async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Awaitable[Window]]) -> int | None:
+    """Serve one window, from its hello to its end, and return the close code of its socket; None if it had none.
 
     Parameters
     ----------
@@ -51,14 +52,19 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
         sender = start_sender(websocket, "the window", _send_all(websocket, window))
         worker = asyncio.create_task(window.inbox.work())
         while not worker.done():
-            await window.inbox.put(wire.parse_client_message(await receive_text(websocket, who="client")))
+            text = await receive_text(websocket, who="client")
+            await window.admit()
+            await window.inbox.put(wire.parse_client_message(text))
         worker.result()
     except ProtocolError as trouble:
         await close_socket(websocket, trouble.code, str(trouble))
+        return wire.CLOSE_CODES.get(trouble.code)
     except TimeoutError:
         await close_socket(websocket, "protocol.order", "the client sent no hello message")
-    except WebSocketDisconnect:
-        pass
+    except WebSocketDisconnect as ended:
+        if window is not None and ended.code == wire.CLOSE_CODES[FLOOD]:
+            window.inbox.drop()
+        return ended.code
     finally:
         if worker is not None:
             worker.cancel()
@@ -71,6 +77,7 @@ async def converse(websocket: WebSocket, attach: Callable[[wire.ClientHello], Aw
             sender.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await sender
+    return None
 
 
 async def _send_all(websocket: WebSocket, window: Window) -> None:

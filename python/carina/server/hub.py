@@ -33,6 +33,10 @@ logger = logging.getLogger(__name__)
 
 MAX_WINDOWS = 8
 """Each renders its own pictures."""
+FLOODED = (
+    "an observer sent too many messages and was disconnected. The link for observers has changed; those who are still "
+    "connected stay connected"
+)
 SWITCHED_OFF = "the person at the workstation has stopped sharing the case"
 
 
@@ -83,7 +87,11 @@ class Hub:
         self.devices = DeviceDesk(session, self._tell, recordings=recordings, phone=phone)
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell)
         self._watch_page = WatchPage(
-            self._attach_watcher, lambda: self._mark("watching"), web=web, address=watch_address
+            self._attach_watcher,
+            lambda: self._mark("watching"),
+            flooded=lambda: self._push(wire.Notice(FLOODED)),
+            web=web,
+            address=watch_address,
         )
         self._watched_case = 0
         self._switching: set[asyncio.Task[None]] = set()

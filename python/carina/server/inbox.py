@@ -20,6 +20,8 @@ STEER_EVERY_S = 0.004
 """Movements that follow each other faster are one; a screen shows at most 240 a second."""
 MAX_WAITING = 64
 """Beyond this nothing is read: the network waits."""
+LONGEST_PAUSE_S = 0.1
+"""Between two messages of a client with a share of the time, whatever the first of them took."""
 MAX_ADVANCE_MM = 1000.0
 MAX_TURN_RAD = 7.0
 NEWEST_ONLY = (
@@ -49,11 +51,20 @@ class Inbox:
         Does one message, at once; must not raise.
     handled
         Told after each command how many have been done or refused, those included of which a newer one took the place.
+    share
+        Largest share of the event loop's time that these messages may take, more than 0 and at most 1.
     """
 
-    def __init__(self, handle: Callable[[Any], None], handled: Callable[[int], None] = lambda _number: None) -> None:
+    def __init__(
+        self,
+        handle: Callable[[Any], None],
+        handled: Callable[[int], None] = lambda _number: None,
+        *,
+        share: float = 1.0,
+    ) -> None:
         self._handle = handle
         self._handled = handled
+        self._pause_per_s = 1.0 / share - 1.0
         self._waiting: deque[tuple[int, Any]] = deque()
         """Each with the number of commands that have come with it, those that went into it included."""
         self._num_commands = 0
@@ -98,11 +109,18 @@ class Inbox:
                     await asyncio.sleep(soon_s)
             if self._is_steer_next():
                 self._steered_s = loop.time()
+            begun_s = loop.time()
             self._do_next()
-            await asyncio.sleep(0)
+            await asyncio.sleep(min(self._pause_per_s * (loop.time() - begun_s), LONGEST_PAUSE_S))
 
     def _is_steer_next(self) -> bool:
         return bool(self._waiting) and isinstance(self._waiting[0][1], wire.Steer)
+
+    def drop(self) -> None:
+        """Do none of those that are left: the client sent too many."""
+        self._waiting.clear()
+        self._changed.clear()
+        self._room.set()
 
     def finish(self) -> None:
         """Do all that is left, now: the client has gone, and meant it."""

@@ -14,6 +14,7 @@ from starlette.applications import Starlette
 from carina.server.certificate import Certificate
 from carina.server.ending import EndingServer
 from carina.server.impatient import impatient
+from carina.server.message_limits import bounded_websocket
 from carina.server.strangers import ACCEPT_AT_ONCE, Strangers
 
 __all__ = ["LanServer"]
@@ -35,12 +36,20 @@ class LanServer(EndingServer):
         What it shows.
     max_message_bytes
         Largest message of a client.
+    max_bytes_per_s
+        Bytes that a client may send per second, and at once; a client that sends more is disconnected.
     on_started
         Told once it answers.
     """
 
     def __init__(
-        self, app: Starlette, certificate: Certificate, *, max_message_bytes: int, on_started: Callable[[], None]
+        self,
+        app: Starlette,
+        certificate: Certificate,
+        *,
+        max_message_bytes: int,
+        on_started: Callable[[], None],
+        max_bytes_per_s: float = float("inf"),
     ) -> None:
         strangers = Strangers(MAX_CONNECTIONS - 1)
         config = uvicorn.Config(
@@ -48,7 +57,7 @@ class LanServer(EndingServer):
             http=impatient(strangers),
             backlog=ACCEPT_AT_ONCE,
             ssl_context_factory=lambda _config, _default: certificate.context,
-            ws="websockets-sansio",
+            ws=bounded_websocket(max_bytes_per_s),
             ws_per_message_deflate=False,
             ws_max_size=max_message_bytes,
             ws_ping_interval=PING_EVERY_S,

@@ -28,6 +28,7 @@ from carina.server.conversation import converse
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.lan_server import LanServer
 from carina.server.listening import bind, lan_address
+from carina.server.message_limits import FLOOD
 from carina.server.security import Gate, TokenGate
 from carina.server.watching_window import WatchingWindow
 from carina.server.web_files import asset_path
@@ -38,6 +39,8 @@ __all__ = ["MAX_WATCHERS", "WatchPage"]
 MAX_WATCHERS = 4
 """Beside the windows of who works here."""
 MAX_MESSAGE_BYTES = 8192
+MAX_BYTES_PER_S = 65_536
+"""Of one observer; 600 messages have about 50,000 bytes."""
 WRONG_TOKEN_WAIT_S = 0.5
 FAREWELL_S = 1.0
 """How long watchers may take to hear why they are sent away."""
@@ -80,6 +83,8 @@ class WatchPage:
         Makes a window for a watcher.
     changed
         Told when the page opens or closes, and when a watcher comes or goes.
+    flooded
+        Called when an observer was disconnected for sending too many messages.
     web
         Folder of the built client; None where it was not built.
     address
@@ -91,11 +96,13 @@ class WatchPage:
         attach: Callable[[], WatchingWindow],
         changed: Callable[[], None],
         *,
+        flooded: Callable[[], None] = lambda: None,
         web: Path | None,
         address: str | None = None,
     ) -> None:
         self._attach = attach
         self._changed = changed
+        self._flooded = flooded
         self._web = web
         self._address = address
         self._open: _Open | None = None
@@ -138,7 +145,13 @@ class WatchPage:
             tokens, started = TokenGate(), asyncio.Event()
             port = sock.getsockname()[1]
             app = self._app(Gate(host=address, port=port, scheme="https"), tokens)
-            server = LanServer(app, certificate, max_message_bytes=MAX_MESSAGE_BYTES, on_started=started.set)
+            server = LanServer(
+                app,
+                certificate,
+                max_message_bytes=MAX_MESSAGE_BYTES,
+                on_started=started.set,
+                max_bytes_per_s=MAX_BYTES_PER_S,
+            )
             loop = asyncio.get_running_loop()
             handler = loop.get_exception_handler()
             serving = loop.create_task(server.serve(sockets=[sock]))
@@ -210,10 +223,15 @@ class WatchPage:
                 came.append(await self._admitted(hello, tokens, address))
                 return came[0]
 
+            code: int | None = None
             try:
-                await converse(websocket, attach)
+                code = await converse(websocket, attach)
             finally:
                 if opened is not None and came:
+                    if code == wire.CLOSE_CODES[FLOOD]:
+                        # Nobody comes back by the same link, as after an observer was sent away.
+                        opened.tokens.renew()
+                        self._flooded()
                     del opened.watchers[came[0].number]
                     if not opened.watchers:
                         opened.nobody.set()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 from msgspec.structs import replace
 
 from carina.commands import Command
-from carina.errors import UsageError
+from carina.errors import ProtocolError, UsageError
 from carina.server import messages as wire
+from carina.server.message_limits import FLOOD, FLOOD_WORDS, RateLimit
 from carina.server.observer_texts import observer_error, observer_notes
 from carina.server.window import Host, Window
 from carina.session import Changed, Event
@@ -20,6 +22,11 @@ WATCHERS_RATE_HZ = 30.0
 """Whoever flies needs the machine more."""
 MAX_SIDE_PX = 1600
 FAILED_SEARCH = "no airways were found"
+MESSAGES_PER_S = 600.0
+"""Sustained. A page at 240 Hz that moves a crosshair sends 240 positions, 240 probes and 90 acknowledgements."""
+MESSAGES_AT_ONCE = 1200.0
+INBOX_SHARE = 0.05
+"""Share of the event loop's time that an observer's messages may take: they cost up to a millisecond each."""
 READ_ONLY = (wire.Ack, wire.Layout, wire.Probe, wire.Pick, wire.AskBranchDetail)
 """What it may ask beside commands, which the session itself refuses but for those of its own sight."""
 
@@ -29,11 +36,27 @@ class WatchingWindow(Window):
 
     watches = True
 
+    inbox_share = INBOX_SHARE
+
     layers = ()
 
     def __init__(self, number: int, host: Host) -> None:
         super().__init__(number, host, rate_hz=WATCHERS_RATE_HZ)
         self._sent_away: str | None = None
+        self._limit = RateLimit(MESSAGES_PER_S, MESSAGES_AT_ONCE, host.clock)
+
+    async def admit(self) -> None:
+        """Count a message, and let others have the event loop before the next one is parsed.
+
+        Raises
+        ------
+        ProtocolError
+            ``protocol.flood`` beyond the limit; the messages that wait are dropped.
+        """
+        if not self._limit.take():
+            self.inbox.drop()
+            raise ProtocolError(FLOOD_WORDS, code=FLOOD)
+        await asyncio.sleep(0)
 
     def send_away(self, words: str) -> None:
         """End it for a reason; event loop only."""

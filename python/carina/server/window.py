@@ -83,6 +83,8 @@ class Window:
 
     watches = False
     """It only watches."""
+    inbox_share = 1.0
+    """Largest share of the event loop's time that this window's messages may take."""
     layers: tuple[LayerName, ...] = LAYERS
     """Of what was mapped round the targets, what its slices carry."""
 
@@ -92,7 +94,7 @@ class Window:
         self._host = host
         self._session = host.session
         self.outbox = Outbox()
-        self.inbox = Inbox(self.handle, lambda number: host.in_loop(self._confirm, number))
+        self.inbox = Inbox(self.handle, lambda number: host.in_loop(self._confirm, number), share=self.inbox_share)
         self._num_handled = 0
         self.pump = FramePump(
             self._scene,
@@ -234,6 +236,9 @@ class Window:
                 assert_never(event)
 
     # ------------------------------------------------------------ in
+
+    async def admit(self) -> None:
+        """Called before each message is parsed; raises ProtocolError where the client sent too many."""
 
     def handle(self, message: Any) -> None:
         """Do what the window asks; trouble is answered with an ``error`` message."""

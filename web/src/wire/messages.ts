@@ -11,6 +11,7 @@ export const CLOSE_CODES = {
   "protocol.taken-over": 4409,
   "protocol.case-closed": 4410,
   "protocol.slow-client": 4413,
+  "protocol.flood": 4414,
   "protocol.too-many-windows": 4429,
   "protocol.watching-ended": 4410,
 } as const;

@@ -1,0 +1,56 @@
+"""A workstation whose case is shared, and observers who came by its link, for the tests of this folder."""
+
+from __future__ import annotations
+
+import contextlib
+import ssl
+
+from live_server import SHOWN, WAIT_S, Window, open_case, running
+
+from carina.server import messages as wire
+from encrypted_client import connected
+
+
+def insecure():
+    """A browser whose person has compared the fingerprint."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    return context
+
+
+@contextlib.contextmanager
+def watching(url, *, token=None, hello=True):
+    origin, _, own = url.partition("/#")
+    address = origin.removeprefix("https://")
+    with connected(f"wss://{address}/ws", origin=origin, context=insecure(), within_s=WAIT_S) as socket:
+        watcher = Window(socket, hello=False)
+        watcher.send(wire.ClientHello(wire.WIRE_VERSION, own if token is None else token))
+        if hello:
+            greeting = watcher.until(lambda m: isinstance(m, wire.ServerHello))
+            assert greeting.watches
+        yield watcher
+
+
+def page_of(window, wanted=lambda page: page is not None):
+    return window.until(lambda m: isinstance(m, wire.Watching) and wanted(m.page)).page
+
+
+@contextlib.contextmanager
+def sharing(tmp_path, monkeypatch, **replaced):
+    """A window of the user at the workstation, with a case and the page for observers open."""
+    # Observers here read why they are disconnected, however busy the machine is.
+    monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
+    # Both ends are in this process: while a case is opened, its own request may come late.
+    monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 60.0)
+    monkeypatch.setattr("carina.server.lan_server.HANDSHAKE_WITHIN_S", 60.0)
+
+    web = tmp_path / "web"
+    web.mkdir()
+    (web / "index.html").write_text("the client")
+    (web / "phone.html").write_text("the phone")
+    with running(tmp_path, web=web, **replaced) as live, live.window() as window:
+        window.send(SHOWN)
+        open_case(window)
+        window.send(wire.SetWatchPage(on=True))
+        yield live, window, page_of(window)
