@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import ssl
 
-from live_server import SHOWN, WAIT_S, Window, open_case, running
+from live_server import SHOWN, WAIT_S, Window, running
 
 from carina.server import messages as wire
 from encrypted_client import connected
@@ -37,7 +37,7 @@ def page_of(window, wanted=lambda page: page is not None):
 
 
 @contextlib.contextmanager
-def sharing(tmp_path, monkeypatch, **replaced):
+def sharing(tmp_path, monkeypatch, *, path="case", **replaced):
     """A window of the user at the workstation, with a case and the page for observers open."""
     # Observers here read why they are disconnected, however busy the machine is.
     monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
@@ -51,6 +51,7 @@ def sharing(tmp_path, monkeypatch, **replaced):
     (web / "phone.html").write_text("the phone")
     with running(tmp_path, web=web, **replaced) as live, live.window() as window:
         window.send(SHOWN)
-        open_case(window)
+        window.send(wire.OpenPath(path))
+        window.until_state(lambda s: s.airways in {"found", "failed"})
         window.send(wire.SetWatchPage(on=True))
         yield live, window, page_of(window)

@@ -21,6 +21,7 @@ __all__ = ["WATCHERS_RATE_HZ", "WatchingWindow"]
 WATCHERS_RATE_HZ = 30.0
 """Whoever flies needs the machine more."""
 MAX_SIDE_PX = 1600
+NOT_FOR_THIS_VOLUME = "not available for this volume"
 FAILED_SEARCH = "no airways were found"
 MESSAGES_PER_S = 600.0
 """Sustained. A page at 240 Hz that moves a crosshair sends 240 positions, 240 probes and 90 acknowledgements."""
@@ -99,6 +100,8 @@ class WatchingWindow(Window):
                 not_hu_reason=None,
                 quality=(),
                 other_series=(),
+                # The reason quotes tags of the file.
+                off=tuple(replace(one, why=NOT_FOR_THIS_VOLUME) for one in case.off),
                 ct_name=None,
             )
         # A search that failed says why in the words of its error, which may name a file.

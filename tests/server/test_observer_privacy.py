@@ -1,0 +1,184 @@
+"""An observer receives no name of a CT's file: every byte of the socket and of the pages is searched."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import httpx
+import pytest
+from live_server import SHOWN, WAIT_S
+from observers import insecure, sharing, watching
+
+from carina.errors import NoResultError, VolumeImportError
+from carina.server import messages as wire
+from carina.server.messages_from_server import CaseNote
+from carina.server.observer_texts import WITHOUT_NAMES, observer_error, observer_notes
+from carina.server.security import comes_from_this_machine
+from carina.volume import Note
+from small_case import small_volume
+
+pytest.importorskip("cryptography")
+NAME = "SURNAME_FIRSTNAME_1951.nii.gz"
+PARTS = (b"SURNAME", b"FIRSTNAME", b"1951.nii", b"surname")
+
+
+def named_volume(path, *_arguments):
+    """A CT whose file, folder, notes and neighbours are called by the patient's name."""
+    if path.endswith("refused"):
+        raise VolumeImportError(f"reading {NAME}: it is damaged; copy it again", code="import.damaged")
+    volume = small_volume(title=NAME)
+    notes = (
+        Note("import.files-unread", f"2 files could not be used: {NAME}", badge=True),
+        Note("import.copies", f"2 slices have exact duplicates ({NAME})"),
+        Note("import.lossy", "the slices were compressed with loss", badge=True),
+        Note("import.not-hu", f"not HU: RescaleType is {NAME}", badge=True),
+    )
+    other = tuple(replace(one, description=NAME) for one in volume.source.other_series)
+    source = replace(volume.source, title=NAME, notes=notes, other_series=other)
+    return replace(volume, source=source, is_hu=False, not_hu_reason=f"RescaleType is {NAME}")
+
+
+def no_airways(*_arguments, **_options):
+    raise NoResultError(f"no airways were found in {NAME}")
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """A shared case of a CT that has a patient's name, in which nothing is found."""
+    with sharing(
+        tmp_path, monkeypatch, path="/scans/SURNAME/case", open_volume=named_volume, find_airways=no_airways
+    ) as shared:
+        yield shared
+
+
+class Recorder:
+    """All that a socket receives."""
+
+    def __init__(self, socket):
+        self._socket = socket
+        self.received = []
+
+    def recv(self, timeout=None):
+        data = self._socket.recv(timeout=timeout)
+        self.received.append(data if isinstance(data, bytes) else data.encode())
+        return data
+
+    def __getattr__(self, name):
+        return getattr(self._socket, name)
+
+
+def assert_nameless(received):
+    assert received
+    for data in received:
+        for text in (data, json.dumps(data.decode("utf-8", "replace")).encode()):
+            for part in PARTS:
+                at = text.find(part)
+                assert at < 0, text[max(0, at - 200) : at + 40]
+
+
+def test_an_observer_receives_no_file_name_through_opening_renaming_exporting_and_errors(desk, tmp_path):
+    live, window, page = desk
+    own = window.had(lambda m: isinstance(m, wire.State) and m.case is not None)
+    assert own.case.ct_name == NAME, "the user at this machine reads it"
+    assert NAME in own.case.notes[0].words
+    with watching(page.url) as watcher:
+        watcher.socket = recorder = Recorder(watcher.socket)
+        watcher.send(SHOWN)
+        shown = watcher.until_state(lambda s: s.case is not None and s.airways == "failed")
+        assert shown.case.title == live.session.snapshot().neutral_title
+        assert shown.case.ct_name is None
+        words = {note.code: note.words for note in shown.case.notes}
+        assert words["import.lossy"] == "the slices were compressed with loss"
+        assert "ask the person at the workstation" in words["import.files-unread"]
+        watcher.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "axial")
+        # Errors of what the user does, whose messages name the file.
+        window.send(wire.OpenPath("/scans/SURNAME/refused"))
+        assert NAME in window.until(lambda m: isinstance(m, wire.Error)).message
+        window.send(wire.SaveCase(str(tmp_path / "SURNAME" / "mine")))
+        window.until(lambda m: isinstance(m, wire.Error))
+        with live.http(cookie=live.cookie, origin=live.origin) as client:
+            client.get("/api/airways.json")
+        # The observer's own errors.
+        watcher.send(wire.Pick(1, 99_999, 1.0, 1.0), wire.OpenPath(f"/scans/{NAME}"), wire.Probe((0.0, 0.0, 0.0)))
+        watcher.until(lambda m: isinstance(m, wire.Value))
+        window.send(wire.SetFov(80.0))
+        watcher.until_state(lambda s: s.look.fov_deg == 80.0)
+        window.send(wire.CloseCase())
+        code, reason = watcher.close_code()
+        assert code == wire.CLOSE_CODES["protocol.watching-ended"]
+        recorder.received.append(reason.encode())
+    kinds = {type(m) for m in watcher.seen}
+    assert {wire.State, wire.Start, wire.History, wire.Pose, wire.Value} <= kinds
+    assert_nameless(recorder.received)
+
+
+def test_pages_and_headers_for_observers_hold_no_file_name(desk):
+    _live, _window, page = desk
+    origin = page.url.partition("/#")[0]
+    with httpx.Client(base_url=origin, verify=insecure(), timeout=WAIT_S) as client:
+        for path in ("/", "/api/airways.json", "/api/cases/1/picture.jpg", "/nothing"):
+            answer = client.get(path)
+            headers = "\n".join(f"{key}: {value}" for key, value in answer.headers.items())
+            assert_nameless([answer.content + headers.encode()])
+
+
+def test_the_name_that_the_user_gave_is_not_sent_to_observers(desk):
+    live, window, page = desk
+    # Free text: it may be the patient's name.
+    saving = replace_saving(live, title=NAME)
+    with watching(page.url) as watcher:
+        watcher.socket = recorder = Recorder(watcher.socket)
+        watcher.until_state(lambda s: s.case is not None)
+        window.send(wire.SetFov(81.0))
+        watcher.until_state(lambda s: s.look.fov_deg == 81.0)
+        assert_nameless(recorder.received)
+    assert saving.title == NAME
+
+
+def replace_saving(live, **values):
+    """What a kept case says of its saving."""
+    core = live.session._core
+    saving = core.saving().with_(keeps=True, copy_name=NAME, copy_folder="/scans/SURNAME", **values)
+    core.saving = lambda: saving
+    return saving
+
+
+def test_a_window_on_another_machine_is_not_sent_the_file_name(desk, monkeypatch):
+    live, _window, _page = desk
+    monkeypatch.setattr("carina.server.app.comes_from_this_machine", lambda _scope: False)
+    with live.window() as far:
+        assert far.until_state(lambda s: s.case is not None).case.ct_name is None
+
+
+@pytest.mark.parametrize(
+    ("client", "server", "is_here"),
+    [
+        (("127.0.0.1", 5), ("127.0.0.1", 80), True),
+        (("::1", 5), ("::1", 80), True),
+        (("::ffff:127.0.0.1", 5), ("::ffff:127.0.0.1", 80), True),
+        (("192.168.1.7", 5), ("192.168.1.7", 80), True),
+        (("192.168.1.8", 5), ("192.168.1.7", 80), False),
+        (("192.168.1.8", 5), None, False),
+        (("testclient", 5), ("127.0.0.1", 80), False),
+        (None, ("127.0.0.1", 80), False),
+    ],
+)
+def test_a_connection_is_of_this_machine_if_it_does_not_leave_it(client, server, is_here):
+    assert comes_from_this_machine({"client": client, "server": server}) is is_here
+
+
+def test_notes_of_codes_that_are_not_known_to_be_nameless_are_replaced():
+    notes = [CaseNote(code, f"words of {NAME}", True) for code in ("import.some-new-code", "import.not-hu")]
+    assert all(NAME not in note.words for note in observer_notes(notes))
+    assert [note.code for note in observer_notes(notes)] == ["import.some-new-code", "import.not-hu"]
+    assert observer_notes([CaseNote("import.copies", "a passing note", False)]) == ()
+    kept = [CaseNote(code, "fixed words", True) for code in (*sorted(WITHOUT_NAMES), "airways.doubted")]
+    assert list(observer_notes(kept)) == kept
+
+
+def test_errors_for_observers_keep_their_code_and_lose_their_text():
+    assert NAME not in observer_error(wire.Error("import.damaged", f"reading {NAME}", NAME)).message
+    assert observer_error(wire.Error("import.damaged", "x", None)).code == "import.damaged"
+    refused = wire.Error("session.watching", "you are watching", None)
+    assert observer_error(refused) == refused
