@@ -84,10 +84,11 @@ def slice_share(outlines: Sequence[SliceOutline], shape: tuple[int, int], *, cen
         If two outlines are so similar that they may be one boundary or two (code ``import.mask``).
     """
     found: list[_Shape] = []
-    for one in outlines:
-        cover = _centres_in(one.points_vox, shape) if centred else _cover(one.points_vox, shape)
+    for outline in outlines:
+        points = outline.points_vox
+        cover = _centres_in(points, shape) if centred else _cover(points, shape)
         if float(cover.sum()) > 0.0:
-            found.append(_Shape(cover, _perimeter(one.points_vox), one.is_xor))
+            found.append(_Shape(cover, _perimeter(points), outline.is_xor))
     unique, num_merged, apart = _merged(found)
     unique.sort(key=lambda one: -one.area)
     for n, outer in enumerate(unique):

@@ -63,7 +63,10 @@ class NamedCase:
             except NamedFileConflictError as conflict:
                 self.note = str(conflict)
             if self.note is None and _records().open_elsewhere(self.path) is not None:
-                self.note = f"The file {path.name} is open in a Carina window: changes made here can only be saved under another name"
+                self.note = (
+                    f"The file {path.name} is open in a Carina window: changes made here can only be saved under "
+                    "another name"
+                )
                 self._named.close()
             self._scratch = ScratchFolder()
             original.write_copy(self._scratch.path / f"case{CASE_SUFFIX}", ct_place=original.source.path)
@@ -142,8 +145,8 @@ class NamedCase:
         except NamedFileConflictError as conflict:
             beside = self.save(volume, moment, path_beside(conflict.path), replace=False, flights=flights)
             raise NamedFileConflictError(
-                f"The file {conflict.path.name} was not written, because its content was changed elsewhere. This program's "
-                f"changes are saved in {beside}",
+                f"The file {conflict.path.name} was not written, because its content was changed elsewhere. The "
+                f"changes of this program are saved in {beside}",
                 conflict.path,
                 conflict.kind,
             ) from conflict

@@ -301,8 +301,8 @@ class NamedFile:
         kind, found = _described(place, self._ct_digest)
         now = "already exists: it contains" if self.mark is None else "was changed elsewhere: it now contains"
         return NamedFileConflictError(
-            f"The file {self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save beside it, open "
-            "the other version, or replace it (the replaced file is kept)",
+            f"The file {self.path.name} {now} {found}. Nothing was written to it. {self._where_work_is}: save beside "
+            "it, open the other version, or replace it (the replaced file is kept)",
             self.path,
             kind,
         )

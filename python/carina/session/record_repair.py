@@ -89,7 +89,6 @@ def _record_of(folder: Path) -> CaseRecord | None:
             case_id=folder.name,
             digest=digest,
             place=None,
-            title="",
             begun_s=used_s - last_s,
             used_s=used_s,
             num_changes=sum(step.holds for step in steps),

@@ -304,8 +304,8 @@ class Saving(Subject):
         if any(one.copy_path == path for one in records):
             self.core.emit(
                 Said(
-                    f"The file {case.path.name} was changed since this computer saved it last: it is opened as a new case. The "
-                    "earlier case stays in the list of recent cases"
+                    f"The file {case.path.name} was changed since this computer saved it last: it is opened as a new "
+                    "case. The earlier case stays in the list of recent cases"
                 )
             )
         return None
