@@ -46,7 +46,7 @@ def stored(carina, worked):
     records = CaseRecords(load_settings().cases_dir, lambda: 1.7e9)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("secrets.token_hex", lambda _: ID)
-        held = records.begin(ct_digest(volume), str(folder / "ct.nii.gz"), "Thorax")
+        held = records.begin(ct_digest(volume), str(folder / "ct.nii.gz"))
     with CaseFile.create(held.path, SourceFacts.of(volume, ct_digest(volume))) as file:
         file.save(moment)
         with file.record("first", begun_s=1.0) as recording:

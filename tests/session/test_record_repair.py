@@ -48,7 +48,7 @@ def records(tmp_path):
 @pytest.fixture
 def case_id(records):
     """A stored case with two steps, of which one was undone."""
-    held = records.begin("ab" * 32, "/scans/ct", "Thorax")
+    held = records.begin("ab" * 32, "/scans/ct")
     document = Document(transfer=transfer_preset("endoscopic"))
     steps = (Step("one", document, None, 5.0), Step("two", document, None, 60.0))
     with CaseFile.create(held.path, SourceFacts.of(small_volume(), "ab" * 32)) as file:
@@ -223,7 +223,7 @@ def test_the_command_line_lists_the_case_again_with_the_message(monkeypatch, tmp
     for name, folder in own_folders(tmp_path).items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: NOW_S)
-    held = records.begin("ab" * 32, None, "Thorax")
+    held = records.begin("ab" * 32, None)
     with CaseFile.create(held.path, SourceFacts.of(small_volume(), "ab" * 32)):
         pass
     held.release()
