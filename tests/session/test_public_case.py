@@ -13,7 +13,7 @@ import carina
 from carina import commands as c
 from carina.case import CaseFile
 from carina.config import load_settings
-from carina.errors import CarinaError, NoResultError, UsageError
+from carina.errors import CarinaError, NoResultError, UnsavedWorkError, UsageError
 from carina.phantom import write_phantom
 from carina.render import Renderer
 from carina.session import Session, case_files
@@ -160,6 +160,30 @@ def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
         assert case.note is None
         assert case.state.document.look.fov_deg == 100.0
         assert case.save(saved, replace=True) == saved
+
+
+def test_close_raises_where_another_program_has_the_file_and_changes_are_in_no_file(saved, tmp_path):
+    with carina.Case.open(saved) as first:
+        with pytest.warns(UserWarning, match="open for editing elsewhere"):
+            second = carina.Case.open(saved)
+        second.do(c.SetFov(101.0))
+        second.do(c.SetOutline("octagon"))
+        labels = second.history()[-2:]
+        with pytest.raises(UnsavedWorkError, match="2 changes") as lost:
+            second.close()
+        assert (lost.value.code, lost.value.exit_code) == ("case.not-saved", 5)
+        assert all(label in str(lost.value) for label in labels)
+        assert str(saved) in str(lost.value)
+        with pytest.warns(UserWarning, match="open for editing elsewhere"):
+            third = carina.Case.open(saved)
+        third.do(c.SetTexture(on=False))
+        third.close()
+        with pytest.warns(UserWarning, match="open for editing elsewhere"):
+            fourth = carina.Case.open(saved)
+        fourth.do(c.SetFov(102.0))
+        fourth.save(tmp_path / "four.carina")
+        fourth.close()
+        first.do(c.SetFov(100.0))
 
 
 def test_a_case_that_a_window_has_open_may_be_looked_at(saved):

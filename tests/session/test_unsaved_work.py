@@ -12,6 +12,7 @@ from carina import commands as c
 from carina.errors import UnsavedWorkError
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.session import keeping
+from carina.session.named_case import NamedCase
 from carina.session.unsaved_work import unsaved_labels
 from kept_desk import Desk, MemoryFile
 
@@ -216,6 +217,19 @@ def test_nothing_is_unsaved_where_both_moments_are_the_same(desk):
     moment = desk.session.ask(c.MomentToKeep())
     assert unsaved_labels(moment, moment) == ()
     assert unsaved_labels(None, moment) == desk.session.history()
+
+
+def test_a_program_whose_owner_has_gone_refuses_to_close_with_changes_in_no_file(desk, tmp_path):
+    moment = desk.session.ask(c.MomentToKeep())
+    saved = MemoryFile.kept[str(desk.files[-1].path)][1]
+    named = NamedCase()
+    named.note = "this program cannot take over: another program has it open"
+    named.check_saved(moment, kept=moment, live=tmp_path / "case.carina")
+    with pytest.raises(UnsavedWorkError, match="5 changes") as lost:
+        named.check_saved(moment, kept=saved, live=tmp_path / "case.carina")
+    assert "cannot take over" in str(lost.value) and str(tmp_path / "case.carina") in str(lost.value)
+    named.note = None
+    named.check_saved(moment, kept=saved, live=tmp_path / "case.carina")
 
 
 def test_a_console_that_was_closed_is_not_interactive():
