@@ -57,7 +57,10 @@ const NO_USE_TRYING = new Map<number, string>([
     "Carina is already open in the maximum number of windows. Close one of them, then connect again.",
   ],
   [CLOSE_CODES["protocol.watching-ended"], "The case that you were watching was closed."],
-  [CLOSE_CODES["protocol.flood"], "This page sent too many messages. Ask the person at the workstation for a new link."],
+  [
+    CLOSE_CODES["protocol.flood"],
+    "This page sent too many messages. Ask the person at the workstation for a new link.",
+  ],
 ]);
 
 export class Stream {
