@@ -143,7 +143,7 @@ class CaseReader:
         self._whole: dict[int, Airways] = {}
         self._folded: dict[int, KeptAirways] = {}
         self._routes: dict[int, ChosenRoute] = {}
-        self._values: dict[int, Any] = {}
+        self._values: dict[tuple[str, int], Any] = {}
         self._documents: dict[int, Document] = {}
         self._measures = {columns[1]: row for row, columns in rows["measures"].items()}
         """By the row of the airways."""
@@ -357,6 +357,10 @@ class CaseReader:
     def _made_airways(self, row: int) -> Airways:
         base, lumen, tree, tracker, said = self.columns("airways", row)
         facts: f.AirwaysFacts = from_json(said, self._decoders.airways, f"row {row} of airways")
+        columns = self.columns("tracker", tracker)
+        levels = from_json(columns[5], self._decoders.levels, f"row {tracker} of tracker")
+        if columns[0] != lumen or levels != facts.wall_levels:
+            raise damaged(f"row {row} of airways", "paths in its own lumen", "paths in another lumen")
         branches, notes = self._tree(tree)
         paths = self._tracker(tracker)
         whole_base = None if base is None else self._base(base)
@@ -569,8 +573,8 @@ class CaseReader:
         return known
 
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
-        if row in self._values:
-            return self._values[row]
+        if (kind, row) in self._values:
+            return self._values[kind, row]
         where = f"row {row} of value, kind {kind}"
         found, said = self.columns("value", row)
         if found != kind:
@@ -583,7 +587,7 @@ class CaseReader:
             raise damaged(where, f"valid {kind} data", f"invalid data ({trouble})") from None
         except (TypeError, ValueError, KeyError, OverflowError) as trouble:
             raise damaged(where, f"valid {kind} data", f"invalid data ({str(trouble)[:200]})") from None
-        self._values[row] = made
+        self._values[kind, row] = made
         if kind != "edit":
             self._know(kind, made, row)
         return made
