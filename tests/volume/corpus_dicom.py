@@ -113,6 +113,24 @@ def _change(keyword: str, first: Any, second: Any, at: Callable[[int], bool] = l
 
 CHANGE, MISSING = ("import.settings-change",), ("import.settings-missing",)
 NAMELESS = ("import.identity-missing",)
+FRAMES = ("import.frame-per-slice",)
+
+
+def _frame_per_slice_with_a_gap(folder: Path) -> Path:
+    _tags(lambda i: {"FrameOfReferenceUID": f"1.2.3.4.6.{i}"})(folder)
+    (folder / "IM008").unlink()
+    return folder
+
+
+def _two_kernels_and_a_frame_per_slice(folder: Path) -> Path:
+    for number, kernel, hu in ((0, "B41f", chest()), (1, "B70f", SECOND[:18])):
+
+        def edit(dataset: Dataset, index: int, number: int = number, kernel: str = kernel) -> None:
+            dataset.FrameOfReferenceUID, dataset.ConvolutionKernel = f"1.2.3.4.6.{number + 1}{index}", kernel
+
+        name = "IJ"[number] + "M{:03d}"
+        series(folder, edit, hu=hu, uid="1.2.3.98", shift_mm=number * GAP_MM / 2, name=name.format)
+    return folder
 
 
 def _copied(folder: Path) -> Path:
@@ -154,6 +172,10 @@ HEALTHY = [
     Input("three slices without SeriesInstanceUID", ONE, _some(THREE, SeriesInstanceUID=None), notes=NAMELESS, names=NAMED[:3], do=CHECK, **WHOLE),
     Input("no slice with a SeriesInstanceUID", ONE, _all(SeriesInstanceUID=""), **WHOLE),
     Input("half of the slices without frame of reference", ONE, _some(tuple(range(10)), FrameOfReferenceUID=None), notes=NAMELESS, do=CHECK, **WHOLE),
+    Input("a frame of reference for every slice", ONE, _tags(lambda i: {"FrameOfReferenceUID": f"1.2.3.4.6.{i}"}), notes=FRAMES, names=("20 slices", "20 frames"), **WHOLE),
+    Input("a frame of reference for most slices, two share one, three have none", ONE, _tags(lambda i: {"FrameOfReferenceUID": None if i in THREE else f"1.2.3.4.6.{max(i, 1)}"}), notes=FRAMES, **WHOLE),
+    Input("a frame of reference for every slice, two kernels half-way", ONE, _two_kernels_and_a_frame_per_slice, "opens", ("import.several-series", "import.frame-per-slice", "import.series-parted"), series=2, voxels=chest, do="choose with `--series` if another one is wanted"),
+    Input("a frame of reference for every slice, a slice missing", ONE, _frame_per_slice_with_a_gap, "import.geometry.irregular", names=("IM007",), do="copy the missing slice"),
     Input("some slices without study", ONE, _some(THREE, StudyInstanceUID=""), notes=NAMELESS, do=CHECK, **WHOLE),
     Input("no patient, study, frame of reference or numbers at all", ONE, _all(PatientID=None, PatientName=None, PatientBirthDate=None, StudyInstanceUID=None, FrameOfReferenceUID=None, SeriesNumber=None, AcquisitionNumber=None, SOPInstanceUID=None), **WHOLE),
     Input("directions rounded differently", ONE, _change("ImageOrientationPatient", [1, 0, 0, 0, 1, 0], [1, 0.00001, 0, -0.00001, 1, 0]), **WHOLE),

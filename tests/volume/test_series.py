@@ -10,6 +10,7 @@ from pydicom.uid import generate_uid
 
 from carina.errors import CancelledError, UsageError, VolumeImportError
 from carina.volume import inspect_path, open_volume
+from carina.volume.message_limits import MAX_MESSAGE_CHARS, bounded_list, bounded_message, bounded_name
 
 SLICES = 9
 
@@ -158,3 +159,36 @@ def test_progress_rises_and_cancel_stops_at_every_step(write_series):
         asked = iter(range(len(seen) + 1))
         with pytest.raises(CancelledError):
             open_volume(folder, cancel=lambda asked=asked, stop_at=stop_at: next(asked) >= stop_at)
+
+
+def test_messages_are_bounded_when_every_image_is_its_own_series(tmp_path, write_series):
+    """Each image has its own study; the folder looks like many series of one image."""
+    names = [f"{'long-name-' * 18}{index:03d}.dcm" for index in range(40)]
+    folder = write_series(
+        num_slices=40,
+        name=lambda index: names[index],
+        description="D" * 64,
+        edit=lambda dataset, index: setattr(dataset, "StudyInstanceUID", f"1.2.3.{index + 1}"),
+    )
+    with pytest.raises(VolumeImportError) as caught:
+        open_volume(folder)
+    assert len(str(caught.value)) <= 600
+    assert caught.value.code == "import.single-slice"
+    inspection = inspect_path(folder)
+    assert inspection.refused is not None
+    assert len(inspection.refused) <= 600
+    assert len(inspection.series) == 40  # --json lists them all
+    with pytest.raises(UsageError) as usage:
+        open_volume(folder, series="99")
+    assert len(str(usage.value)) <= 600
+
+
+def test_a_bounded_message_keeps_its_beginning_and_its_remedy():
+    message = f"reading scan: {'x' * 5000}; export the series again"
+    short = bounded_message(message)
+    assert len(short) == MAX_MESSAGE_CHARS
+    assert short.startswith("reading scan: x")
+    assert short.endswith("; export the series again")
+    assert bounded_message("short") == "short"
+    assert bounded_list(["a", "b", "c"], at_most=2) == "a; b and 1 more"
+    assert bounded_name("n" * 200).count("n") == 56

@@ -188,7 +188,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
         for words, value in (
             ("a study", dataset.get("StudyInstanceUID")),
             ("a series", first.series_uid),
-            ("a frame of reference", first.identity[_FRAME_OF_REFERENCE]),
+            ("one frame of reference", len({h.identity[_FRAME_OF_REFERENCE] for h in series.slices} - {""}) == 1),
             ("a kind of image", dataset.get("SOPClassUID")),
             ("an identifier of each image", all(header.sop_uid for header in series.slices)),
         )

@@ -25,6 +25,7 @@ from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
 from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
 from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
 from carina.volume.limits import MAX_VOXELS
+from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.watch import Watch
 
@@ -35,6 +36,7 @@ _CHEST = re.compile(r"chest|thora|lung|pulmo|bronch", re.IGNORECASE)
 # Many exporters name files by their UID; a volume carries none, not even inside a sentence about another series.
 _UID = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
 _DERIVED = re.compile(r"\b(mip|minip|mpr|projection image|screen save|average|subtract\w*)\b")
+_MAX_SERIES_NAMED = 4  # in one message
 _IMAGE_TYPE = list(SETTINGS).index("ImageType")
 _ELSEWHERE = re.compile(r"head|brain|skull|neuro|sinus|abdom|pelvi|spine|knee|foot|hand|leg\b|hip\b", re.IGNORECASE)
 
@@ -193,20 +195,21 @@ def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> Vo
     """A refusal that also names the files that could not be used: they are its likely cause."""
     if not missing:
         return error
-    shown = ", ".join(f"{file.path.name} ({file.reason})" for file in missing[:4])
+    shown = ", ".join(f"{bounded_name(file.path.name)} ({file.reason})" for file in missing[:4])
     more = f" and {len(missing) - 4} more" if len(missing) > 4 else ""
     which = f"{len(missing)} files next to its slices look" if len(missing) > 1 else "one file next to its slices looks"
     copy = "copy them again" if len(missing) > 1 else "copy it again"
     msg = f"{error}; {which} like part of the series but could not be used: {shown}{more}; {copy}"
-    return VolumeImportError(msg, code=error.code)
+    return VolumeImportError(bounded_message(msg), code=error.code)
 
 
 def describe_series(series: Sequence[SeriesInfo]) -> str:
-    """One line that lists series: "series 2 (Thorax 1.0), 300 slices; series 1 (scout), 1 slice"."""
-    return "; ".join(
+    """Return one line with the first series: "series 2 (Thorax 1.0), CT, 300 slices; series 1 (scout), CT, 1 slice"."""
+    named = [
         f"{_name(info)}, {info.modality or 'no modality'}, {info.num_slices} slice{'s' if info.num_slices != 1 else ''}"
         for info in series
-    )
+    ]
+    return bounded_list(named, at_most=_MAX_SERIES_NAMED)
 
 
 def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) -> tuple[FoundSeries, tuple[Note, ...]]:
@@ -230,7 +233,7 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
         chosen = next((item for item in found if item.info.key == key), None)
         if chosen is None:
             msg = f"{where} has no series {key!r}; it has {describe_series([item.info for item in found])}"
-            raise UsageError(msg, code="usage.series")
+            raise UsageError(bounded_message(msg), code="usage.series")
         if chosen.refusal is not None:
             raise chosen.refusal
         return chosen, chosen.notes
@@ -249,17 +252,17 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
         if not candidates:
             others = [item.info for item in found[1:]]
             more = f"; {where} also contains {describe_series(others)}" if others else ""
-            raise VolumeImportError(f"{refusal}{more}", code=refusal.code)
+            raise VolumeImportError(bounded_message(f"{refusal}{more}"), code=refusal.code)
         chosen = candidates[0]
         words = f"the largest series was refused ({refused.info.refused}); {chosen.name} was opened instead"
-        notes.append(Note("import.series-replaced", words))
+        notes.append(Note("import.series-replaced", bounded_message(words)))
     others = [item.info for item in found if item is not chosen]
     if others:
         words = (
             f"the folder contains several series; opened: {chosen.name}, {chosen.info.num_slices} slices; not opened: "
             f"{describe_series(others)}"
         )
-        notes.append(Note("import.several-series", words))
+        notes.append(Note("import.several-series", bounded_message(words)))
     return chosen, (*notes, *chosen.notes)
 
 

@@ -16,6 +16,7 @@ from carina.errors import VolumeImportError
 from carina.volume.dicom_files import name_files
 from carina.volume.dicom_headers import SliceHeader
 from carina.volume.dicom_pixels import Doubt
+from carina.volume.message_limits import bounded_name
 from carina.volume.model import Note
 
 __all__ = ["Clipping", "check_rescale_tags", "doubt_notes", "odd_slices", "refuse_contradicting_rescale"]
@@ -46,7 +47,7 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
 
 def _files(slices: Sequence[SliceHeader]) -> str:
     """Names of files for a refusal, which a person at the screen reads: whole."""
-    shown = ", ".join(sorted(header.path.name for header in slices)[:6])
+    shown = ", ".join(sorted(bounded_name(header.path.name) for header in slices)[:6])
     return shown + (f" and {len(slices) - 6} more" if len(slices) > 6 else "")
 
 

@@ -21,6 +21,7 @@ from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_header
 from carina.volume.dicom_start import starts_like_dicom
 from carina.volume.limits import MAX_FILES
+from carina.volume.message_limits import bounded_name
 from carina.volume.watch import Watch
 
 __all__ = ["FolderContent", "LostFiles", "UnusedFile", "name_files", "read_folder", "read_headers", "shown_name"]
@@ -223,7 +224,7 @@ class LostFiles:
 def shown_name(path: Path) -> str:
     """A file's name as a volume may carry it: of a name made of a UID only the last digits."""
     name = path.name
-    return f"...{name[-8:]}" if _UID_NAME.search(name) else name
+    return f"...{name[-8:]}" if _UID_NAME.search(name) else bounded_name(name)
 
 
 def name_files(files: Sequence[tuple[Path, str]], *, at_most: int = 4) -> str:

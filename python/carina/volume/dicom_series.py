@@ -5,6 +5,8 @@ two scans are stacked or, worse, interleaved into a volume that looks finer than
 
 - Two values of an *identity* (patient, study, frame of reference, modality) or of the grid (size and distance of
   pixels, orientation) always part a series. A missing value beside a single one parts nothing and is said.
+- A series with more than half as many frames of reference as slices stays whole, with a note: software that removes
+  identities often gives each slice a new ``FrameOfReferenceUID``. The grid of the series is checked like any other.
 - Two values of a *setting* (kernel, acquisition, phase, contrast, ...) part it only where the parts share positions or
   lie between each other like two combs. A chest in several breaths changes its acquisition number in mid-stack and
   stays one series, with a note.
@@ -16,7 +18,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +37,9 @@ _MAX_GRIDS = 50
 
 _MAX_PAIRS = 10_000
 """Of series with and without a UID that are tried together."""
+
+_FEWEST_FRAMES = 3
+"""Frames of reference that can belong to one series: two are two scans."""
 
 _PATIENT = [index for index, word in enumerate(IDENTITY.values()) if word == "patients"]
 
@@ -121,12 +126,19 @@ def _part_by_identity(group: Group) -> list[Group]:
         whole = [
             part
             for item in whole
-            for part in _part(item, word, _by_value(item.slices, [h.identity[at] for h in item.slices]))
+            for part in _part_by_value(item, word, _by_value(item.slices, [h.identity[at] for h in item.slices]))
         ]
     return [part for item in whole for part in _part_by_grid(item)]
 
 
-def _part(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[Group]:
+def _part_by_value(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[Group]:
+    if word == "frames of reference" and _is_frame_per_slice(group.slices, parts):
+        note = Note(
+            "import.frame-per-slice",
+            f"the {len(group.slices)} slices of the series name {len(parts.keys() - {''})} frames of reference, where "
+            "one is expected; the slices form one regular stack by their positions, so they were opened as one series",
+        )
+        return [_with_note(group, note)]
     nameless = parts.pop("", [])
     if len(parts) <= 1:
         if not nameless or not parts:
@@ -156,6 +168,12 @@ def _part(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[
         found = [replace(part, notes=(*part.notes, lost)) for part in found]
         found.append(replace(group, slices=tuple(nameless), label=_label(group, f"unknown {_one(word)}")))
     return found
+
+
+def _is_frame_per_slice(slices: Sequence[SliceHeader], parts: Mapping[str, Sequence[SliceHeader]]) -> bool:
+    """Return whether the slices of one series carry a frame of reference each instead of one together."""
+    count = len(parts.keys() - {""})
+    return count >= _FEWEST_FRAMES and 2 * count > len(slices) and all(header.series_uid for header in slices)
 
 
 def _one(word: str) -> str:

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from carina.disk import special_kind
 from carina.errors import CarinaError, GeometryError, VolumeImportError
+from carina.volume.message_limits import MAX_MESSAGE_CHARS, bounded_message
 
 __all__ = ["guarded"]
 
@@ -25,9 +26,11 @@ def guarded(path: Path, action: Callable[[Path], T]) -> T:
         return action(path)
     except CarinaError as error:
         if isinstance(error, GeometryError):
-            msg = f"reading {path.name}: {error}; export it again"
+            msg = bounded_message(f"reading {path.name}: {error}; export it again")
             code = "import.geometry.spacing" if error.code == "geometry.spacing" else "import.geometry"
             raise VolumeImportError(msg, code=code) from None
+        if len(str(error)) > MAX_MESSAGE_CHARS:
+            error.args = (bounded_message(str(error)),)
         raise
     except PermissionError:
         msg = (

@@ -17,6 +17,7 @@ from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
 from carina.volume.grid_headers import read_grid_header
 from carina.volume.guarding import guarded
+from carina.volume.message_limits import bounded_message
 from carina.volume.model import Note, SeriesInfo
 from carina.volume.opening import find_in, place_name, refuse_series
 from carina.volume.watch import Watch
@@ -123,5 +124,5 @@ def _inspect(path: Path, key: str | None, watch: Watch) -> Inspection:
     except CarinaError as error:
         if not error.code.startswith("import."):
             raise
-        return Inspection("dicom", infos, None, None, None, (), str(error), error.code)
+        return Inspection("dicom", infos, None, None, None, (), bounded_message(str(error)), error.code)
     return Inspection("dicom", infos, chosen.info, chosen.info.shape_zyx, chosen.lps_from_ijk, notes, None, None)

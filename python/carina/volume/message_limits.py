@@ -1,0 +1,34 @@
+"""Limits on the length of import messages, so that a message fits a window and a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = ["MAX_MESSAGE_CHARS", "MAX_NAME_CHARS", "bounded_list", "bounded_message", "bounded_name"]
+
+MAX_MESSAGE_CHARS = 600
+"""Length of a refusal or a note; ``--json`` of ``carina info`` lists every series in full."""
+MAX_NAME_CHARS = 60
+_HEAD_CHARS = 380  # what is wrong comes first in a message, and the remedy last
+
+
+def bounded_message(text: str) -> str:
+    """Return a message of at most ``MAX_MESSAGE_CHARS`` characters that keeps its beginning and its end."""
+    if len(text) <= MAX_MESSAGE_CHARS:
+        return text
+    mark = " ... "
+    return text[:_HEAD_CHARS] + mark + text[len(text) - (MAX_MESSAGE_CHARS - _HEAD_CHARS - len(mark)) :]
+
+
+def bounded_name(name: str) -> str:
+    """Return a file name of at most ``MAX_NAME_CHARS`` characters that keeps its beginning and its end."""
+    if len(name) <= MAX_NAME_CHARS:
+        return name
+    half = (MAX_NAME_CHARS - 3) // 2
+    return f"{name[:half]}...{name[-half:]}"
+
+
+def bounded_list(entries: Sequence[str], *, at_most: int, separator: str = "; ") -> str:
+    """Join the first entries of a list and state the number of the others."""
+    more = len(entries) - at_most
+    return separator.join(entries[:at_most]) + (f" and {more} more" if more > 0 else "")
