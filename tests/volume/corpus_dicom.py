@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from corpus import Input
 from corpus_dicom_files import FILES, PIXELS
+from corpus_dicom_values import MODALITY_LUT, PADDING
 from dicom_writer import GAP_MM, NUM_SLICES, Edit, chest, series
 from pydicom.dataset import Dataset
 
@@ -287,4 +288,4 @@ SEVERAL = [
     Input("two scans at the same places and no tag that tells them apart", TWO, _two({}, shift_mm=0), "import.geometry.duplicate", do="keep one slice for each position"),
 ]  # fmt: skip
 
-INPUTS = (*RESCALE, *HEALTHY, *SEVERAL, *FILES, *PIXELS)
+INPUTS = (*RESCALE, *HEALTHY, *SEVERAL, *FILES, *PIXELS, *PADDING, *MODALITY_LUT)

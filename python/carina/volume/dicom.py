@@ -27,6 +27,7 @@ from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_no
 from carina.volume.limits import MAX_VOXELS
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
+from carina.volume.padding import PaddingCount
 from carina.volume.watch import Watch
 
 __all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
@@ -282,6 +283,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     said = list(notes)
     values: NDArray[np.int16] | None = None
     clipping = Clipping()
+    padding = PaddingCount()
     doubts: list[tuple[SliceHeader, Doubt]] = []
     before: tuple[SliceHeader, NDArray[Any]] | None = None
     for index, header in enumerate(series.slices):
@@ -289,7 +291,10 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         pixels = decode_slice(header)
         numbers: NDArray[Any] = pixels.numbers
         doubts.extend((header, doubt) for doubt in pixels.doubts)
-        refuse_contradicting_rescale(before, header, numbers, f"reading {series.name}")
+        if pixels.padded is not None:
+            padding.add(pixels.padded)
+        if header.modality_lut is None:
+            refuse_contradicting_rescale(before, header, numbers, f"reading {series.name}")
         before = header, numbers
         if values is None:  # only now: a first slice that cannot be read costs no memory for the rest
             values = np.empty(series.info.shape_zyx, dtype=np.int16)
@@ -302,6 +307,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         raise VolumeImportError(msg, code="import.values")
     if clipping.count:
         said.append(clipped_note(clipping.count))
+    said.extend(padding.notes(values.size))
     if any(header.lossy for header in series.slices):
         said.append(Note("import.lossy", "the slices were compressed with loss; thin walls may be blurred", badge=True))
     if first.modality == "CT":
@@ -320,7 +326,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         bits_stored=min(header.bits_stored for header in series.slices),
     )
     if not all(header.has_rescale for header in series.slices):
-        said.append(_no_rescale_note(series.slices, is_hu=verdict.is_hu))
+        said.append(_no_rescale_note(first, is_hu=verdict.is_hu))
     said.extend(in_doubt)
     lost = clipping.lost / values.size
     if verdict.is_hu and in_doubt:
@@ -339,11 +345,14 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     return Volume(values, series.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
 
 
-def _no_rescale_note(slices: Sequence[SliceHeader], *, is_hu: bool) -> Note:
+def _no_rescale_note(first: SliceHeader, *, is_hu: bool) -> Note:
     lacking = [
         tag
-        for tag, given in (("RescaleSlope", slices[0].has_slope), ("RescaleIntercept", slices[0].has_intercept))
+        for tag, given in (("RescaleSlope", first.has_slope), ("RescaleIntercept", first.has_intercept))
         if not given
     ]
+    if first.modality_lut is not None and len(lacking) == 2:
+        unit = first.modality_lut.unit or "not stated"
+        return Note("import.modality-lut", f"the values come from the Modality LUT of the slices (unit: {unit})")
     end = "but the values indicate HU" if is_hu else "so the values are not treated as HU"
     return Note("import.rescale-absent", f"no slice has {' or '.join(lacking)}, {end}", badge=True)

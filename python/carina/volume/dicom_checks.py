@@ -23,7 +23,7 @@ __all__ = ["Clipping", "check_rescale_tags", "doubt_notes", "odd_slices", "refus
 
 
 def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
-    """Refuse a series in which some slices give a slope or an intercept and others do not.
+    """Refuse a series in which some slices have a slope, an intercept or a Modality LUT and others do not.
 
     Raises
     ------
@@ -33,6 +33,7 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
     for tag, given in (
         ("RescaleIntercept", [header.has_intercept for header in slices]),
         ("RescaleSlope", [header.has_slope for header in slices]),
+        ("ModalityLUTSequence", [header.modality_lut is not None for header in slices]),
     ):
         if all(given) or not any(given):
             continue
@@ -104,8 +105,9 @@ class Clipping:
             return numbers
         outside = numbers[(numbers < -32768) | (numbers > 32767)]
         self.count += outside.size
-        if header.padding is not None:
-            outside = outside[outside != header.padding * header.slope + header.intercept]
+        for padding in header.padding:
+            ends = sorted(number * header.slope + header.intercept for number in padding)
+            outside = outside[(outside < ends[0]) | (outside > ends[1])]
         below = outside[outside < -32768]
         # Without a tag, one single value far below air is padding too; it is the same in all slices.
         if below.size and below.min() == below.max():

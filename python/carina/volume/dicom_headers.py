@@ -26,6 +26,9 @@ from pydicom.dataset import Dataset
 from pydicom.multival import MultiValue
 from pydicom.tag import BaseTag, Tag
 
+from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
+from carina.volume.padding import PaddingRange, padding_ranges
+
 __all__ = [
     "IDENTITY",
     "MAX_IMAGE_SIDE",
@@ -80,9 +83,9 @@ _IDENTITY_TAGS, _SETTING_TAGS = ([Tag(keyword) for keyword in keywords] for keyw
 _TAGS = sorted({
     "BitsAllocated", "BitsStored", "BodyPartExamined", "Columns", "HighBit", "ImageOrientationPatient",
     "ImagePositionPatient", "LossyImageCompression", "NumberOfFrames", "PhotometricInterpretation",
-    "PixelPaddingValue", "PixelRepresentation", "PixelSpacing", "ProtocolName", "RescaleIntercept", "RescaleSlope",
-    "RescaleType", "Rows", "SOPClassUID", "SOPInstanceUID", "SamplesPerPixel", "SeriesInstanceUID",
-    "SharedFunctionalGroupsSequence", *IDENTITY, *SETTINGS,
+    "ModalityLUTSequence", "PixelPaddingRangeLimit", "PixelPaddingValue", "PixelRepresentation", "PixelSpacing",
+    "ProtocolName", "RescaleIntercept", "RescaleSlope", "RescaleType", "Rows", "SOPClassUID", "SOPInstanceUID",
+    "SamplesPerPixel", "SeriesInstanceUID", "SharedFunctionalGroupsSequence", *IDENTITY, *SETTINGS,
 })  # fmt: skip
 
 
@@ -130,8 +133,9 @@ class SliceHeader:
     """Values of ``SETTINGS``; "" where the tag is missing."""
     pixels_at: int | None = None
     """Where in the file the element PixelData begins, if known."""
-    padding: int | None = None
-    """Stored value outside the reconstructed circle, where the file says it (PixelPaddingValue)."""
+    padding: tuple[PaddingRange, ...] = ()
+    """Stored numbers that mark padding (PixelPaddingValue, PixelPaddingRangeLimit); empty without the tags."""
+    modality_lut: ModalityLut | None = None
     problem: str | None = None
     problem_code: str = "import.tags"
 
@@ -293,6 +297,18 @@ class _Tags:
         except (TypeError, ValueError, OverflowError):
             return default
 
+    def cell(self, keyword: str) -> int | None:
+        """Return the bits of a pixel value, whatever form the file gives the tag; None if the tag is missing."""
+        value = self.raw(keyword)
+        if isinstance(value, (MultiValue, list)):
+            value = value[0] if len(value) else None
+        if isinstance(value, bytes):
+            value = int.from_bytes(value[:2], "little" if _is_little_endian(self.dataset) else "big") if value else None
+        try:
+            return None if value is None else int(value)
+        except (TypeError, ValueError, OverflowError):
+            return None
+
     def numbers(self, keyword: str, count: int, *, needed: bool = True) -> tuple[float, ...] | None:
         try:
             value = self.dataset.get(keyword)
@@ -310,6 +326,22 @@ class _Tags:
             self.problems.append(f"the tag {keyword} should contain {count} finite number{'s' if count > 1 else ''}")
             return None
         return values
+
+
+def _is_little_endian(dataset: Dataset) -> bool:
+    return dataset.original_encoding[1] is not False
+
+
+def _modality_lut(tags: _Tags, *, signed: bool) -> ModalityLut | None:
+    sequence = tags.raw("ModalityLUTSequence")
+    try:
+        if not sequence:
+            return None
+        return read_modality_lut(sequence[0], signed=signed, little_endian=_is_little_endian(tags.dataset))
+    except Exception:
+        # pydicom raises many kinds on a damaged table.
+        tags.problems.append("the tag ModalityLUTSequence contains no usable table")
+        return None
 
 
 def _is_binary(tag: BaseTag) -> bool:
@@ -397,8 +429,21 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         tags.problems.append(f"the tag PixelSpacing should be above 0 mm; found {min(spacing):g}")
     if slope is not None and slope[0] == 0:
         tags.problems.append("the tag RescaleSlope is 0, so every pixel would have the same value")
+    signed = tags.whole("PixelRepresentation", 0) == 1
+    lut = _modality_lut(tags, signed=signed)
     if problem is None and tags.problems:
         problem = "; ".join(tags.problems)
+    mark = tags.cell("PixelPaddingValue")
+    padding: tuple[PaddingRange, ...] = ()
+    if mark is not None and problem is None:
+        padding = padding_ranges(
+            mark,
+            tags.cell("PixelPaddingRangeLimit"),
+            bits_allocated=bits_allocated,
+            bits_stored=bits_stored,
+            high_bit=high_bit,
+            signed=signed,
+        )
 
     meta = getattr(dataset, "file_meta", None)
     return SliceHeader(
@@ -419,18 +464,19 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         intercept=intercept[0] if intercept else 0.0,
         has_slope=slope is not None,
         has_intercept=intercept is not None,
-        rescale_type=tags.text("RescaleType").upper(),
+        rescale_type=lut.unit if lut and slope is None and intercept is None else tags.text("RescaleType").upper(),
         bits_allocated=bits_allocated,
         bits_stored=bits_stored,
         high_bit=high_bit,
-        signed=tags.whole("PixelRepresentation", 0) == 1,
+        signed=signed,
         lossy=tags.text("LossyImageCompression") == "01",
         transfer_syntax=str(getattr(meta, "TransferSyntaxUID", "") or ""),
         sop_uid=str(tags.raw("SOPInstanceUID") or ""),
         identity=tuple(map(tags.plain, _IDENTITY_TAGS)),
         settings=tuple(map(tags.plain, _SETTING_TAGS)),
         pixels_at=pixels_at,
-        padding=tags.whole("PixelPaddingValue", 1 << 31) if tags.raw("PixelPaddingValue") is not None else None,
+        padding=padding,
+        modality_lut=lut,
         problem=problem,
         problem_code=code,
     )

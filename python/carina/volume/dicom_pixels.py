@@ -21,6 +21,7 @@ from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
 from carina.volume.dicom_streams import Stream, decoder_words, fragments, read_stream, rle_problem
 from carina.volume.model import Remark
+from carina.volume.padding import PaddedPixels, find_padding
 
 __all__ = ["Doubt", "SlicePixels", "decode_slice", "is_compressed", "read_slice"]
 
@@ -40,11 +41,13 @@ class Doubt(Remark):
 
 @dataclass(frozen=True, slots=True)
 class SlicePixels:
-    """One slice after its rescale."""
+    """One slice after its rescale or Modality LUT, with padding set to air."""
 
     numbers: NDArray[np.float64] | NDArray[np.int32]
-    """(rows, columns), int32 where slope and intercept are whole, else float64."""
+    """(rows, columns), int32 if all values are whole numbers, else float64."""
     doubts: tuple[Doubt, ...]
+    padded: PaddedPixels | None = None
+    """Padding that was set to air; None if the slice has no padding above air."""
 
 
 def _truncated(header: SliceHeader, expected: int, found: int) -> VolumeImportError:
@@ -228,7 +231,7 @@ def is_compressed(header: SliceHeader) -> bool:
 
 
 def decode_slice(header: SliceHeader) -> SlicePixels:
-    """Read one slice, rescaled by its own slope and intercept, with what puts its pixels in doubt.
+    """Read one slice, rescaled by its own tags, with padding set to air and the doubts about its pixels.
 
     Raises
     ------
@@ -236,9 +239,37 @@ def decode_slice(header: SliceHeader) -> SlicePixels:
         ``import.truncated``, ``import.header`` or ``import.unsupported``, naming the file.
     """
     stored, doubts = _plain_pixels(header) if header.transfer_syntax in _PLAIN else _decoded_pixels(header)
+    numbers, more = _modality_values(stored, header)
+    padded = find_padding(stored, numbers, header.padding) if header.modality == "CT" else None
+    if padded is not None:
+        numbers[padded.inside] = padded.fill
+    return SlicePixels(numbers, (*doubts, *more), padded)
+
+
+def _rescaled(stored: NDArray[np.int32], header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
     if header.slope == 1.0 and header.intercept == int(header.intercept) and abs(header.intercept) < 1 << 24:
-        return SlicePixels(stored + np.int32(header.intercept), doubts)
-    return SlicePixels(np.asarray(stored * header.slope + header.intercept, dtype=np.float64), doubts)
+        return np.asarray(stored + np.int32(header.intercept), dtype=np.int32)
+    return np.asarray(stored * header.slope + header.intercept, dtype=np.float64)
+
+
+def _modality_values(
+    stored: NDArray[np.int32], header: SliceHeader
+) -> tuple[NDArray[np.float64] | NDArray[np.int32], tuple[Doubt, ...]]:
+    """Return the values by the rescale or the Modality LUT, and a doubt if the two contradict each other."""
+    if header.modality_lut is None:
+        return _rescaled(stored, header), ()
+    by_table = header.modality_lut.values(stored)
+    if not (header.has_slope or header.has_intercept):
+        return by_table, ()
+    by_rescale = _rescaled(stored, header)
+    apart = float(np.abs(by_table - by_rescale).max())
+    if apart < 1.0:
+        return by_rescale, ()
+    words = (
+        "the tags contain both a rescale and a Modality LUT, of which DICOM allows one, and their values differ by up "
+        f"to {apart:.0f}; the values of the rescale are shown"
+    )
+    return by_rescale, (Doubt("import.modality-lut", words),)
 
 
 def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:

@@ -18,6 +18,7 @@ from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_voxels import read_voxels
 from carina.volume.hu import judge_values, to_int16
 from carina.volume.model import Note, Volume, VolumeSource
+from carina.volume.padding import without_corner_padding
 from carina.volume.watch import Watch
 
 __all__ = ["open_grid_file", "read_grid_array"]
@@ -157,11 +158,12 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
         reason = f"its values are not Hounsfield units; {converted.stretched}"
     elif verdict.is_hu:
         reason = converted.doubt
+    hu, padding = without_corner_padding(converted.values) if verdict.is_hu else (converted.values, ())
     watch.step("Converting the values", 1.0)
     return Volume(
-        converted.values,
+        hu,
         header.lps_from_ijk,
         is_hu=reason is None,
         not_hu_reason=reason,
-        source=VolumeSource(format=format, title=path.name, notes=notes + converted.notes),
+        source=VolumeSource(format=format, title=path.name, notes=notes + converted.notes + padding),
     )
