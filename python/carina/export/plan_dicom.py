@@ -29,6 +29,7 @@ from carina.export.plan_content import ONE_TARGET
 from carina.plan import Nodule
 from carina.version import VERSION
 from carina.volume import Volume, same_geometry
+from carina.volume.character_sets import doubtful_texts
 from carina.volume.dicom import FoundSeries, choose_series
 from carina.volume.dicom_checks import Clipping
 from carina.volume.dicom_headers import IDENTITY, SliceHeader, read_dataset
@@ -64,6 +65,7 @@ _NEVER_LEFT_OUT: Final = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex"),
     *("StudyDate", "StudyTime", "StudyID", "AccessionNumber", "ReferringPhysicianName"),
 )
+_OF_THE_PATIENT: Final = frozenset({"PatientName", "PatientID", "IssuerOfPatientID"})
 _FRAME_OF_REFERENCE = list(IDENTITY).index("FrameOfReferenceUID")
 _LOOKED_AT = 5
 """Slices whose pixels tell one reconstruction from another of the same geometry."""
@@ -76,7 +78,9 @@ class CtImages:
 
     slices: tuple[SliceHeader, ...]
     first: Dataset
-    """All of the first slice's file but nothing else; for whose it is."""
+    """Data set of the first slice, without texts whose characters are not certain."""
+    doubtful: frozenset[str] = frozenset()
+    """Keywords of the texts that were left out of ``first``."""
 
     def __repr__(self) -> str:
         return f"CtImages({len(self.slices)} images)"
@@ -174,6 +178,9 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
     first = series.slices[0]
     try:
         dataset = read_dataset(first.path, pixels=True)
+        doubtful = doubtful_texts(dataset)
+        for keyword in doubtful & set(_WHOSE):
+            del dataset[keyword]
         # Names in the character set of their file; ours is UTF-8.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -200,7 +207,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
             "to them; save the target as .seg.nrrd",
             code="import.identity-missing",
         )
-    return CtImages(series.slices, dataset)
+    return CtImages(series.slices, dataset, doubtful)
 
 
 def new_object(
@@ -238,6 +245,13 @@ def new_object(
     if identity == "from the CT" and images is None:
         raise UsageError(
             'identity: "from the CT" needs the CT\'s DICOM folder; name it, or choose "none"', code="plan.identity"
+        )
+    if identity == "from the CT" and images is not None and (lost := sorted(images.doubtful & _OF_THE_PATIENT)):
+        raise UsageError(
+            f"copying the identity from the CT: {', '.join(lost)} of the CT has letters in an unknown character set, "
+            "so it could be written wrongly; expected SpecificCharacterSet to name their set; export the CT again "
+            'with its character set, or choose the identity "none"',
+            code="plan.identity",
         )
     made = datetime.datetime.now().astimezone() if now is None else now
     made_on, made_at = made.strftime("%Y%m%d"), made.strftime("%H%M%S")

@@ -28,6 +28,7 @@ from carina.volume.limits import MAX_VOXELS
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.padding import PaddingCount
+from carina.volume.second_decoder import second_decoder
 from carina.volume.watch import Watch
 
 __all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
@@ -281,27 +282,16 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         raise series.refusal or VolumeImportError(f"reading {series.name}: it has no voxel grid")
     first = series.slices[0]
     said = list(notes)
-    values: NDArray[np.int16] | None = None
     clipping = Clipping()
     padding = PaddingCount()
     doubts: list[tuple[SliceHeader, Doubt]] = []
-    before: tuple[SliceHeader, NDArray[Any]] | None = None
-    for index, header in enumerate(series.slices):
-        watch.step("Reading the slices", index / len(series.slices))
-        pixels = decode_slice(header)
-        numbers: NDArray[Any] = pixels.numbers
-        doubts.extend((header, doubt) for doubt in pixels.doubts)
-        if pixels.padded is not None:
-            padding.add(pixels.padded)
-        if header.modality_lut is None:
-            refuse_contradicting_rescale(before, header, numbers, f"reading {series.name}")
-        before = header, numbers
-        if values is None:  # only now: a first slice that cannot be read costs no memory for the rest
-            values = np.empty(series.info.shape_zyx, dtype=np.int16)
-        if numbers.dtype.kind == "f":
-            numbers = np.rint(numbers)
-        values[index] = clipping.take(header, numbers)
-    assert values is not None  # a grid has at least two slices
+    with second_decoder() as check:
+        check.submit(series.slices)
+        values = _read_slices(series, clipping, padding, doubts, watch)
+        for index, (header, problem) in enumerate(check.problems()):
+            watch.step("Checking the compressed slices", index / len(check))
+            if problem is not None:
+                doubts.append((header, Doubt("import.pixels-damaged", f"the compressed data is corrupt: {problem}")))
     if values.min() == values.max():
         msg = f"reading {series.name}: every pixel has the same value, so it contains no image; export it again"
         raise VolumeImportError(msg, code="import.values")
@@ -343,6 +333,36 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     )
     watch.step("Reading the slices", 1.0)
     return Volume(values, series.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
+
+
+def _read_slices(
+    series: FoundSeries,
+    clipping: Clipping,
+    padding: PaddingCount,
+    doubts: list[tuple[SliceHeader, Doubt]],
+    watch: Watch,
+) -> NDArray[np.int16]:
+    """Decode the slices one by one; count clipped and padded voxels and collect doubts."""
+    assert series.info.shape_zyx is not None
+    values: NDArray[np.int16] | None = None
+    before: tuple[SliceHeader, NDArray[Any]] | None = None
+    for index, header in enumerate(series.slices):
+        watch.step("Reading the slices", index / len(series.slices))
+        pixels = decode_slice(header)
+        numbers: NDArray[Any] = pixels.numbers
+        doubts.extend((header, doubt) for doubt in pixels.doubts)
+        if pixels.padded is not None:
+            padding.add(pixels.padded)
+        if header.modality_lut is None:
+            refuse_contradicting_rescale(before, header, numbers, f"reading {series.name}")
+        before = header, numbers
+        if values is None:  # only now: a first slice that cannot be read costs no memory for the rest
+            values = np.empty(series.info.shape_zyx, dtype=np.int16)
+        if numbers.dtype.kind == "f":
+            numbers = np.rint(numbers)
+        values[index] = clipping.take(header, numbers)
+    assert values is not None  # a grid has at least two slices
+    return values
 
 
 def _no_rescale_note(first: SliceHeader, *, is_hu: bool) -> Note:

@@ -26,6 +26,7 @@ from pydicom.dataset import Dataset
 from pydicom.multival import MultiValue
 from pydicom.tag import BaseTag, Tag
 
+from carina.volume.character_sets import settle_character_set
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
 from carina.volume.padding import PaddingRange, padding_ranges
 
@@ -188,10 +189,13 @@ def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dat
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             if pixels:
-                return pydicom.dcmread(path, force=True), None
+                dataset = pydicom.dcmread(path, force=True)
+                settle_character_set(dataset)
+                return dataset, None
             with path.open("rb") as file:
                 dataset = pydicom.dcmread(file, force=True, stop_before_pixels=True, specific_tags=list(tags))
                 at = file.tell()
+                settle_character_set(dataset)
                 return dataset, at if file.read(4) in _PIXEL_TAGS else None
     except Exception as error:
         # pydicom raises many kinds on a broken file; each of them means the same to us.
@@ -275,7 +279,7 @@ class _Tags:
         try:
             element = self.dataset.get_item(tag)
             value = None if element is None else element.value
-            if value and isinstance(value, bytes) and (not isinstance(element, RawDataElement) or _is_binary(tag)):
+            if value and isinstance(value, bytes) and not _is_comparable(element, tag, value):
                 value = self.dataset[tag].value
         except Exception:
             return ""  # as in ``raw``
@@ -342,6 +346,11 @@ def _modality_lut(tags: _Tags, *, signed: bool) -> ModalityLut | None:
         # pydicom raises many kinds on a damaged table.
         tags.problems.append("the tag ModalityLUTSequence contains no usable table")
         return None
+
+
+def _is_comparable(element: Any, tag: BaseTag, value: bytes) -> bool:
+    """Return whether the bytes of a value compare like the text; letters beyond ASCII depend on the character set."""
+    return isinstance(element, RawDataElement) and not _is_binary(tag) and value.isascii() and b"\x1b" not in value
 
 
 def _is_binary(tag: BaseTag) -> bool:

@@ -1,0 +1,144 @@
+"""Damage in compressed slices: each damaged slice is reported, and no intact one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dicom_writer import chest, packed, repack, series
+from pydicom import dcmread
+
+from carina.volume import open_volume, second_decoder
+from carina.volume.dicom_headers import read_header, read_pixel_bytes
+from carina.volume.dicom_pixels import read_slice
+from carina.volume.dicom_streams import fragments
+from carina.volume.second_decoder import SecondDecoder, has_second_decoder, j2k_problem
+
+needs_av = pytest.mark.skipif(not has_second_decoder(), reason="PyAV (extra video) is not installed")
+SIDE = 96
+
+
+def _slices(num: int) -> np.ndarray:
+    """Return [z, y, x] HU: the small chest three times as wide, with noise of its own."""
+    rng = np.random.default_rng(11)
+    wide = np.kron(chest(noise_hu=1e-9)[:num], np.ones((1, 3, 3)))
+    return np.clip(wide + rng.normal(0, 12, wide.shape), -1024, 3000).astype(np.int16)
+
+
+@pytest.fixture(scope="module")
+def compressed(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("compressed")
+    return series(folder, lambda dataset, index: packed(dataset, folder, "JPEG2000"), hu=_slices(20))
+
+
+def _frame(path: Path) -> bytes:
+    header, _ = read_header(path)
+    assert header is not None
+    frame = fragments(read_pixel_bytes(header))
+    assert frame is not None
+    return frame
+
+
+def _damaged(frame: bytes, rng: np.random.Generator, kind: str) -> bytes:
+    count = int(rng.integers(1, 41))
+    at = int(rng.integers(frame.index(b"\xff\x93") + 2, len(frame) - count - 2))
+    new = {
+        "noise": rng.integers(0, 256, count, dtype=np.uint8).tobytes(),
+        "zeros": bytes(count),
+        "ones": b"\xff" * count,
+        "bit": bytes([frame[at] ^ 1 << int(rng.integers(8))]),
+    }[kind]
+    return frame[:at] + new + frame[at + len(new) :]
+
+
+@needs_av
+@pytest.mark.parametrize("kind", ["noise", "zeros", "ones", "bit"])
+def test_no_damage_above_20_hu_is_silent(compressed, tmp_path, rng, kind):
+    """15 slices of each kind of damage; a refusal, a doubt of the first decoder or the second decoder reports each."""
+    silent = []
+    for index in range(15):
+        source = compressed / f"IM{index:03d}"
+        clean = read_slice(read_header(source)[0])
+        dataset = dcmread(source)
+        repack(dataset, lambda frame: _damaged(frame, rng, kind))
+        path = tmp_path / f"{kind}{index}"
+        dataset.save_as(path)
+        header, _ = read_header(path)
+        problem = j2k_problem(_frame(path))
+        try:
+            worst = np.abs(read_slice(header) - clean).max()
+        except OSError:  # VolumeImportError: refused
+            continue
+        if problem is None and worst > 20:
+            silent.append((index, worst))
+    assert silent == []
+
+
+@needs_av
+def test_intact_slices_have_no_problem(compressed):
+    assert [j2k_problem(_frame(path)) for path in sorted(compressed.iterdir())] == [None] * 20
+    volume = open_volume(compressed)
+    assert (volume.source.notes, volume.is_hu) == ((), True)
+    np.testing.assert_array_equal(volume.hu_zyx, _slices(20))
+
+
+@needs_av
+def test_a_single_changed_bit_is_reported_with_its_slice(tmp_path):
+    def edit(dataset, index):
+        packed(dataset, tmp_path, "JPEG2000")
+        if index == 12:
+            repack(dataset, lambda frame: frame[:-400] + bytes([frame[-400] ^ 4]) + frame[-399:])
+
+    volume = open_volume(series(tmp_path, edit, hu=_slices(20)))
+    assert not volume.is_hu
+    (note,) = (note for note in volume.source.notes if note.code == "import.pixels-damaged")
+    assert note.badge
+    assert "1 of 20 slices: IM012" in note.words
+
+
+@needs_av
+def test_a_stream_that_the_second_decoder_does_not_support_has_no_problem(compressed, monkeypatch):
+    import av
+
+    class Unsupported:
+        thread_count = 0
+
+        def decode(self, packet):
+            raise av.error.PatchWelcomeError(0, "not supported")
+
+    monkeypatch.setattr(av.CodecContext, "create", lambda *args: Unsupported(), raising=False)
+    frame = _frame(compressed / "IM003")
+    assert j2k_problem(frame) is None
+
+
+@needs_av
+def test_the_level_of_reports_is_restored(compressed):
+    import av.logging
+
+    before = av.logging.get_level()
+    j2k_problem(_frame(compressed / "IM000"))
+    assert av.logging.get_level() == before
+
+
+def test_without_pyav_slices_open_as_before(compressed, monkeypatch):
+    monkeypatch.setattr(second_decoder, "has_second_decoder", lambda: False)
+    volume = open_volume(compressed)
+    assert (volume.source.notes, volume.is_hu) == ((), True)
+
+
+def test_checks_that_did_not_start_are_dropped(compressed, monkeypatch):
+    """A cancelled import waits for the slices in work alone."""
+    headers = [read_header(path)[0] for path in sorted(compressed.iterdir())]
+    checked = []
+    monkeypatch.setattr(second_decoder, "is_checkable", lambda header: True)
+    monkeypatch.setattr(second_decoder, "_problem", lambda header: checked.append(header) or gate.wait())
+    gate = second_decoder.threading.Event()
+    with second_decoder.second_decoder() as check:
+        assert isinstance(check, SecondDecoder)
+        check.submit(headers)
+        assert len(check) == 20
+        threading_done = second_decoder.threading.Timer(0.0, gate.set)
+        check._pool.shutdown(wait=False, cancel_futures=True)
+        threading_done.start()
+    assert len(checked) <= second_decoder._MAX_WORKERS
