@@ -192,6 +192,6 @@ def test_names_of_character_sets(text, name):
 def test_a_header_with_a_damaged_character_set_is_read(tmp_path):
     folder = _named(tmp_path, b"Secret^One", "ISO_IR 100")
     path = folder / "IM001"
-    path.write_bytes(path.read_bytes().replace(b"ISO_IR 100", b"\\\xff\\\\\xfe(\n\\ "))
+    path.write_bytes(path.read_bytes().replace(b"ISO_IR 100", b"\\\xff\\\\\xfe(\n\\  "))
     header, _ = read_header(folder / "IM001")
     assert header is not None

@@ -185,7 +185,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             dataset.decode()
-    except (ValueError, LookupError) as error:
+    except Exception as error:  # pydicom raises many kinds on damaged elements
         raise VolumeImportError(
             f"reading {first.path.name}: its header cannot be read ({type(error).__name__}); export the CT again",
             code="import.header",

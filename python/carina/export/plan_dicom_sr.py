@@ -33,7 +33,7 @@ from carina.export.plan_dicom import (
 from carina.export.plan_dicom_seg import inside_on_grid
 from carina.plan import Nodule
 from carina.volume import Volume
-from carina.volume.dicom_headers import read_dataset
+from carina.volume.dicom_headers import damaged_elements_refused, read_dataset
 
 __all__ = ["write_target_report"]
 
@@ -149,6 +149,15 @@ class _Segments:
 
 
 def _segments(path: Path, images: CtImages, names: Sequence[str]) -> _Segments:
+    def damaged(problem: str) -> VolumeImportError:
+        msg = f"reading the segmentation {path.name}: {problem}; write it again"
+        return VolumeImportError(msg, code="import.mask")
+
+    with damaged_elements_refused(damaged):
+        return _read_segments(path, images, names)
+
+
+def _read_segments(path: Path, images: CtImages, names: Sequence[str]) -> _Segments:
     try:
         data = read_dataset(path, pixels=True)
     except ValueError as error:

@@ -173,6 +173,7 @@ def _items(dataset: Dataset) -> Iterator[Dataset]:
 
 def _set_encodings(dataset: Dataset, encodings: list[str]) -> None:
     """Let pydicom decode the texts of a data set and of its sequences with other encodings than it read."""
-    dataset.set_original_encoding(*dataset.original_encoding, encodings)
+    implicit, little = dataset.original_encoding
+    dataset.set_original_encoding(implicit, little, encodings)
     for item in _items(dataset):
         _set_encodings(item, encodings)

@@ -127,7 +127,8 @@ def _read(path: Path) -> SliceHeader | UnusedFile | None:
         if header is not None or _holds_no_scan(dataset):
             return header
         uid = str(dataset.get("SeriesInstanceUID") or "")
-    except ValueError:
+    except Exception:
+        # ``read_header`` raises ValueError, and pydicom many kinds on a damaged value.
         return UnusedFile(path, "damaged DICOM file", _size(path), is_dicom=True)
     return UnusedFile(path, "truncated header", _size(path), is_dicom=True, series_uid=uid)
 

@@ -14,7 +14,7 @@ import math
 import re
 import warnings
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -26,6 +26,7 @@ from pydicom.dataset import Dataset
 from pydicom.multival import MultiValue
 from pydicom.tag import BaseTag, Tag
 
+from carina.errors import CarinaError
 from carina.volume.character_sets import settle_character_set
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
 from carina.volume.padding import PaddingRange, padding_ranges
@@ -36,6 +37,7 @@ __all__ = [
     "SETTINGS",
     "SliceHeader",
     "acquisition_date",
+    "damaged_elements_refused",
     "read_dataset",
     "read_header",
     "read_pixel_bytes",
@@ -203,6 +205,28 @@ def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dat
         raise ValueError(msg) from None
 
 
+@contextlib.contextmanager
+def damaged_elements_refused(refusal: Callable[[str], CarinaError]) -> Iterator[None]:
+    """Turn whatever pydicom or NumPy raise on a damaged element into a refusal, and silence their warnings.
+
+    pydicom converts a value when it is first used, so that a changed letter in a header appears anywhere in the code
+    that reads the data set, as nearly any exception.
+
+    Parameters
+    ----------
+    refusal
+        Makes the error from a problem, such as "one of its elements is damaged (ValueError)".
+    """
+    try:
+        with warnings.catch_warnings():  # pydicom's warnings may quote what is in the file
+            warnings.simplefilter("ignore")
+            yield
+    except (CarinaError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        raise refusal(f"one of its elements is damaged ({type(error).__name__})") from None
+
+
 def acquisition_date(path: Path) -> str | None:
     """ISO date on which an image was acquired, else of its study; None where the file has none that can be one.
 
@@ -213,8 +237,8 @@ def acquisition_date(path: Path) -> str | None:
         with warnings.catch_warnings():  # pydicom's warnings may quote the value
             warnings.simplefilter("ignore")
             texts = [_Tags(dataset).text(keyword) for keyword in _DATES]
-    except ValueError:
-        return None
+    except Exception:
+        return None  # a damaged date is no date
     for text in texts:
         # A date of ACR-NEMA has points; a date with time begins with the date.
         digits = text.replace(".", "")[:8]
@@ -238,7 +262,7 @@ def read_pixel_bytes(header: SliceHeader) -> bytes:
         If the file cannot be read as DICOM.
     """
     if header.pixels_at is None:
-        return bytes(read_dataset(header.path, pixels=True).get("PixelData") or b"")
+        return _pixel_data(header.path)
     with header.path.open("rb") as file:
         file.seek(header.pixels_at)
         head = file.read(12)
@@ -248,9 +272,21 @@ def read_pixel_bytes(header: SliceHeader) -> bytes:
         elif head[4:6] in (b"OW", b"OB", b"UN"):
             start, length = 12, int.from_bytes(head[8:12], order)
         else:
-            return bytes(read_dataset(header.path, pixels=True).get("PixelData") or b"")
+            return _pixel_data(header.path)
         file.seek(header.pixels_at + start)
         return file.read() if length == 0xFFFFFFFF else file.read(length)
+
+
+def _pixel_data(path: Path) -> bytes:
+    dataset = read_dataset(path, pixels=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            value = dataset.get("PixelData")
+        except Exception as error:
+            msg = f"its pixel data cannot be read ({type(error).__name__})"
+            raise ValueError(msg) from None
+    return value if isinstance(value, bytes) else b""  # a damaged element may hold a number
 
 
 _PIXEL_TAGS = (b"\xe0\x7f\x10\x00", b"\x7f\xe0\x00\x10")
@@ -383,7 +419,12 @@ def read_header(path: Path) -> tuple[SliceHeader | None, Dataset]:
     dataset, pixels_at = _read(path, pixels=False)
     with warnings.catch_warnings():  # pydicom's warnings may quote what is in the file
         warnings.simplefilter("ignore")
-        return _parse(path, dataset, pixels_at), dataset
+        try:
+            return _parse(path, dataset, pixels_at), dataset
+        except Exception as error:
+            # pydicom converts values late and raises many kinds on damaged ones.
+            msg = f"cannot be read as DICOM ({type(error).__name__})"
+            raise ValueError(msg) from None
 
 
 def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader | None:

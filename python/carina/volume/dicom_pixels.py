@@ -200,7 +200,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
             pixels.save_as(path, enforce_file_format=True)
             with decoder_words() as muttered:
                 image = reader.Execute()
-        except (RuntimeError, ValueError, MemoryError):
+        except (RuntimeError, ValueError, MemoryError, OverflowError, TypeError, AttributeError, LookupError):
             msg = (
                 f"reading {header.path.name}: its compressed pixel data cannot be decoded (transfer syntax "
                 f"{header.transfer_syntax}); the file is damaged or its compression is not supported; export the "

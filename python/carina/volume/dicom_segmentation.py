@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
-from carina.volume.dicom_headers import read_dataset
+from carina.volume.dicom_headers import damaged_elements_refused, read_dataset
 from carina.volume.limits import MAX_VOXELS
 from carina.volume.model import Volume
 from carina.volume.watch import Watch
@@ -101,6 +101,11 @@ def read_segmentation(path: Path, watch: Watch, *, volume: Volume | None = None)
     VolumeImportError
         If the file is not a segmentation, is damaged, or if its frames are not on one grid (code ``import.mask``).
     """
+    with damaged_elements_refused(lambda problem: _refused(path, problem, "copy or export it again")):
+        return _read_segmentation(path, watch)
+
+
+def _read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDArray[np.float64], dict[int, str]]:
     watch.step("Reading the segmentation")
     try:
         data = read_dataset(path, pixels=True)

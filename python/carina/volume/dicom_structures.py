@@ -16,7 +16,7 @@ from pydicom.dataset import Dataset
 from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.volume.dicom_files import read_headers
-from carina.volume.dicom_headers import IDENTITY, read_dataset
+from carina.volume.dicom_headers import IDENTITY, damaged_elements_refused, read_dataset
 from carina.volume.dicom_references import References
 from carina.volume.model import Volume
 from carina.volume.watch import Watch
@@ -85,6 +85,11 @@ def read_structures(path: Path, watch: Watch) -> StructureSet:
     VolumeImportError
         If it is no structure set or is damaged (code ``import.mask``).
     """
+    with damaged_elements_refused(lambda problem: structures_refused(path, problem, "copy or export it again")):
+        return _read_structures(path, watch)
+
+
+def _read_structures(path: Path, watch: Watch) -> StructureSet:
     watch.step("Reading the structure set")
     try:
         data = read_dataset(path, pixels=True)
@@ -135,7 +140,8 @@ def read_references(path: Path) -> References:
     """Which images a DICOM object (RTSTRUCT, SEG) says that it belongs to; empty where it cannot be read."""
     try:
         return _references(read_dataset(path, pixels=True))
-    except (ValueError, AttributeError, TypeError):
+    except Exception:
+        # pydicom raises many kinds on damaged elements.
         return References()
 
 
@@ -210,6 +216,7 @@ def is_structure_set(path: Path) -> bool:
     """Whether a DICOM file is an RTSTRUCT."""
     try:
         data: Any = read_dataset(path, pixels=False)
-    except ValueError:
+        return str(data.get("SOPClassUID", "")) == _STRUCTURE_SET_STORAGE
+    except Exception:
+        # ``read_dataset`` raises ValueError, and pydicom many kinds on a damaged element.
         return False
-    return str(data.get("SOPClassUID", "")) == _STRUCTURE_SET_STORAGE
