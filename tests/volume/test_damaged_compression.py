@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +14,23 @@ from carina.volume import open_volume, second_decoder
 from carina.volume.dicom_headers import read_header, read_pixel_bytes
 from carina.volume.dicom_pixels import read_slice
 from carina.volume.dicom_streams import fragments
-from carina.volume.second_decoder import SecondDecoder, has_second_decoder, j2k_problem
+from carina.volume.second_decoder import has_second_decoder, j2k_problem
 
 needs_av = pytest.mark.skipif(not has_second_decoder(), reason="PyAV (extra video) is not installed")
-SIDE = 96
+NUM = 6
 
 
-def _slices(num: int) -> np.ndarray:
-    """Return [z, y, x] HU: the small chest three times as wide, with noise of its own."""
+def _slices(num: int = NUM) -> np.ndarray:
+    """Return [z, y, x] HU: the small chest six times as wide, with noise of its own."""
     rng = np.random.default_rng(11)
-    wide = np.kron(chest(noise_hu=1e-9)[:num], np.ones((1, 3, 3)))
+    wide = np.kron(chest(noise_hu=1e-9)[:num], np.ones((1, 6, 6)))
     return np.clip(wide + rng.normal(0, 12, wide.shape), -1024, 3000).astype(np.int16)
 
 
 @pytest.fixture(scope="module")
 def compressed(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("compressed")
-    return series(folder, lambda dataset, index: packed(dataset, folder, "JPEG2000"), hu=_slices(20))
+    return series(folder, lambda dataset, index: packed(dataset, folder, "JPEG2000"), hu=_slices())
 
 
 def _frame(path: Path) -> bytes:
@@ -58,7 +59,7 @@ def test_no_damage_above_20_hu_is_silent(compressed, tmp_path, rng, kind):
     """15 slices of each kind of damage; a refusal, a doubt of the first decoder or the second decoder reports each."""
     silent = []
     for index in range(15):
-        source = compressed / f"IM{index:03d}"
+        source = compressed / f"IM{index % NUM:03d}"
         clean = read_slice(read_header(source)[0])
         dataset = dcmread(source)
         repack(dataset, lambda frame: _damaged(frame, rng, kind))
@@ -77,24 +78,24 @@ def test_no_damage_above_20_hu_is_silent(compressed, tmp_path, rng, kind):
 
 @needs_av
 def test_intact_slices_have_no_problem(compressed):
-    assert [j2k_problem(_frame(path)) for path in sorted(compressed.iterdir())] == [None] * 20
+    assert [j2k_problem(_frame(path)) for path in sorted(compressed.iterdir())] == [None] * NUM
     volume = open_volume(compressed)
     assert (volume.source.notes, volume.is_hu) == ((), True)
-    np.testing.assert_array_equal(volume.hu_zyx, _slices(20))
+    np.testing.assert_array_equal(volume.hu_zyx, _slices())
 
 
 @needs_av
 def test_a_single_changed_bit_is_reported_with_its_slice(tmp_path):
     def edit(dataset, index):
         packed(dataset, tmp_path, "JPEG2000")
-        if index == 12:
+        if index == 3:
             repack(dataset, lambda frame: frame[:-400] + bytes([frame[-400] ^ 4]) + frame[-399:])
 
-    volume = open_volume(series(tmp_path, edit, hu=_slices(20)))
+    volume = open_volume(series(tmp_path, edit, hu=_slices()))
     assert not volume.is_hu
     (note,) = (note for note in volume.source.notes if note.code == "import.pixels-damaged")
     assert note.badge
-    assert "1 of 20 slices: IM012" in note.words
+    assert "1 of 6 slices: IM003" in note.words
 
 
 @needs_av
@@ -121,24 +122,29 @@ def test_the_level_of_reports_is_restored(compressed):
     assert av.logging.get_level() == before
 
 
-def test_without_pyav_slices_open_as_before(compressed, monkeypatch):
+def test_without_pyav_a_note_states_that_damage_may_stay_unseen(compressed, monkeypatch):
     monkeypatch.setattr(second_decoder, "has_second_decoder", lambda: False)
     volume = open_volume(compressed)
-    assert (volume.source.notes, volume.is_hu) == ((), True)
+    assert volume.is_hu
+    (note,) = volume.source.notes
+    assert (note.code, note.badge) == ("import.not-checked", False)
+    assert "carina[video]" in note.words
 
 
 def test_checks_that_did_not_start_are_dropped(compressed, monkeypatch):
     """A cancelled import waits for the slices in work alone."""
-    headers = [read_header(path)[0] for path in sorted(compressed.iterdir())]
-    checked = []
+    headers = [read_header(path)[0] for path in sorted(compressed.iterdir())] * 5
+    checked, gate = [], threading.Event()
+
+    def wait(header):
+        checked.append(header)
+        gate.wait(20)
+
     monkeypatch.setattr(second_decoder, "is_checkable", lambda header: True)
-    monkeypatch.setattr(second_decoder, "_problem", lambda header: checked.append(header) or gate.wait())
-    gate = second_decoder.threading.Event()
+    monkeypatch.setattr(second_decoder, "_problem", wait)
     with second_decoder.second_decoder() as check:
-        assert isinstance(check, SecondDecoder)
         check.submit(headers)
-        assert len(check) == 20
-        threading_done = second_decoder.threading.Timer(0.0, gate.set)
-        check._pool.shutdown(wait=False, cancel_futures=True)
-        threading_done.start()
-    assert len(checked) <= second_decoder._MAX_WORKERS
+        assert len(check) == 5 * NUM
+        check.drop_waiting()
+        gate.set()
+    assert len(checked) <= second_decoder.MAX_WORKERS

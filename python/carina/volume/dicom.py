@@ -28,7 +28,7 @@ from carina.volume.limits import MAX_VOXELS
 from carina.volume.message_limits import bounded_list, bounded_message, bounded_name
 from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.padding import PaddingCount
-from carina.volume.second_decoder import second_decoder
+from carina.volume.second_decoder import not_checked_note, second_decoder
 from carina.volume.watch import Watch
 
 __all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
@@ -298,6 +298,8 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     if clipping.count:
         said.append(clipped_note(clipping.count))
     said.extend(padding.notes(values.size))
+    if (not_checked := not_checked_note(series.slices)) is not None:
+        said.append(not_checked)
     if any(header.lossy for header in series.slices):
         said.append(Note("import.lossy", "the slices were compressed with loss; thin walls may be blurred", badge=True))
     if first.modality == "CT":
