@@ -196,6 +196,11 @@ def _noisy() -> np.ndarray:
     return chest(noise_hu=90.0)
 
 
+def _flipped(frame: bytes) -> bytes:
+    """Change a bit near the end, in the finest details."""
+    return frame[:-200] + bytes([frame[-200] ^ 4]) + frame[-199:]
+
+
 def _cut_end(frame: bytes) -> bytes:
     return frame.rstrip(b"\0")[:-2]
 
@@ -226,6 +231,7 @@ PIXELS = [
     Input("JPEG 2000, another size in the stream", PIXEL, _packed("JPEG2000", _with(lambda frame: frame.index(b"\xff\x4f\xff\x51") + 8, b"\0\0\0\x40")), names=("IM004",), **REFUSED),
     Input("JPEG 2000, one slice with a picture that does not fit", PIXEL, _noise_of, "opens", ("import.slices-odd",), is_hu=False, names=("IM007",), do=AGAIN),
     Input("JPEG 2000, 40 bytes of one slice overwritten", PIXEL, _packed("JPEG2000", _with(lambda frame: len(frame) * 3 // 10, b"\x55" * 40), at=(7,)), "opens", ("import.pixels-damaged", "import.slices-odd"), is_hu=False, names=("IM007",), do=AGAIN),
+    Input("JPEG 2000, one bit of one slice changed", PIXEL, _packed("JPEG2000", _flipped, at=(7,)), "opens", ("import.pixels-damaged",), is_hu=False, names=("IM007", "1 of 20"), do=AGAIN),
     Input("JPEG, 40 bytes of one slice overwritten", PIXEL, _packed("JPEG", _with(lambda frame: len(frame) * 3 // 10, b"\x55" * 40), at=(7,)), names=("IM007",), **DAMAGED),
     Input("JPEG, the second half of two slices zeros", PIXEL, _packed("JPEG", lambda frame: frame[: len(frame) // 2] + bytes(len(frame) - len(frame) // 2)), names=("IM004",), **DAMAGED),
     Input("JPEG, two slices cut to the half", PIXEL, _packed("JPEG", lambda frame: frame[: len(frame) // 2]), names=("IM004",), **REFUSED),

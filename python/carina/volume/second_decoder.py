@@ -4,8 +4,9 @@ JPEG 2000 has no checksum. A changed byte moves the arithmetic decoder of its co
 which GDCM and Pillow share, returns the wrong pixels without a message. FFmpeg's own decoder reports a code-block whose
 coded data end elsewhere than its decoding: a wrong bit changes the length that all later symbols take.
 
-Damage in a packet header that scales a code-block by a power of two changes no length and stays unreported. Statistics
-of neighbouring slices do not replace the decoder: most errors of 20 to 100 HU are smaller than noise and vessels.
+Two kinds of damage stay unreported: a packet header that scales a code-block by a power of two changes no length, and
+FFmpeg does not report a decoder that runs past the end of a code-block. Statistics of neighbouring slices do not
+replace the decoder: most errors of 20 to 100 HU are smaller than noise and vessels.
 
 References
 ----------
