@@ -39,6 +39,7 @@ from carina.track.names.naming import name_tree
 from carina.track.paths.tracker import PathTracker
 from carina.track.stages import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.track.tree.calibrated_size import with_limited_confidence
 from carina.track.tree.uncertain import Uncertainty, find_uncertain, judged
 from carina.volume.model import Volume
 
@@ -200,6 +201,7 @@ def _edited(
     if steps.judged:
         noise = evidence_of(volume, airways).noise
         branches = tuple(judged(volume, b, noise) if b.id in steps.judged else b for b in branches)
+        branches = with_limited_confidence(AirwayTree(branches, notes=tree.notes)).branches
     tracker = PathTracker(volume, core)
     tracker.follow_branches(branches)
     edited_tree = AirwayTree(branches, _smooth=tracker.smooth, notes=tree.notes)

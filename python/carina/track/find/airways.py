@@ -17,6 +17,7 @@ from carina.track.find.found import Airways
 from carina.track.find.growth import doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
+from carina.track.find.size import thread_confidence
 from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
 from carina.track.find.totals import doubt_of_totals
 from carina.track.levels import AirScale
@@ -24,6 +25,7 @@ from carina.track.names.naming import name_tree
 from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows, words
 from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.track.tree.calibrated_size import with_size_note
 from carina.track.tree.uncertain import Uncertainty, find_uncertain, with_confidence
 from carina.volume.model import Note, Volume
 from carina.volume.sparse_mask import sparse_mask
@@ -123,6 +125,7 @@ def _found(
     noise: float | None = None
     searched = volume
     leaks = threads = np.empty((0, 3))
+    size = 1.0
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
@@ -139,7 +142,7 @@ def _found(
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
         noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
-        threads = grown.threads_lps
+        threads, size = grown.threads_lps, grown.size
         badges += grown.badges
         found_notes += grown.notes
     stage.begin("measuring the lumen")
@@ -160,7 +163,7 @@ def _found(
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
         stage.begin("assessing the branches")
-        tree = with_confidence(searched, tree, noise, threads)
+        tree = with_confidence(searched, tree, noise, threads, thread_share=thread_confidence(size))
         filled = find_filled(searched, tree, lumen, noise, stage.cancel)
         uncertain = find_uncertain(searched, tree, leaks, filled)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
@@ -175,7 +178,8 @@ def _found(
         tree = dataclasses.replace(tree, branches=_named(tree.branches))
     if given is not None:
         tree = unnamed_where_doubted(tree)
-    # The names' own doubt, of a tree that does not look like a human one.
+    tree = with_size_note(tree)
+    # Doubts about the tree itself: it does not look like a human one, or its size was not calibrated.
     badges += tree.notes
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])

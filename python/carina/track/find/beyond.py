@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -76,14 +77,31 @@ class Beyond:
 
 
 def follow_beyond(
-    searched: Softened, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float, noise: float
+    searched: Softened,
+    lumen: NDArray[np.uint8],
+    scale: AirScale,
+    stage: Stages,
+    *,
+    air: float,
+    noise: float,
+    size: float = 1.0,
 ) -> Beyond:
-    """Follow the airways beyond the flooded ``lumen`` (1 inside, changed in place); the bar rises till it holds."""
+    """Follow the airways beyond the flooded ``lumen`` and raise the threshold until the search stays in the airways.
+
+    Parameters
+    ----------
+    lumen
+        (nz, ny, nx) uint8, 1 inside; changed in place.
+    size
+        Size of the chest relative to an adult one, above 0 and at most 1 (:func:`carina.track.find.size.search_size`).
+        Every length of the search is multiplied by ``size``, the blur of the scanner included: a larger blur would
+        accept strands of lung between vessels.
+    """
     stage.begin("tracing the small airways")
-    volume = searched.volume
+    volume = _in_adult_mm(searched.volume, size)
     most_hu = SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
     is_softened = searched.raised > 0.0
-    undershoot_hu = edge_undershoot_hu(volume, scale)
+    undershoot_hu = edge_undershoot_hu(searched.volume, scale)
     is_sharp = undershoot_hu is not None and undershoot_hu > most_hu
     least_rise = scale.span(LEAST_RISE_HU)
     if undershoot_hu is not None and is_sharp:
@@ -119,12 +137,12 @@ def follow_beyond(
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
     threads = [] if is_sharp or is_softened or ran_out else _thin(volume, lumen, scale, stage, air=air)
-    threads_lps = np.concatenate([np.empty((0, 3)), *(way["points_lps"] for way in threads)])
+    threads_lps = size * np.concatenate([np.empty((0, 3)), *(way["points_lps"] for way in threads)])
     followed = followed + threads
     notes = []
     if followed:
         notes.append(
-            f"{_length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were traced by the "
+            f"{size * _length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were traced by the "
             "shape of their walls where the lumen is no darker than the lung"
         )
     # What the CT shows, before it was softened.
@@ -148,6 +166,15 @@ def follow_beyond(
     kept = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps)
+
+
+def _in_adult_mm(volume: Volume, size: float) -> Volume:
+    """Return the volume with the distances that it would have in an adult chest; itself where ``size`` is 1."""
+    if size == 1.0:
+        return volume
+    larger = volume.lps_from_ijk.copy()
+    larger[:3] /= size
+    return dataclasses.replace(volume, lps_from_ijk=larger)
 
 
 def _thin(

@@ -21,6 +21,7 @@ from carina.track.names.shape import Bronchus, body_frame, bronchi_of, find_lung
 from carina.track.names.solve import Solution, Solver
 from carina.track.names.words import MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
 from carina.track.tree.airway_tree import AirwayTree
+from carina.track.tree.calibrated_size import with_limited_confidence
 
 __all__ = ["LetterRule", "NameWords", "branch_side_and_lobe", "name_tree", "name_words", "segment_readings"]
 
@@ -94,6 +95,8 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
         would be below 0.5 the name is None. Branches between which only a twig leaves share a name. ``variant`` says
         what is uncommon at a branch. Where the tree does not look like a human bronchial tree, its ``notes`` say so
         with what to check (``track.tree-unlike-human``), no segment is named, and no name has a confidence above 0.5.
+        Where its notes state that its size was not calibrated (``track.size-not-calibrated``), the confidence of
+        branches and names is limited.
         What was drawn without evidence (kind ``manual``), and what hangs on it, gets no
         name, and the others have those that they would have without it.
 
@@ -111,7 +114,7 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
     docs/decisions/0017.
     """
     seen, place_of = seen_part(tree)
-    named = _named_all(seen, letter_rule)
+    named = with_limited_confidence(_named_all(seen, letter_rule))
     return named if seen is tree else carried_names(tree, named, place_of)
 
 

@@ -14,7 +14,7 @@ from carina.commands.fields import AirwayPlace, Count, Part, PointLps
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = ["Uncertainty", "UncertaintyKind", "filled_place", "find_uncertain", "with_confidence"]
+__all__ = ["THREAD_SHARE", "Uncertainty", "UncertaintyKind", "filled_place", "find_uncertain", "with_confidence"]
 
 UncertaintyKind = Literal["blocked", "filled", "leak", "volume", "faint", "fine"]
 Points = NDArray[np.float64]
@@ -240,7 +240,14 @@ def _ends_at(branch: Branch, place: Uncertainty) -> bool:
     return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
 
 
-def with_confidence(volume: Volume, tree: AirwayTree, noise: float, threads_lps: Points | None = None) -> AirwayTree:
+def with_confidence(
+    volume: Volume,
+    tree: AirwayTree,
+    noise: float,
+    threads_lps: Points | None = None,
+    *,
+    thread_share: float = THREAD_SHARE,
+) -> AirwayTree:
     """Fill each branch's confidence that it is airway, from what the CT shows across it.
 
     Three things count, each from 0 to 1: the share of sides with wall; how far the wall rises above the lumen, over the
@@ -254,15 +261,19 @@ def with_confidence(volume: Volume, tree: AirwayTree, noise: float, threads_lps:
         Standard deviation of the values in the air of the trachea.
     threads_lps
         (n, 3) LPS mm, points along airways that were judged by more than this: the thinnest.
+    thread_share
+        Confidence of a branch along ``threads_lps`` whose own score is lower.
     """
     return dataclasses.replace(
-        tree, branches=tuple(_judged_with(volume, branch, noise, threads_lps) for branch in tree.branches)
+        tree, branches=tuple(_judged_with(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
     )
 
 
-def _judged_with(volume: Volume, branch: Branch, noise: float, threads_lps: Points | None) -> Branch:
+def _judged_with(
+    volume: Volume, branch: Branch, noise: float, threads_lps: Points | None, thread_share: float
+) -> Branch:
     own = judged(volume, branch, noise)
-    if threads_lps is None or own.confidence is None or own.confidence >= THREAD_SHARE:
+    if threads_lps is None or own.confidence is None or own.confidence >= thread_share:
         return own
     low, high = branch.points.min(axis=0) - NEAR_THREAD_MM, branch.points.max(axis=0) + NEAR_THREAD_MM
     near = threads_lps[((threads_lps >= low) & (threads_lps <= high)).all(axis=1)]
@@ -270,7 +281,7 @@ def _judged_with(volume: Volume, branch: Branch, noise: float, threads_lps: Poin
         return own
     apart_mm = np.linalg.norm(branch.points[:, None] - near[None], axis=2).min(axis=1)
     is_thread = float((apart_mm <= NEAR_THREAD_MM).mean()) >= 0.5
-    return dataclasses.replace(own, confidence=THREAD_SHARE) if is_thread else own
+    return dataclasses.replace(own, confidence=thread_share) if is_thread else own
 
 
 def judged(volume: Volume, branch: Branch, noise: float) -> Branch:

@@ -1,0 +1,53 @@
+"""Size of a chest relative to an adult one, measured on the trachea: the unit of the lengths of the search."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.tree.uncertain import THREAD_SHARE
+from carina.volume.model import Volume
+
+__all__ = ["ADULT_MM", "WIDE_PART", "search_size", "thread_confidence"]
+
+ADULT_MM = 16.0
+"""Trachea from which on the lengths of the search are those of an adult."""
+WIDE_PART = 75.0
+"""Percentile of the trachea's diameters: a stenosis along less than three quarters of the trachea does not count."""
+# The edge of a spot of air lies inside the wall by so much of a voxel (phantoms with voxels of 0.8 to 4 mm).
+EDGE_VOXELS = 0.5
+# A trachea of 4 mm is a newborn's.
+LEAST_SIZE = 0.25
+# The thinnest airways were verified in adult chests only: their confidence falls over so much of the size.
+THREAD_FALL = 0.04
+UNPROVEN_THREAD = 0.5
+
+
+def search_size(volume: Volume, diameters_mm: NDArray[np.float64]) -> float:
+    """Return the size of the chest relative to an adult one: 1 from a trachea of :data:`ADULT_MM` on, else less.
+
+    The search for small airways compares the lumen with the tissue within fixed distances. In a smaller chest the
+    neighbouring vessels lie within these distances and look like the wall of an airway.
+
+    Parameters
+    ----------
+    diameters_mm
+        (n,) equivalent diameter of the trachea in each of its slices.
+    """
+    if not len(diameters_mm):
+        return 1.0
+    voxel_mm = sorted(volume.spacing_mm)[1]
+    wide_mm = float(np.percentile(diameters_mm, WIDE_PART)) + EDGE_VOXELS * voxel_mm
+    return float(np.clip(wide_mm / ADULT_MM, LEAST_SIZE, 1.0))
+
+
+def thread_confidence(size: float) -> float:
+    """Return the confidence of the thinnest airways, which have no visible wall, in a chest of this size.
+
+    Examples
+    --------
+    >>> thread_confidence(1.0), thread_confidence(0.8)
+    (0.95, 0.5)
+    """
+    fall = min((1.0 - size) / THREAD_FALL, 1.0)
+    return round(THREAD_SHARE - (THREAD_SHARE - UNPROVEN_THREAD) * fall, 3)

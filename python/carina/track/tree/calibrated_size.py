@@ -1,0 +1,117 @@
+"""Range of trachea diameters on which confidence was calibrated, and the limit on confidence outside that range."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Note
+
+__all__ = [
+    "CALIBRATED_MM",
+    "UNCALIBRATED_SIZE",
+    "confidence_limit",
+    "limit_at",
+    "with_limited_confidence",
+    "with_size_note",
+]
+
+UNCALIBRATED_SIZE = "track.size-not-calibrated"
+"""Code of the lasting note of a tree whose trachea is outside the calibrated range."""
+CALIBRATED_MM = (12.0, 27.0)
+"""Diameters of the trachea in the CTs on which confidence was calibrated and verified (docs/decisions/0063)."""
+UNPROVEN = 0.5
+"""Highest confidence of a branch or a name far outside the calibrated range."""
+# The limit falls from 1 to UNPROVEN between the range and this share below or above it.
+FALL_SHARE = 0.2
+WIDE_PART = 75.0
+"""Percentile of the radius along a branch: a narrow place does not count."""
+MAIN_OF_TRACHEA = 0.77
+"""Root mean square diameter of the main bronchi over the diameter of the trachea (34 phantoms: 0.73 to 0.80)."""
+
+
+def limit_at(trachea_mm: float) -> float:
+    """Return the highest confidence that a branch may have with a trachea of this diameter: 0.5 to 1.
+
+    Examples
+    --------
+    >>> limit_at(18.0), round(limit_at(10.8), 2), limit_at(9.0)
+    (1.0, 0.75, 0.5)
+    """
+    low, high = CALIBRATED_MM
+    beyond = max(1.0 - trachea_mm / low, trachea_mm / high - 1.0, 0.0) / FALL_SHARE
+    return 1.0 - (1.0 - UNPROVEN) * min(beyond, 1.0)
+
+
+def _diameter_mm(tree: AirwayTree, name: str) -> float | None:
+    """Return the diameter that a quarter of the points with this name exceeds; None without such a branch."""
+    radii = [branch.radius for branch in tree.branches if branch.name == name]
+    return 2.0 * float(np.percentile(np.concatenate(radii), WIDE_PART)) if radii else None
+
+
+def _sizes_mm(tree: AirwayTree) -> tuple[float, ...]:
+    """Return the diameter of the trachea and the one that the main bronchi suggest; empty where no trachea is named."""
+    trachea = _diameter_mm(tree, "Trachea")
+    if trachea is None:
+        return ()
+    right, left = _diameter_mm(tree, "RMB"), _diameter_mm(tree, "LMB")
+    if right is None or left is None:
+        return (trachea,)
+    return trachea, math.sqrt(0.5 * (right**2 + left**2)) / MAIN_OF_TRACHEA
+
+
+def confidence_limit(tree: AirwayTree) -> float:
+    """Return the highest confidence that the tree's branches and names may have, 0.5 to 1.
+
+    The chest is outside the calibrated range only where the trachea and the main bronchi agree: a disease that narrows
+    or widens the trachea alone does not count.
+    """
+    sizes = _sizes_mm(tree)
+    return max(map(limit_at, sizes)) if sizes and _agree(sizes) else 1.0
+
+
+def _agree(sizes: tuple[float, ...]) -> bool:
+    low, high = CALIBRATED_MM
+    return all(size < low for size in sizes) or all(size > high for size in sizes)
+
+
+def _limited(branch: Branch, most: float) -> Branch:
+    sure, name_sure = branch.confidence, branch.name_confidence
+    return dataclasses.replace(
+        branch,
+        confidence=None if sure is None else min(sure, most),
+        name_confidence=None if name_sure is None else min(name_sure, most),
+    )
+
+
+def with_limited_confidence(tree: AirwayTree) -> AirwayTree:
+    """Return the tree with no confidence above its limit, if it has the note of :data:`UNCALIBRATED_SIZE`."""
+    if all(note.code != UNCALIBRATED_SIZE for note in tree.notes):
+        return tree
+    # An edit may have taken the trachea's name away: then nothing is proven.
+    most = round(confidence_limit(tree), 3) if _sizes_mm(tree) else UNPROVEN
+    return dataclasses.replace(tree, branches=tuple(_limited(branch, most) for branch in tree.branches))
+
+
+def with_size_note(tree: AirwayTree) -> AirwayTree:
+    """Return the tree with lower confidences and a lasting note, if its trachea is outside the calibrated range.
+
+    Parameters
+    ----------
+    tree
+        A tree with names. A tree without a named trachea has no size and is returned as it is.
+    """
+    most = confidence_limit(tree)
+    if most == 1.0:
+        return tree
+    low, high = CALIBRATED_MM
+    words = (
+        f"the trachea measures {_sizes_mm(tree)[0]:.1f} mm across; Carina's confidence was calibrated on "
+        f"{low:.0f} to {high:.0f} mm, so every confidence is limited to {100.0 * most:.0f} %. Check each branch on the "
+        "slices, and whether the scan has the correct voxel spacing"
+    )
+    notes = (*tree.notes, Note(UNCALIBRATED_SIZE, words, badge=True))
+    return with_limited_confidence(dataclasses.replace(tree, notes=notes))
