@@ -26,7 +26,7 @@ CALIBRATED_MM = (12.0, 27.0)
 UNPROVEN = 0.5
 """Highest confidence of a branch or a name far outside the calibrated range."""
 # The limit falls from 1 to UNPROVEN between the range and this share below or above it.
-FALL_SHARE = 0.2
+FALL_SHARE = 0.15
 WIDE_PART = 75.0
 """Percentile of the radius along a branch: a narrow place does not count."""
 MAIN_OF_TRACHEA = 0.77
@@ -38,7 +38,7 @@ def limit_at(trachea_mm: float) -> float:
 
     Examples
     --------
-    >>> limit_at(18.0), round(limit_at(10.8), 2), limit_at(9.0)
+    >>> limit_at(18.0), round(limit_at(11.1), 2), limit_at(9.0)
     (1.0, 0.75, 0.5)
     """
     low, high = CALIBRATED_MM
