@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from carina.display.printable import printable
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -35,13 +37,17 @@ __all__ = [
 
 
 class CarinaError(Exception):
-    """Root of all errors that Carina raises on purpose."""
+    """Root of all errors that Carina raises on purpose.
+
+    The message is one line that every encoder accepts: names of files may contain control characters and bytes that are
+    not UTF-8.
+    """
 
     code: str = "carina"
     exit_code: int = 1
 
     def __init__(self, message: str, *, code: str | None = None) -> None:
-        super().__init__(message)
+        super().__init__(printable(message))
         if code is not None:
             self.code = code
 

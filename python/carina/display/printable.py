@@ -1,0 +1,46 @@
+"""Text from files, file names and headers, made safe and short enough for a message."""
+
+from __future__ import annotations
+
+import re
+
+__all__ = ["MAX_VALUE_CHARS", "printable", "shown_value"]
+
+MAX_VALUE_CHARS = 80
+"""Longest part of a header value that a message quotes."""
+# C0 and C1 control characters, line and paragraph separators, direction overrides, and half surrogates: Python stores a
+# byte of a file name that is not UTF-8 as a half surrogate, which no encoder accepts.
+_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    """Return a text whose control characters and undecodable bytes are replaced by escapes such as ``\\xe9``.
+
+    Examples
+    --------
+    >>> printable("l\\udce9 1\\n2")
+    'l\\\\xe9 1\\\\x0a2'
+    """
+    return _UNSAFE.sub(_escape, text)
+
+
+def shown_value(value: str, max_chars: int = MAX_VALUE_CHARS) -> str:
+    """Return a value in quotation marks on one line, shortened in the middle if it is long.
+
+    Examples
+    --------
+    >>> shown_value("0,7 0,8 2")
+    "'0,7 0,8 2'"
+    """
+    text = printable(" ".join(value[: 20 * max_chars].split(" ")))
+    if len(value) > max_chars or len(text) > max_chars:
+        tail = printable(value[-max_chars // 4 :])[-max_chars // 4 :]
+        return f"'{text[: max_chars - len(tail)]}…{tail}' ({len(value)} characters)"
+    return f"'{text}'"
+
+
+def _escape(found: re.Match[str]) -> str:
+    code = ord(found[0])
+    if 0xDC80 <= code <= 0xDCFF:  # a byte 0x80 to 0xff of a name (PEP 383)
+        code -= 0xDC00
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
