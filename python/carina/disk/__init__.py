@@ -12,6 +12,7 @@ from carina.disk.drafts import (
     sync_folder,
     write_whole,
 )
+from carina.disk.library_paths import library_path
 from carina.disk.regular_files import (
     check_regular,
     open_regular,
@@ -31,6 +32,7 @@ __all__ = [
     "disk_trouble",
     "drafted",
     "is_disk_trouble",
+    "library_path",
     "make_folder",
     "open_regular",
     "open_regular_text",

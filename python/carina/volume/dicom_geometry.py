@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader
+from carina.volume.right_angles import MAX_LEAN_MM, MAX_SKEW_DEG
 
-__all__ = ["MAX_CORNER_SHIFT_MM", "MAX_TILT_DEG", "grid_from_slices"]
+__all__ = ["MAX_CORNER_SHIFT_MM", "grid_from_slices"]
 
-MAX_TILT_DEG = 0.2
 MAX_CORNER_SHIFT_MM = 0.1
 
 
@@ -148,7 +148,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     lean = positions[-1] - positions[0] - height * normal
     lean_mm = float(np.linalg.norm(lean))
     tilt_deg = math.degrees(math.atan2(lean_mm, height))
-    if tilt_deg > MAX_TILT_DEG and lean_mm > MAX_CORNER_SHIFT_MM:
+    if tilt_deg > MAX_SKEW_DEG and lean_mm > MAX_LEAN_MM:
         problem = (
             f"its slices are sheared by {tilt_deg:.1f} degrees (gantry tilt), a shift of {lean_mm:.1f} mm from the "
             "first to the last; expected a stack at right angles to its slices"

@@ -1,18 +1,30 @@
-"""What the header of a grid file claims, and the words in which a header is refused."""
+"""The contents of a grid file's header, the numbers in text headers, and the refusal of a header."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display.printable import printable, shown_value
 from carina.errors import VolumeImportError
 from carina.volume.model import Note
 
-__all__ = ["AMBIGUOUS", "GridHeader", "beside", "real", "refuse", "take_once", "whole"]
+__all__ = [
+    "AMBIGUOUS",
+    "GridHeader",
+    "HeaderValueError",
+    "beside",
+    "real",
+    "reals",
+    "refuse",
+    "take_once",
+    "whole",
+    "wholes",
+]
 
 AMBIGUOUS = (
     "open the DICOM series that it was made from, or convert that series again; saving this file again would only "
@@ -20,6 +32,17 @@ AMBIGUOUS = (
 )
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[0-9],[0-9]")
+_MAX_PROBLEM_CHARS = 400
+
+
+class HeaderValueError(ValueError):
+    """A field of a header whose value does not follow the format; the message names the field and the value."""
+
+    def __init__(self, name: str, expected: str, found: str) -> None:
+        comma = ", with a decimal point (a comma is not accepted)" if _DECIMAL_COMMA.search(found) else ""
+        given = shown_value(found) if found.strip() else "no value"
+        super().__init__(f"its {name} should be {expected}{comma}; found {given}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +63,12 @@ class GridHeader:
     """``gzip`` (the whole file or the stream at the offset), ``zlib`` or None."""
     stream_offset: int = 0
     """Where the compressed stream begins in the file."""
+    values_are_elsewhere: bool = False
+    """Whether the values are in another file than the header."""
+    file_is_gzipped: bool = False
+    """Whether the data file as a whole is packed by gzip around values that are compressed themselves."""
+    head: bytes = field(default=b"", repr=False)
+    """The header itself, unpacked, for the second library that reads it."""
     scaling: tuple[float, float] | None = None
     """Slope and intercept by which the numbers become values; None where they are the values."""
     notes: tuple[Note, ...] = ()
@@ -65,24 +94,64 @@ class GridHeader:
 
 
 def refuse(path: Path, problem: str, way_out: str, code: str) -> VolumeImportError:
-    """A refusal: what is wrong and what a person can do."""
-    return VolumeImportError(f"reading {path.name}: {problem}; {way_out}", code=code)
+    """Return a refusal that names the file, the problem (shortened if a header made it long) and the remedy."""
+    short = printable(problem)
+    if len(short) > _MAX_PROBLEM_CHARS:
+        short = f"{short[: _MAX_PROBLEM_CHARS - 1]}…"
+    return VolumeImportError(f"reading {path.name}: {short}; {way_out}", code=code)
 
 
-def whole(text: str) -> int:
-    """A whole number as formats write it; ``int`` also takes ``1_000`` and digits of other scripts."""
+def whole(text: str, name: str = "number") -> int:
+    """Return a whole number of the field ``name``; ``int`` also accepts ``1_000`` and digits of other scripts.
+
+    Raises
+    ------
+    HeaderValueError
+        If the text is not a whole number.
+    """
     if not _WHOLE.fullmatch(text.strip()):
-        msg = "not a whole number"
-        raise ValueError(msg)
+        raise HeaderValueError(name, "a whole number", text)
     return int(text)
 
 
-def real(text: str) -> float:
-    """A real number as formats write it."""
+def wholes(text: str, name: str) -> tuple[int, ...]:
+    """Return the whole numbers of the field ``name``, which are separated by white space.
+
+    Raises
+    ------
+    HeaderValueError
+        If one of them is not a whole number.
+    """
+    if not all(_WHOLE.fullmatch(part) for part in text.split()):
+        raise HeaderValueError(name, "whole numbers", text)
+    return tuple(int(part) for part in text.split())
+
+
+def real(text: str, name: str = "number") -> float:
+    """Return a real number of the field ``name``.
+
+    Raises
+    ------
+    HeaderValueError
+        If the text is not a number.
+    """
     if not _REAL.fullmatch(text.strip()):
-        msg = "not a number"
-        raise ValueError(msg)
+        raise HeaderValueError(name, "a number", text)
     return float(text)
+
+
+def reals(text: str, name: str, count: int) -> list[float]:
+    """Return the real numbers of the field ``name``, which are separated by white space.
+
+    Raises
+    ------
+    HeaderValueError
+        If there are not ``count`` numbers.
+    """
+    parts = text.split()
+    if len(parts) != count or not all(_REAL.fullmatch(part) for part in parts):
+        raise HeaderValueError(name, f"{count} numbers", text)
+    return [float(part) for part in parts]
 
 
 def take_once(path: Path, fields: dict[str, str], name: str, value: str) -> None:
@@ -94,7 +163,10 @@ def take_once(path: Path, fields: dict[str, str], name: str, value: str) -> None
         ``import.header.twice``.
     """
     if name in fields and fields[name] != value:
-        problem = f"its header contains {name[:40]!r} twice, as {fields[name][:60]!r} and as {value[:60]!r}"
+        problem = (
+            f"its header contains {shown_value(name, 40)} twice, as {shown_value(fields[name], 60)} and as "
+            f"{shown_value(value, 60)}"
+        )
         raise refuse(path, problem, "programs differ in which one they use; export it again", "import.header.twice")
     fields[name] = value
 
@@ -116,6 +188,6 @@ def beside(path: Path, name: str) -> Path:
         raise refuse(path, problem, "save the scan again, with both files in one folder", "import.elsewhere")
     found = path.parent / simple
     if not found.is_file():
-        problem = f"its values should be in {simple}, which is not in the same folder"
+        problem = f"its values should be in {shown_value(simple)}, which is not in the same folder"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
     return found

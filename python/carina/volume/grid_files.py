@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,14 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.disk import scratch_folder
+from carina.disk import library_path, scratch_folder
+from carina.display.printable import printable
 from carina.errors import VolumeImportError
 from carina.volume.dicom_streams import decoder_words
 from carina.volume.grid_headers import GridHeader, read_grid_header
 from carina.volume.grid_voxels import read_voxels
+from carina.volume.header_nifti import straightened_nifti_head
 from carina.volume.hu import judge_values, to_int16
 from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.padding import without_corner_padding
+from carina.volume.right_angles import skew_deg, straightened
 from carina.volume.watch import Watch
 
 __all__ = ["open_grid_file", "read_grid_array"]
@@ -28,48 +30,44 @@ _ITK_READERS = {"nifti": "NiftiImageIO", "nrrd": "NrrdImageIO", "metaimage": "Me
 _LIBRARY = re.compile(
     rb"Meta(?:Object|Image|IO|Command)|MET_|\bdefin(?:ed|ing)\b|nrrd|nifti|nii_|^\*\*|^\+\+|itk", re.IGNORECASE
 )
-_SUFFIXES = {"nifti": (".nii", ".nii.gz", ".hdr", ".hdr.gz"), "nrrd": (".nrrd", ".nhdr"), "metaimage": (".mha", ".mhd")}
+_LIBRARY_SKEW_DEG = 0.002
+"""ITK begins to refuse an sform at about ten times this angle."""
 
 
 @contextmanager
-def _with_known_suffix(path: Path, header: GridHeader) -> Iterator[Path]:
-    """The file under a name that the library accepts: some programs write a NIfTI as ``mask.gz``."""
-    suffixes = _SUFFIXES[header.format]
-    if path.name.endswith(suffixes):
-        yield path
-        return
-    detached = header.data_path != path
-    if header.format == "nifti":
-        suffix = ".hdr" if detached else ".nii.gz" if header.compression else ".nii"
-    else:
-        suffix = suffixes[1 if detached else 0]
+def _library_copy(header: GridHeader, head: bytes) -> Iterator[Path]:
+    """Yield a private copy of a header, without values, under a name that the library accepts.
+
+    So the library reads neither the user's path nor a wrong suffix, and does not unpack the values.
+    """
+    # The NIfTI library and teem look for the file of the values, but do not read it.
+    stand_in: str | None = None
+    suffix = {"nifti": ".nii", "nrrd": ".nrrd", "metaimage": ".mha"}[header.format]
+    if header.format == "nifti" and head[344:347] == b"ni1":
+        suffix, stand_in = ".hdr", "carina-header.img"
+    elif header.format == "nrrd" and header.values_are_elsewhere:
+        suffix, stand_in = ".nhdr", header.data_path.name
     with scratch_folder() as folder:
-        named = folder / f"volume{suffix}"
-        links = {named: path}
-        if detached:
-            paired = f"volume.img{'.gz' if header.compression else ''}"
-            links[named.with_name(paired if header.format == "nifti" else header.data_path.name)] = header.data_path
-        for link, file in links.items():
-            try:
-                link.symlink_to(file.resolve())
-            except OSError:  # no links for ordinary users on Windows
-                shutil.copyfile(file, link)
+        named = folder / f"carina-header{suffix}"
+        # NIfTI: four bytes that say that no extension follows.
+        named.write_bytes(head + bytes(4) if suffix == ".nii" else head)
+        if stand_in is not None:
+            (folder / stand_in).touch()
         yield named
 
 
-def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
-    """Where the library places the voxels, LPS mm, from its own reading of the header."""
+def _library_grid(path: Path, header: GridHeader, head: bytes) -> NDArray[np.float64]:
+    """Return the place of the voxels as a second library reads the header, LPS mm."""
     import SimpleITK as sitk  # slow to load, and the types of a volume do not need it
 
     reader = sitk.ImageFileReader()
     reader.SetImageIO(_ITK_READERS[header.format])
     shown = sitk.ProcessObject.GetGlobalWarningDisplay()
-    # ITK and what it calls write straight to stderr, in their own words; what matters of them is checked here and said
-    # in ours.
+    # ITK and the libraries below it write to stderr; Carina's own checks and messages replace that output.
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     try:
-        with _with_known_suffix(path, header) as named:
-            reader.SetFileName(str(named))
+        with _library_copy(header, head) as copy, library_path(copy) as name:
+            reader.SetFileName(name)
             with decoder_words(_LIBRARY):
                 reader.ReadImageInformation()
     except (RuntimeError, MemoryError):
@@ -95,7 +93,11 @@ def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
 
 
 def _check_agreement(path: Path, header: GridHeader) -> None:
-    ours, theirs = header.lps_from_ijk, _library_grid(path, header)
+    ours, head = header.lps_from_ijk, header.head
+    if header.format == "nifti" and skew_deg(ours) > _LIBRARY_SKEW_DEG:
+        # ITK accepts no sform off right angles: it reads the straightened one, and is compared with that.
+        ours, head = straightened(ours), straightened_nifti_head(head)
+    theirs = _library_grid(path, header, head)
     ni, nj, nk = (n - 1 for n in header.shape_ijk)
     corners = np.array([[i, j, k, 1.0] for i in (0, ni) for j in (0, nj) for k in (0, nk)], dtype=np.float64)
     apart_mm = float(np.linalg.norm(corners @ (ours - theirs).T, axis=1).max())
@@ -165,5 +167,5 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
         header.lps_from_ijk,
         is_hu=reason is None,
         not_hu_reason=reason,
-        source=VolumeSource(format=format, title=path.name, notes=notes + converted.notes + padding),
+        source=VolumeSource(format=format, title=printable(path.name), notes=notes + converted.notes + padding),
     )

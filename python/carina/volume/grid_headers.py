@@ -12,44 +12,66 @@ from pathlib import Path
 
 import numpy as np
 
-from carina.volume.grid_claim import GridHeader, refuse
+from carina.display.printable import shown_value
+from carina.volume.grid_claim import GridHeader, HeaderValueError, refuse
 from carina.volume.header_metaimage import read_metaimage_header
 from carina.volume.header_nifti import read_nifti_header
 from carina.volume.header_nrrd import read_nrrd_header
 from carina.volume.model import SPACING_MM
+from carina.volume.right_angles import has_right_angles, skew_deg
 from carina.volume.unpacking import Unpacker
 
 __all__ = ["GridHeader", "read_grid_header", "sniff_format"]
 
+_GZIP = b"\x1f\x8b"
+_MAX_TEXT_HEADER_BYTES = 1 << 20
+_OTHER_FORMATS = {
+    b"%PDF": "pdf",
+    b"PK\x03\x04": "zip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\x00": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+}
 
-def _head(path: Path, num_bytes: int) -> bytes:
+
+def _head(path: Path, num_bytes: int) -> tuple[bytes, bool]:
+    """Return the first bytes of a file, unpacked, and whether the file is packed by gzip."""
     with path.open("rb") as file:
         raw = file.read(num_bytes)
-        if raw[:2] != b"\x1f\x8b":
-            return raw
+        if raw[:2] != _GZIP:
+            return raw, False
         file.seek(0)
-        head = b""
+        head = bytearray()
         try:
-            for piece in Unpacker(file, "gzip", chunk_bytes=64):
+            for piece in Unpacker(file, "gzip", chunk_bytes=max(64, num_bytes >> 8)):
                 head += piece
                 if len(head) >= num_bytes:
                     break
         except ValueError:
             pass  # where the stream is damaged further on, its beginning still says what it is
-    return head[:num_bytes]
+    return bytes(head[:num_bytes]), True
 
 
 def sniff_format(path: Path) -> str | None:
-    """``nifti``, ``nrrd``, ``metaimage``, ``pdf``, ``zip`` or None, from the first bytes and never from the name."""
-    head = _head(path, 4096)
+    """Return the format of a file from its first bytes, never from its name; None if they match no known format.
+
+    ``nifti``, ``nrrd`` and ``metaimage`` can be read, packed by gzip or not. The others are named for messages:
+    ``pdf``, ``zip``, ``bzip2``, ``xz``, ``zstd``, ``gzip twice``, ``gzip dicom`` and ``gzip tar`` (an archive).
+    """
+    head, gzipped = _head(path, 4096)
+    for start, name in _OTHER_FORMATS.items():
+        if head.startswith(start):
+            return name
     if head[:4] == b"NRRD":
         return "nrrd"
-    if head[:4] == b"%PDF":
-        return "pdf"
-    if head[:4] == b"PK\x03\x04":
-        return "zip"
     if head[:4] in (struct.pack("<i", 348), struct.pack(">i", 348), struct.pack("<i", 540), struct.pack(">i", 540)):
         return "nifti"
+    if gzipped and head[:2] == _GZIP:
+        return "gzip twice"
+    if gzipped and head[128:132] == b"DICM":
+        return "gzip dicom"
+    if gzipped and head[257:262] == b"ustar":
+        return "gzip tar"
     if b"ElementDataFile" in head or head.lstrip()[:10] in (b"ObjectType", b"NDims = 3\n"):
         return "metaimage"
     return None
@@ -67,7 +89,12 @@ def read_grid_header(path: Path, format: str) -> GridHeader:  # noqa: A002 - the
     """
     try:
         header = _read(path, format)
-    except (ValueError, IndexError, KeyError, struct.error, UnicodeError, OverflowError) as error:
+    except HeaderValueError as error:
+        raise refuse(path, str(error), "correct the header, or export it again", "import.header") from None
+    except KeyError as error:
+        problem = f"its {format} header has no field {shown_value(str(error.args[0]), 40)}"
+        raise refuse(path, problem, "correct the header, or export it again", "import.header") from None
+    except (ValueError, IndexError, struct.error, OverflowError) as error:
         problem = f"its {format} header does not follow the format ({type(error).__name__})"
         raise refuse(
             path, problem, "the file is damaged or not of this format; export it again", "import.header"
@@ -78,8 +105,10 @@ def read_grid_header(path: Path, format: str) -> GridHeader:  # noqa: A002 - the
 
 def _read(path: Path, format: str) -> GridHeader:  # noqa: A002 - the word of the field
     if format == "nifti":
-        return read_nifti_header(path, _head(path, 1024))
-    return read_nrrd_header(path) if format == "nrrd" else read_metaimage_header(path)
+        return read_nifti_header(path, _head(path, 1024)[0])
+    text, gzipped = _head(path, _MAX_TEXT_HEADER_BYTES)
+    read = read_nrrd_header if format == "nrrd" else read_metaimage_header
+    return read(path, text, gzipped=gzipped)
 
 
 def _check(path: Path, header: GridHeader) -> None:
@@ -99,11 +128,9 @@ def _check(path: Path, header: GridHeader) -> None:
         found = ", ".join(f"{s:g}" for s in spacing)
         problem = f"its voxel spacing should be between {SPACING_MM[0]:g} and {SPACING_MM[1]:g} mm; found {found} mm"
         raise refuse(path, problem, "export it again with its spacing, in mm", "import.geometry.spacing")
-    cosines = (columns / spacing).T @ (columns / spacing)
-    skew_deg = float(np.degrees(np.arcsin(min(1.0, np.abs(cosines - np.eye(3)).max()))))
-    if skew_deg > 0.2:  # as for the tilt of a DICOM series
+    if not has_right_angles(header.lps_from_ijk, header.shape_ijk):
         problem = (
-            f"its axes are sheared: two of them meet at {90 - skew_deg:.1f} instead of 90 degrees "
+            f"its axes are sheared: two of them meet at {90 - skew_deg(header.lps_from_ijk):.1f} instead of 90 degrees "
             "(possibly an uncorrected gantry tilt)"
         )
         raise refuse(path, problem, "resample it to a rectangular grid first", "import.geometry.sheared")

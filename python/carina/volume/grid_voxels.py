@@ -7,6 +7,7 @@ file alone, and takes twice the memory.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from carina.errors import VolumeImportError
 from carina.volume.grid_claim import GridHeader
 from carina.volume.limits import MAX_VOXELS
 from carina.volume.model import Note
-from carina.volume.unpacking import Unpacker
+from carina.volume.unpacking import Readable, UnpackedFile, Unpacker
 from carina.volume.watch import Watch
 
 __all__ = ["read_voxels"]
@@ -23,6 +24,7 @@ __all__ = ["read_voxels"]
 _CHUNK_BYTES = 1 << 23
 _MAX_RATIO = 1100  # deflate packs at most 1032 to 1
 _READING = "Reading the voxels"
+_GZIP_DEFLATE = b"\x1f\x8b\x08"
 
 
 def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.generic], tuple[Note, ...]]:
@@ -76,7 +78,12 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     extra = size - begin - needed
     if begin < 0 or extra < 0:
         # Found before anything of that size is allocated.
-        raise _lying(path, header, f"the file contains {size if begin < 0 else max(0, size - begin)} bytes")
+        found = f"the file contains {size if begin < 0 else max(0, size - begin)} bytes"
+        with header.data_path.open("rb") as file:
+            file.seek(max(0, begin))
+            if file.read(3) == _GZIP_DEFLATE:
+                found += ", which look compressed by gzip although the header does not state it"
+        raise _lying(path, header, found)
     out = np.empty(needed, dtype=np.uint8)
     place = out.data
     with header.data_path.open("rb", buffering=0) as file:
@@ -93,17 +100,17 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
 
 def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
     size, needed = header.data_path.stat().st_size, header.num_bytes
-    if header.data_offset + needed > _MAX_RATIO * size:
+    layers = 2 if header.file_is_gzipped else 1
+    if header.data_offset + needed > _MAX_RATIO**layers * size:
         raise _lying(path, header, f"the compressed file has only {size} bytes")
     # The system gives memory page by page as it is filled, so a claim alone takes none.
     out = np.empty(needed, dtype=np.uint8)
     most = header.data_offset + needed + max(needed, 1 << 26)  # much more behind it is a bomb
     total = 0
     with header.data_path.open("rb") as file:
-        file.seek(header.stream_offset)
-        stream = Unpacker(file, header.compression or "")
         watch.step(_READING, 0.0)
         try:
+            stream = Unpacker(_at_stream(file, header), header.compression or "")
             for piece in stream:
                 at = total - header.data_offset
                 total += len(piece)
@@ -119,6 +126,23 @@ def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[
     if total < header.data_offset + needed:
         raise _lying(path, header, f"the data unpacks to {max(0, total - header.data_offset)} bytes")
     return out, total - header.data_offset - needed + stream.trailing_bytes
+
+
+def _at_stream(file: BinaryIO, header: GridHeader) -> Readable:
+    """Return the data file at the beginning of the compressed values.
+
+    Raises
+    ------
+    ValueError
+        If gzip packs the file as a whole and is damaged.
+    """
+    if not header.file_is_gzipped:
+        file.seek(header.stream_offset)
+        return file
+    unpacked, skip = UnpackedFile(file), header.stream_offset
+    while skip > 0 and (piece := unpacked.read(skip)):
+        skip -= len(piece)
+    return unpacked
 
 
 def _scaled(values: NDArray[np.generic], slope: float, intercept: float) -> NDArray[np.generic]:

@@ -7,12 +7,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.volume.grid_claim import GridHeader, beside, real, refuse, take_once, whole
+from carina.display.printable import shown_value
+from carina.volume.grid_claim import (
+    GridHeader,
+    HeaderValueError,
+    beside,
+    real,
+    reals,
+    refuse,
+    take_once,
+    whole,
+    wholes,
+)
 from carina.volume.model import Note
 
 __all__ = ["read_metaimage_header"]
 
-_MAX_TEXT_HEADER_BYTES = 1 << 20
 _KINDS = {
     "MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4", "MET_UINT": "u4",
     "MET_LONG": "i4", "MET_ULONG": "u4", "MET_LONG_LONG": "i8", "MET_ULONG_LONG": "u8", "MET_FLOAT": "f4",
@@ -24,24 +34,33 @@ _ORIGINS = ("offset", "position", "origin")
 _FROM_LETTERS = ("RL", "AP", "IS")  # AnatomicalOrientation names where an axis comes from
 
 
-def read_metaimage_header(path: Path) -> GridHeader:
-    """The header of one file; ValueError and KeyError where it does not follow the format.
+def read_metaimage_header(path: Path, text: bytes, *, gzipped: bool) -> GridHeader:
+    """Return the header of one file; ValueError and KeyError where it does not follow the format.
+
+    Parameters
+    ----------
+    path
+        The file.
+    text
+        Its first bytes, unpacked.
+    gzipped
+        Whether gzip packs the file as a whole.
 
     Raises
     ------
     VolumeImportError
         See ``read_grid_header``.
     """
-    fields, at = _fields(path)
-    num_axes = whole(fields["ndims"])
-    shape = tuple(whole(n) for n in fields["dimsize"].split())
+    fields, at = _fields(path, text)
+    num_axes = whole(_given(fields, "NDims"), "NDims")
+    shape = wholes(_given(fields, "DimSize"), "DimSize")
     if len(shape) != num_axes:
-        raise ValueError
-    kind = fields["elementtype"].upper()
+        raise HeaderValueError("DimSize", f"{num_axes} whole numbers", fields["dimsize"])
+    kind = _given(fields, "ElementType").upper()
     if kind not in _KINDS:
-        problem = f"it has the type {kind}, which is not supported"
+        problem = f"it has the type {shown_value(kind)}, which is not supported"
         raise refuse(path, problem, "save it again as 16-bit numbers", "import.not-supported")
-    if not _truth(fields, "binarydata", default=True):
+    if not _truth(fields, "BinaryData", default=True):
         problem = "its values are written as text, which is not supported"
         raise refuse(path, problem, "save it again in binary", "import.not-supported")
     _refuse_what_others_ignore(path, fields)
@@ -49,33 +68,48 @@ def read_metaimage_header(path: Path) -> GridHeader:
     data_name = fields["elementdatafile"]
     local = data_name.upper() == "LOCAL"
     data_path = path if local else beside(path, data_name)
+    gzipped = gzipped and local
     begin = at if local else 0
-    compressed = _truth(fields, "compresseddata", default=False)
-    packed_bytes = whole(fields.get("compresseddatasize", "0"))
-    if compressed and packed_bytes not in (0, data_path.stat().st_size - begin):
-        raise ValueError
-    header_size = whole(fields.get("headersize", "0"))
+    compressed = _truth(fields, "CompressedData", default=False)
+    packed_bytes = whole(fields.get("compresseddatasize", "0"), "CompressedDataSize")
+    stored_bytes = data_path.stat().st_size - begin
+    if compressed and not gzipped and packed_bytes not in (0, stored_bytes):
+        raise HeaderValueError("CompressedDataSize", f"{stored_bytes} (the bytes in the file)", str(packed_bytes))
+    header_size = whole(fields.get("headersize", "0"), "HeaderSize")
+    if header_size == -1 and gzipped:
+        problem = "it is compressed as a whole, and its header counts the data from the end of the file"
+        raise refuse(path, problem, "unpack it with gunzip and open the result", "import.not-supported")
     if header_size < -1 or (header_size != 0 and compressed) or (header_size > 0 and local):
-        raise ValueError  # with LOCAL programs differ in where it is counted from
+        # With LOCAL, programs count HeaderSize from different places.
+        raise HeaderValueError("HeaderSize", "0 (or -1 for uncompressed data)", str(header_size))
     lps_from_ijk = _transform(path, fields, num_axes)
     return GridHeader(
         format="metaimage",
         shape_ijk=shape,
-        num_components=whole(fields.get("elementnumberofchannels", "1")),
+        num_components=whole(fields.get("elementnumberofchannels", "1"), "ElementNumberOfChannels"),
         dtype=np.dtype(_order(path, fields) + _KINDS[kind]),
         lps_from_ijk=lps_from_ijk,
         data_path=data_path,
         data_offset=0 if compressed else (-1 if header_size == -1 else begin + header_size),
-        compression="zlib" if compressed else None,
-        stream_offset=begin,
+        compression="zlib" if compressed else "gzip" if gzipped else None,
+        stream_offset=begin if compressed or not gzipped else 0,
+        values_are_elsewhere=not local,
+        file_is_gzipped=gzipped and compressed,
+        head=text[:at],
         notes=_notes(fields, lps_from_ijk),
     )
 
 
-def _fields(path: Path) -> tuple[dict[str, str], int]:
-    """The fields to ElementDataFile, and where the text ends."""
-    with path.open("rb") as file:
-        text = file.read(_MAX_TEXT_HEADER_BYTES)
+def _given(fields: dict[str, str], name: str) -> str:
+    """Return the value of a required field; KeyError with the spelling of the format if the field is missing."""
+    try:
+        return fields[name.lower()]
+    except KeyError:
+        raise KeyError(name) from None
+
+
+def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int]:
+    """Return the fields to ElementDataFile, and where the text ends."""
     fields: dict[str, str] = {}
     at = 0
     while True:
@@ -85,19 +119,20 @@ def _fields(path: Path) -> tuple[dict[str, str], int]:
         name, equals, value = line.partition("=")
         name = name.strip().lower()
         if "ndims" not in fields and name in ("dimsize", "elementspacing", "elementsize"):
-            raise ValueError  # lists cannot be read before their length is known
+            # Lists cannot be read before their length is known.
+            raise HeaderValueError("first list of numbers", "behind NDims", f"{name} before NDims")
         if equals and name != "comment":
             take_once(path, fields, name, value.strip())
         if name == "elementdatafile":
             return fields, at
         if line_end < 0:
-            raise ValueError
+            raise KeyError("ElementDataFile")
 
 
 def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default: str) -> str:
     """The value of fields that mean the same; refused where two of them differ."""
     given = {name: fields[name] for name in names if name in fields}
-    values = {tuple(real(number) for number in text.split()) for text in given.values()}
+    values = {tuple(real(number, name) for number in text.split()) for name, text in given.items()}
     if len(values) > 1:
         problem = f"its {' and '.join(given)} contradict each other"
         way_out = "programs differ in which one they use; export it again"
@@ -106,12 +141,17 @@ def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default:
 
 
 def _truth(fields: dict[str, str], name: str, *, default: bool) -> bool:
-    return _TRUTH[fields[name].lower()] if name in fields else default
+    text = fields.get(name.lower())
+    if text is None:
+        return default
+    if text.lower() not in _TRUTH:
+        raise HeaderValueError(name, "True or False", text)
+    return _TRUTH[text.lower()]
 
 
 def _order(path: Path, fields: dict[str, str]) -> str:
-    names = ("binarydatabyteordermsb", "elementbyteordermsb")
-    said = {_truth(fields, name, default=False) for name in names if name in fields}
+    names = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
+    said = {_truth(fields, name, default=False) for name in names if name.lower() in fields}
     if len(said) > 1:
         problem = "its BinaryDataByteOrderMSB and its ElementByteOrderMSB contradict each other"
         raise refuse(path, problem, "its byte order is unknown; export it again", "import.header")
@@ -120,14 +160,14 @@ def _order(path: Path, fields: dict[str, str]) -> str:
 
 def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:
     """Scaling and units that some programs apply and others do not read: no reading of such a file is the right one."""
-    slope = real(fields.get("elementtointensityfunctionslope", "1"))
-    shift = real(fields.get("elementtointensityfunctionoffset", "0"))
+    slope = real(fields.get("elementtointensityfunctionslope", "1"), "ElementToIntensityFunctionSlope")
+    shift = real(fields.get("elementtointensityfunctionoffset", "0"), "ElementToIntensityFunctionOffset")
     if (slope, shift) != (1.0, 0.0):
         problem = f"its header scales its values by {slope:g} and shifts them by {shift:g}, which is not supported"
         raise refuse(path, problem, "save it again with its final values", "import.not-supported")
     unit = fields.get("distanceunits", "mm").lower()
     if unit not in ("mm", "?", ""):
-        problem = f"its unit is {unit[:20]}, which is not supported"
+        problem = f"its unit is {shown_value(unit)}, which is not supported"
         raise refuse(path, problem, "save it again in mm", "import.not-supported")
 
 
@@ -144,7 +184,9 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
             axis = int(np.argmax(np.abs(column)))
             expected = _FROM_LETTERS[axis][0 if column[axis] > 0 else 1]
             if abs(column[axis]) > 0.8 and letter in "RLAPIS" and letter != expected:
-                words = f"its AnatomicalOrientation ({letters}) contradicts its TransformMatrix; the matrix was used"
+                words = (
+                    f"its AnatomicalOrientation ({letters[:8]}) contradicts its TransformMatrix; the matrix was used"
+                )
                 notes.append(Note("import.orientation-doubted", words, badge=True))
                 break
     if not any(name in fields for name in _ORIGINS):
@@ -157,11 +199,12 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
 
 
 def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.float64]:
-    spacing = [real(v) for v in fields.get("elementspacing", fields.get("elementsize", "")).split()]
-    if len(spacing) != num_axes:
+    name = "ElementSpacing" if "elementspacing" in fields else "ElementSize"
+    if name.lower() not in fields:
         raise refuse(path, "it has no ElementSpacing", "export it again with its spacing", "import.geometry.spacing")
+    spacing = reals(fields[name.lower()], name, num_axes)
     if not all(distance > 0 for distance in spacing):  # also for NaN; a negative one would mirror the patient
-        problem = f"its ElementSpacing should be positive numbers in mm; found {fields.get('elementspacing')}"
+        problem = f"its {name} should be positive numbers in mm; found {shown_value(fields[name.lower()])}"
         raise refuse(path, problem, "export it again with its spacing", "import.geometry.spacing")
     matrix = np.eye(4)
     if num_axes != 3:
@@ -169,12 +212,12 @@ def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.
     # Each row of three numbers is the direction of one axis; the world is LPS.
     turn = _one_of(path, fields, _TURNS, "1 0 0 0 1 0 0 0 1")
     origin = _one_of(path, fields, _ORIGINS, "0 0 0")
-    directions = np.array([real(v) for v in turn.split()]).reshape(3, 3)
+    directions = np.array(reals(turn, "TransformMatrix", 9)).reshape(3, 3)
     lengths = np.linalg.norm(directions, axis=1)
     if not (np.abs(lengths - 1.0) < 0.01).all():  # three digits, as some programs write, are off by 0.001
         found = ", ".join(f"{length:g}" for length in lengths)
         problem = f"the directions in its TransformMatrix should have length 1; found {found}"
         raise refuse(path, problem, "export it again, with its spacing in ElementSpacing", "import.geometry.ambiguous")
     matrix[:3, :3] = directions.T * spacing
-    matrix[:3, 3] = [real(v) for v in origin.split()]
+    matrix[:3, 3] = reals(origin, "Offset", 3)
     return matrix

@@ -1,23 +1,26 @@
-"""NIfTI-1 headers, by the letter of nifti1.h."""
+"""NIfTI-1 headers as nifti1.h defines them."""
 
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.volume.grid_claim import AMBIGUOUS, GridHeader, refuse
+from carina.volume.grid_claim import AMBIGUOUS, GridHeader, HeaderValueError, refuse
 from carina.volume.model import Note
+from carina.volume.right_angles import has_right_angles, straightened
 
-__all__ = ["data_files", "read_nifti_header"]
+__all__ = ["data_files", "read_nifti_header", "straightened_nifti_head"]
 
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _KINDS = {
     2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
 }  # fmt: skip
 _OTHER_KINDS = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 2048: "complex", 1: "1-bit"}
+_SAME_FORM = 0.1  # of a voxel: sform and qform of one grid differ by rounding
 _SMALLEST_OFFSET = 352  # of the values in a single file: 348 bytes of header and 4 that say whether more follow
 
 
@@ -47,7 +50,7 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
     pixdim = struct.unpack_from(f"{order}8f", head, 76)
     offset, slope, intercept = struct.unpack_from(f"{order}3f", head, 108)
     if not 1 <= dim[0] <= 7:
-        raise ValueError
+        raise HeaderValueError("dim[0] (the number of axes)", "1 to 7", str(dim[0]))
     shape = dim[1 : dim[0] + 1]
     while len(shape) > 3 and shape[-1] == 1:  # trailing axes of one entry are written by many programs
         shape = shape[:-1]
@@ -60,14 +63,14 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
     if bits not in (0, 8 * dtype.itemsize):
         problem = f"its values have {8 * dtype.itemsize} bits according to datatype but {bits} according to bitpix"
         raise refuse(path, problem, "one of them is wrong; export it again", "import.header")
-    data_path, gzipped = _data_file(path, single=magic[:2] == b"n+")
+    data_path = _data_file(path, single=magic[:2] == b"n+")
     # For a single file this also finds 0, which means "behind the header" to one program and "at 348" to another.
     lowest = _SMALLEST_OFFSET if data_path == path else 0
     if not np.isfinite(offset) or offset < lowest or offset != int(offset):
         problem = f"its values should begin at byte {lowest} or later, but vox_offset is {offset:g}"
         raise refuse(path, problem, "the header is damaged; export it again", "import.header.offset")
     scaling, notes = _scaling(path, slope, intercept)
-    return GridHeader(
+    header = GridHeader(
         format="nifti",
         shape_ijk=tuple(int(n) for n in shape),
         num_components=1,
@@ -75,10 +78,13 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
         lps_from_ijk=_place(path, head, order, shape, pixdim),
         data_path=data_path,
         data_offset=int(offset),
-        compression="gzip" if gzipped else None,
+        compression=None,
+        values_are_elsewhere=data_path != path,
         scaling=scaling,
+        head=head[:348],
         notes=notes,
     )
+    return replace(header, compression="gzip") if _is_gzipped(path, header) else header
 
 
 def _scaling(path: Path, slope: float, intercept: float) -> tuple[tuple[float, float] | None, tuple[Note, ...]]:
@@ -100,18 +106,25 @@ def data_files(path: Path) -> list[Path]:
     return [stem.with_suffix(suffix) for suffix in (".img", ".img.gz", ".IMG", ".IMG.GZ")]
 
 
-def _data_file(path: Path, *, single: bool) -> tuple[Path, bool]:
-    """Where the values are, and whether they are packed by gzip."""
-    with path.open("rb") as file:
-        gzipped = file.read(2) == b"\x1f\x8b"
+def _data_file(path: Path, *, single: bool) -> Path:
+    """Return the file that contains the values."""
     if single:
-        return path, gzipped
+        return path
     siblings = data_files(path)
     found = next((candidate for candidate in siblings if candidate.is_file()), None)
     if found is None:
         problem = f"its values should be in {siblings[0].name}, which is not in the same folder"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
-    return found, found.suffix.lower() == ".gz"
+    return found
+
+
+def _is_gzipped(path: Path, header: GridHeader) -> bool:
+    """Return whether gzip packs the file of the values, whatever its name is."""
+    with header.data_path.open("rb") as file:
+        packed = file.read(3) == b"\x1f\x8b\x08"
+    # Values of a file without a header may begin with these bytes; a file of exactly their size is not packed.
+    whole = header.values_are_elsewhere and header.data_path.stat().st_size == header.data_offset + header.num_bytes
+    return packed and not whole
 
 
 def _place(
@@ -120,7 +133,7 @@ def _place(
     qform, sform = struct.unpack_from(f"{order}2h", head, 252)
     scale = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}.get(head[123] & 7)
     if scale is None:
-        raise ValueError
+        raise HeaderValueError("unit of length (xyzt_units)", "0 to 3", str(head[123] & 7))
     forms = []
     if sform > 0:
         rows = struct.unpack_from(f"{order}12f", head, 280)
@@ -130,24 +143,67 @@ def _place(
     if not forms:
         problem = "neither its qform nor its sform is set, so left and right are unknown"
         raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
+    _refuse_two_handed_pixdim(path, pixdim, qform_alone=sform <= 0)
     lps = [_RAS_TO_LPS @ np.diag([scale, scale, scale, 1.0]) @ form for form in forms]
     if len(lps) == 2 and len(shape) == 3 and np.isfinite(lps[0]).all() and np.isfinite(lps[1]).all():
-        # The sheared kind is named by the caller; here both are straight grids in different places.
-        corners = np.array([[i, j, k, 1.0] for i in (0, shape[0]) for j in (0, shape[1]) for k in (0, shape[2])])
-        apart = np.linalg.norm(corners @ (lps[0] - lps[1]).T, axis=1).max()
-        smallest = np.linalg.norm(lps[1][:3, :3], axis=0).min()
-        if apart > 0.1 * smallest and _is_straight(lps[0]):
-            problem = f"its qform and sform disagree by up to {apart:.2f} mm about where the voxels are"
+        # The caller refuses a sheared sform; here both forms are rectangular grids.
+        apart_mm = min(_apart_mm(lps[0], lps[1], shape), _apart_mm(_straight(lps[0]), lps[1], shape))
+        smallest_mm = np.linalg.norm(lps[1][:3, :3], axis=0).min()
+        if apart_mm > _SAME_FORM * smallest_mm and _is_rectangular(lps[0], shape):
+            problem = f"its qform and sform disagree by up to {apart_mm:.2f} mm about where the voxels are"
             raise refuse(path, problem, "save it again with only one of them", "import.geometry.ambiguous")
     return np.asarray(lps[0], dtype=np.float64)
 
 
-def _is_straight(lps_from_ijk: NDArray[np.float64]) -> bool:
-    columns = lps_from_ijk[:3, :3]
-    lengths = np.linalg.norm(columns, axis=0)
-    if lengths.min() == 0:
-        return False
-    return bool(np.abs((columns / lengths).T @ (columns / lengths) - np.eye(3)).max() < 3.5e-3)  # sin 0.2 degrees
+def _refuse_two_handed_pixdim(path: Path, pixdim: tuple[float, ...], *, qform_alone: bool) -> None:
+    """Refuse signs of pixdim that programs read in different ways, so that one of them mirrors the patient.
+
+    nifti1.h: pixdim[1..3] are positive, and pixdim[0] (qfac) is -1 or 1; 0 means 1. The NIfTI library multiplies by a
+    negative pixdim[1..3] and takes any negative qfac for -1; nibabel takes the magnitude and 1.
+    """
+    negative = [axis for axis in (1, 2, 3) if pixdim[axis] < 0]
+    if negative:
+        axis = negative[0]
+        problem = (
+            f"its pixdim[{axis}] is {pixdim[axis]:g}, but a voxel spacing should be positive; some programs mirror the "
+            "image and others ignore the sign, so left and right are unknown"
+        )
+        raise refuse(path, problem, AMBIGUOUS, "import.geometry.ambiguous")
+    # An sform is complete without qfac.
+    if qform_alone and not (pixdim[0] >= 0 or pixdim[0] == -1):
+        problem = (
+            f"its pixdim[0] (qfac) is {pixdim[0]:g}, but it should be 1 or -1; some programs mirror the image and "
+            "others ignore the sign, so left and right are unknown"
+        )
+        raise refuse(path, problem, AMBIGUOUS, "import.geometry.ambiguous")
+
+
+def _apart_mm(one: NDArray[np.float64], other: NDArray[np.float64], shape: tuple[int, ...]) -> float:
+    """Return the largest distance between the corners of a grid at two places."""
+    corners = np.array([[i, j, k, 1.0] for i in (0, shape[0]) for j in (0, shape[1]) for k in (0, shape[2])])
+    return float(np.linalg.norm(corners @ (one - other).T, axis=1).max())
+
+
+def _straight(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sform as programs convert it to a qform; an sform without directions is returned as it is."""
+    return straightened(transform) if np.linalg.norm(transform[:3, :3], axis=0).min() > 0 else transform
+
+
+def _is_rectangular(lps_from_ijk: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
+    return bool(np.linalg.norm(lps_from_ijk[:3, :3], axis=0).min() > 0) and has_right_angles(lps_from_ijk, shape)
+
+
+def straightened_nifti_head(head: bytes) -> bytes:
+    """Return a header whose only form is its sform with axes at right angles.
+
+    ITK refuses an sform whose axes deviate by more than about 0.02 degrees from right angles, unless a qform is set.
+    """
+    order = "<" if head[:4] == struct.pack("<i", 348) else ">"
+    rows = np.vstack([np.reshape(struct.unpack_from(f"{order}12f", head, 280), (3, 4)), [0, 0, 0, 1]])
+    out = bytearray(head)
+    struct.pack_into(f"{order}h", out, 252, 0)
+    struct.pack_into(f"{order}12f", out, 280, *straightened(rows.astype(np.float64))[:3].ravel())
+    return bytes(out)
 
 
 def _qform(pixdim: tuple[float, ...], quaternion: tuple[float, ...]) -> NDArray[np.float64]:

@@ -104,15 +104,27 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
     kind = sniff_format(path)
     if kind in ("nifti", "nrrd", "metaimage"):
         return kind
-    what = {
-        "pdf": "it is a PDF document, not an image volume",
-        "zip": "it is a ZIP archive, which cannot be opened directly",
-    }.get(
-        kind or "",
-        ("it is not an image volume in a format that Carina can read") if path.stat().st_size else "it is empty",
-    )
-    way_out = "unpack it and open the folder" if kind == "zip" else f"open {_KINDS}"
-    raise VolumeImportError(f"reading {path.name}: {what}; {way_out}", code="import.not-an-image")
+    raise VolumeImportError(f"reading {path.name}: {_not_an_image(path, kind)}", code="import.not-an-image")
+
+
+def _not_an_image(path: Path, kind: str | None) -> str:
+    """Return what a file is instead of an image volume, and the remedy."""
+    match kind:
+        case "pdf":
+            return f"it is a PDF document, not an image volume; open {_KINDS}"
+        case "zip":
+            return "it is a ZIP archive, which cannot be opened directly; unpack it and open the folder"
+        case "gzip tar":
+            return "it is a packed archive (.tar.gz), which cannot be opened directly; unpack it and open the folder"
+        case "gzip dicom":
+            return "it is a DICOM file packed by gzip; unpack the whole series and open its folder"
+        case "gzip twice":
+            return "it is packed twice by gzip; unpack it once (gunzip) and open the result"
+        case "bzip2" | "xz" | "zstd":
+            return f"it is packed by {kind}, which is not supported; unpack it and open the result"
+    if path.stat().st_size == 0:
+        return f"it is empty; open {_KINDS}"
+    return f"it is not an image volume in a format that Carina can read; open {_KINDS}"
 
 
 def _open(path: Path, series: str | None, watch: Watch) -> Volume:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
-__all__ = ["Unpacker"]
+__all__ = ["UnpackedFile", "Unpacker"]
 
 _CHUNK_BYTES = 1 << 20
 _GZIP = b"\x1f\x8b"
+
+
+class Readable(Protocol):
+    """Anything that is read piece by piece."""
+
+    def read(self, num_bytes: int, /) -> bytes:
+        """Return at most ``num_bytes``; empty at the end."""
 
 
 class Unpacker:
@@ -19,7 +26,7 @@ class Unpacker:
     to whole blocks and are nothing. Whatever else follows is counted in ``trailing_bytes``.
     """
 
-    def __init__(self, file: BinaryIO, kind: str, *, chunk_bytes: int = _CHUNK_BYTES) -> None:
+    def __init__(self, file: Readable, kind: str, *, chunk_bytes: int = _CHUNK_BYTES) -> None:
         self._file = file
         self._chunk_bytes = chunk_bytes
         self._bits = {"gzip": zlib.MAX_WBITS | 16, "zlib": zlib.MAX_WBITS | 32}[kind]
@@ -72,3 +79,21 @@ class Unpacker:
             rest = self._file.read(self._chunk_bytes)
             if not rest:
                 return b""
+
+
+class UnpackedFile:
+    """The contents of a gzip file, read from the beginning to the end like a file.
+
+    Its ``read`` raises ValueError where the gzip file is damaged.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._pieces = iter(Unpacker(file, "gzip"))
+        self._rest = b""
+
+    def read(self, num_bytes: int) -> bytes:
+        """Return at most ``num_bytes``; empty at the end."""
+        if not self._rest:
+            self._rest = next(self._pieces, b"")
+        out, self._rest = self._rest[:num_bytes], self._rest[num_bytes:]
+        return out
