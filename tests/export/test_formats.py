@@ -18,6 +18,7 @@ from carina.export import (
     EXPORT_FORMATS,
     EXPORT_SUFFIXES,
     EXPORT_TITLES,
+    check_export,
     export_airways,
     export_format,
     export_tree,
@@ -27,7 +28,7 @@ from carina.export import (
 from carina.export.mask_file import MASK_SUFFIXES
 from carina.export.mesh_file import MESH_SUFFIXES
 from carina.track import AirwayTree, Branch, Mesh, lumen_mask, lumen_mesh
-from carina.volume import Volume, open_mask
+from carina.volume import Volume, inspect_path, open_mask
 from made import SMALL_CHEST, made_airways, made_phantom
 
 
@@ -235,12 +236,62 @@ def test_airways_from_the_written_mask_are_the_same_places(case, tmp_path):
     assert len(again.tree) > 3
 
 
-def test_a_sheared_grid_cannot_be_a_mask_file(tmp_path):
+def leaning(degrees: float, shape=(40, 3, 40)) -> Volume:
+    """A volume of 1 mm whose slices drift sideways."""
     matrix = np.eye(4)
-    matrix[1, 2] = 0.3
-    volume = Volume(np.zeros((3, 3, 3), np.int16), matrix)
-    with pytest.raises(GeometryError, match="right angles"):
-        write_mask(tmp_path / "m.nrrd", np.ones((3, 3, 3), np.uint8), volume)
+    matrix[0, 2], matrix[2, 2] = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+    return Volume(np.zeros(shape, np.int16), matrix)
+
+
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd"])
+@pytest.mark.parametrize("degrees", [0.02, 0.1, 0.199])
+def test_a_grid_that_opens_can_be_written_and_read_again_in_every_format(tmp_path, suffix, degrees):
+    volume = leaning(degrees)
+    mask = np.zeros(volume.shape_zyx, np.uint8)
+    mask[5:30, 1, 2:9] = 1
+    check_export(tmp_path / f"m{suffix}", volume)
+    path = write_mask(tmp_path / f"m{suffix}", mask, volume)
+    assert np.array_equal(open_mask(path, volume).inside_zyx, mask)
+    np.testing.assert_allclose(inspect_path(path).lps_from_ijk, volume.lps_from_ijk, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha"])
+def test_a_grid_beyond_the_tolerance_is_refused_with_the_format_that_stores_it(tmp_path, suffix):
+    volume = leaning(0.3)
+    for write in (check_export, lambda path, volume: write_mask(path, np.ones(volume.shape_zyx, np.uint8), volume)):
+        with pytest.raises(GeometryError, match=r"meet at 89\.7 instead of 90 degrees.*write it as \.nrrd") as caught:
+            write(tmp_path / f"m{suffix}", volume)
+        assert caught.value.code == "geometry.sheared"
+    assert not list(tmp_path.iterdir())
+
+
+def test_nrrd_stores_any_grid_as_it_is(tmp_path):
+    volume = leaning(20)
+    path = write_mask(tmp_path / "m.nrrd", np.ones(volume.shape_zyx, np.uint8), volume)
+    header = path.read_bytes().partition(b"\n\n")[0].decode()
+    line = next(line for line in header.splitlines() if line.startswith("space directions: "))
+    vectors = [[float(v) for v in part.strip("()").split(",")] for part in line.split(": ")[1].split()]
+    np.testing.assert_array_equal(np.array(vectors).T, volume.lps_from_ijk[:3, :3])
+
+
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nii"])
+def test_an_axis_longer_than_nifti_stores_is_refused_before_the_work(tmp_path, suffix):
+    longest = Volume(np.zeros((32767, 2, 2), np.int16), np.eye(4))
+    check_export(tmp_path / f"m{suffix}", longest)
+    longer = Volume(np.zeros((32768, 2, 2), np.int16), np.eye(4))
+    with pytest.raises(GeometryError, match=r"32768 voxels, and NIfTI stores at most 32767; write it as \.nrrd"):
+        check_export(tmp_path / f"m{suffix}", longer)
+    for other in (".nrrd", ".mha", ".stl", ".json"):
+        check_export(tmp_path / f"m{other}", longer)
+
+
+def test_a_grid_that_the_format_cannot_store_is_refused_before_the_lumen_is_drawn(case, tmp_path, monkeypatch):
+    volume, airways = case
+    matrix = np.array(volume.lps_from_ijk)
+    matrix[:3, 2] += 0.2 * matrix[:3, 0]
+    monkeypatch.setattr("carina.export.any_file.lumen_mask", None)
+    with pytest.raises(GeometryError, match="write it as"):
+        export_airways(tmp_path / "lumen.nii.gz", Volume(volume.hu_zyx, matrix), airways)
 
 
 def test_the_table_has_a_row_for_each_writer_of_surfaces_and_masks_and_asks_for_the_longest_suffix():

@@ -18,6 +18,9 @@ from carina.errors import UsageError
 from carina.export import (
     EXPORT_FORMATS,
     EXPORT_TITLES,
+    MASK_SUFFIXES,
+    check_export,
+    check_mask_file,
     export_airways,
     export_tree,
     is_tree_file,
@@ -57,10 +60,16 @@ def find(
         check_output_file(output, ".json")
     if mask is not None:
         check_output_file(mask, what="--mask")
+        if not mask.name.lower().endswith(MASK_SUFFIXES):
+            raise UsageError(
+                f"--mask: expected a file name that ends in {', '.join(MASK_SUFFIXES)}; found {mask.name!r}"
+            )
     _check_mask_options(from_mask, label, resample)
     check_case_options(path, ct, seed=seed is not None, from_mask=from_mask)
     source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
     volume, badges = source.volume, source.badges
+    if mask is not None:
+        check_mask_file(mask, volume)
     airways = _airways(source, seed=seed, from_mask=from_mask, label=label, resample=resample)
     badges.take_airways(airways)
     added = add_branches(
@@ -157,6 +166,7 @@ def write(
     given = None if tree is None else read_tree(tree)
     source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
     volume, badges = source.volume, source.badges
+    check_export(output, volume)
     if tree is not None:
         badges.add_tree(tree)
     if given is not None and tree_alone:

@@ -12,7 +12,7 @@ from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
 from carina.cli.render import chosen_transfer
 from carina.errors import UsageError
-from carina.volume import GRID_SUFFIXES, write_grid
+from carina.volume import GRID_SUFFIXES, check_grid_fits, write_grid
 
 __all__ = ["write"]
 
@@ -26,6 +26,7 @@ def write(path: Path, *, output: Path, transfer: str | None, series: str | None,
     chosen = chosen_transfer(transfer)
     check_case_options(path, ct)
     source = opened(path, series=series, progress=progress_printer(), ct=ct)
+    check_grid_fits(output, source.volume.shape_zyx, source.volume.lps_from_ijk, what="the IsoRegion map")
     radii = carina.isoregion_map(source.volume, chosen)
     what = "16 HU" if transfer is None else f"the transfer function {transfer}"
     note = f"IsoRegion radii in voxels, equal by {what}; the cube of a voxel has 2 r + 1 voxels on each side"

@@ -14,7 +14,7 @@ from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
 from carina.disk import ScratchFolder
 from carina.errors import NoResultError, UsageError
-from carina.export import PLAN_FORMATS, export_plan, send_plan, write_plan_pdf
+from carina.export import PLAN_FORMATS, check_plan_file, export_plan, send_plan, write_plan_pdf
 from carina.plan import (
     Plan,
     PlannedRoute,
@@ -78,6 +78,8 @@ def report(
     progress = progress_printer()
     source = opened(path, series=series, progress=progress, ct=ct)
     place = source.place if ct is None else ct
+    if output is not None and output.name.lower().endswith((*PLAN_FORMATS, ARCHIVE_SUFFIX)):
+        check_plan_file(output, source.volume, place, series=series, identity=identity)
     if isinstance(target, Path):
         named = int(structure) if structure is not None and structure.isdecimal() else structure
         found = target_from_file(

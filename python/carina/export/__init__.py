@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from carina.export.any_file import export_airways, export_tree, is_tree_file
+from carina.export.any_file import check_export, export_airways, export_tree, is_tree_file
 from carina.export.film import Film, write_film
 from carina.export.format_table import EXPORT_FORMATS, EXPORT_SUFFIXES, EXPORT_TITLES, ExportFormat, export_format
-from carina.export.mask_file import write_mask
+from carina.export.mask_file import MASK_SUFFIXES, check_mask_file, write_mask
 from carina.export.mesh_file import write_mesh
-from carina.export.plan_file import PLAN_FORMATS, export_plan
+from carina.export.plan_file import PLAN_FORMATS, check_plan_file, export_plan
 from carina.export.plan_igtl import PlanServer, plan_messages, send_plan
 from carina.export.plan_markups import write_plan_markups
 from carina.export.plan_nrrd import write_target_nrrd
@@ -34,12 +34,16 @@ __all__ = [
     "EXPORT_FORMATS",
     "EXPORT_SUFFIXES",
     "EXPORT_TITLES",
+    "MASK_SUFFIXES",
     "PLAN_FORMATS",
     "VIDEO_SUFFIXES",
     "ExportFormat",
     "Film",
     "PlanServer",
     "VideoWriter",
+    "check_export",
+    "check_mask_file",
+    "check_plan_file",
     "export_airways",
     "export_format",
     "export_plan",

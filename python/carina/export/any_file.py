@@ -7,10 +7,11 @@ from pathlib import Path
 
 from carina.errors import check_type
 from carina.export.format_table import export_format
+from carina.export.mask_file import check_mask_file
 from carina.track import Airways, AirwayTree, drawn_tree, lumen_mask, lumen_mesh
 from carina.volume import Note, Volume, badges_of
 
-__all__ = ["export_airways", "export_tree", "is_tree_file"]
+__all__ = ["check_export", "export_airways", "export_tree", "is_tree_file"]
 
 
 def is_tree_file(path: Path | str) -> bool:
@@ -22,6 +23,26 @@ def is_tree_file(path: Path | str) -> bool:
         If the suffix is none that Carina writes.
     """
     return export_format(path).kind == "tree"
+
+
+def check_export(path: Path | str, volume: Volume) -> None:
+    """Check, before the airways are searched for, that those of a volume can be written to a file of this name.
+
+    Raises
+    ------
+    UsageError
+        If Carina writes no files with this suffix.
+    GeometryError
+        If the format cannot store the volume's grid; the message names a format that can.
+
+    Examples
+    --------
+    >>> import carina
+    >>> from carina.export import check_export
+    >>> check_export("lumen.nii.gz", carina.generate_phantom(spacing_mm=3.0, generations=3).volume)
+    """
+    if export_format(path).kind == "lumen":
+        check_mask_file(path, volume)
 
 
 def export_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
@@ -82,6 +103,7 @@ def export_airways(
     """
     check_type("export_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("export_airways", "airways", airways, Airways, "get airways from carina.find_airways")
+    check_export(path, volume)
     lasting = tuple(dict.fromkeys([*badges_of(volume, airways), *badges]))
     to = export_format(path)
     if to.kind == "tree":

@@ -10,11 +10,27 @@ from numpy.typing import NDArray
 
 from carina.errors import GeometryError, UsageError
 from carina.export.badges import badge_lines
-from carina.volume import GRID_SUFFIXES, Note, Volume, write_grid
+from carina.volume import GRID_SUFFIXES, Note, Volume, check_grid_fits, write_grid
 
-__all__ = ["MASK_SUFFIXES", "write_mask"]
+__all__ = ["MASK_SUFFIXES", "check_mask_file", "write_mask"]
 
 MASK_SUFFIXES = GRID_SUFFIXES
+
+
+def check_mask_file(path: Path | str, volume: Volume) -> None:
+    """Check, before the airways are searched for, that a mask of a volume can be written to a file of this name.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is not one of :data:`MASK_SUFFIXES`.
+    GeometryError
+        If the format cannot store the volume's grid; the message names a format that can.
+    """
+    if not Path(path).name.lower().endswith(MASK_SUFFIXES):
+        msg = f"saving a mask: expected a file name that ends in {', '.join(MASK_SUFFIXES)}; found {Path(path).name!r}"
+        raise UsageError(msg)
+    check_grid_fits(path, volume.shape_zyx, volume.lps_from_ijk, what="the mask")
 
 
 def write_mask(
@@ -46,13 +62,11 @@ def write_mask(
     UsageError
         If the suffix is another.
     GeometryError
-        If the mask is not on the volume's grid, or the grid is sheared, which these formats cannot all say.
+        If the mask is not on the volume's grid, or the format cannot store that grid.
     DiskError
         If it cannot be written; what was there before stays.
     """
-    if not Path(path).name.lower().endswith(MASK_SUFFIXES):
-        msg = f"saving a mask: expected a file name that ends in {', '.join(MASK_SUFFIXES)}; found {Path(path).name!r}"
-        raise UsageError(msg)
+    check_mask_file(path, volume)
     if mask_zyx.shape != volume.shape_zyx:
         msg = f"the mask must be on the volume's grid: expected shape {volume.shape_zyx}, found {mask_zyx.shape}"
         raise GeometryError(msg, code="geometry.shape")

@@ -18,9 +18,9 @@ from carina.volume import Note, Volume
 if TYPE_CHECKING:
     from carina.export.plan_dicom import Identity
 
-__all__ = ["PLAN_FORMATS", "export_plan"]
+__all__ = ["PLAN_FORMATS", "check_plan_file", "export_plan"]
 
-_SEG, _SR = ".seg.dcm", ".sr.dcm"
+_SEG, _SR, _PDF = ".seg.dcm", ".sr.dcm", ".pdf.dcm"
 
 PLAN_FORMATS: Final[dict[str, str]] = {
     PLAN_MARKUPS_SUFFIX: "Targets, routes and needles for 3D Slicer",
@@ -29,6 +29,56 @@ PLAN_FORMATS: Final[dict[str, str]] = {
     _SR: "Measurements of the targets as a DICOM report",
 }
 """Suffixes that :func:`export_plan` knows, with who reads the file, for a person who chooses."""
+
+
+def check_plan_file(
+    path: Path | str,
+    volume: Volume | None,
+    ct: Path | str | None,
+    *,
+    series: str | None = None,
+    identity: Identity = "none",
+    cancel: Callable[[], bool] | None = None,
+) -> None:
+    """Check, before a plan is made, that a plan on this CT can be written to a file of this name.
+
+    Parameters
+    ----------
+    path
+        The file to be written: one of :data:`PLAN_FORMATS`, or a ``.pdf.dcm`` for an archive.
+    volume, ct, series, identity, cancel
+        As of :func:`export_plan`.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another, or the file refers to the images of a CT that is not DICOM.
+    VolumeImportError
+        If the CT cannot be read.
+    """
+    refers = _PDF if Path(path).name.lower().endswith(_PDF) else _plan_suffix(path)
+    # A report for an archive needs the CT only for the patient's identity.
+    if refers not in (_SEG, _SR) and not (refers == _PDF and identity == "from the CT"):
+        return
+    if volume is None or ct is None:
+        raise UsageError(
+            f"{Path(path).name}: a DICOM file refers to the CT's images: give the CT (volume) and its DICOM folder "
+            "(ct)",
+            code="plan.not-dicom",
+        )
+    # Imported here: other formats do not need pydicom.
+    from carina.export.plan_dicom import ct_images
+
+    ct_images(ct, volume, series=series, cancel=cancel)
+
+
+def _plan_suffix(path: Path | str) -> str:
+    name = Path(path).name
+    suffix = next((one for one in PLAN_FORMATS if name.lower().endswith(one)), None)
+    if suffix is None:
+        known = ", ".join(PLAN_FORMATS)
+        raise UsageError(f"a plan: expected a file name that ends in {known}; found {name!r}")
+    return suffix
 
 
 def export_plan(
@@ -101,10 +151,7 @@ def export_plan(
     'plan.mrk.json'
     """
     name = Path(path).name
-    suffix = next((one for one in PLAN_FORMATS if name.lower().endswith(one)), None)
-    if suffix is None:
-        known = ", ".join(PLAN_FORMATS)
-        raise UsageError(f"a plan: expected a file name that ends in {known}; found {name!r}")
+    suffix = _plan_suffix(path)
     plans = named_plans(plan)
     if suffix == PLAN_MARKUPS_SUFFIX:
         if tree is None:

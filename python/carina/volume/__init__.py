@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from carina.volume.citation import Citation
     from carina.volume.demo import demo_patient
     from carina.volume.digest import Geometry, canonical_geometry, ct_digest, refuse_other_ct, same_geometry
-    from carina.volume.grid_writing import GRID_SUFFIXES, write_grid, write_grid_to
+    from carina.volume.grid_writing import GRID_SUFFIXES, check_grid_fits, write_grid, write_grid_to
     from carina.volume.inspection import Inspection, inspect_path
     from carina.volume.mask_files import Mask, MaskGridError, MaskLabel, MaskLabelError, open_mask
     from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource, badges_of
@@ -51,6 +51,7 @@ _HOME = {
     "quality_gate": "quality",
     "refuse_other_ct": "digest",
     "same_geometry": "digest",
+    "check_grid_fits": "grid_writing",
     "write_grid": "grid_writing",
     "write_grid_to": "grid_writing",
 }
@@ -77,6 +78,7 @@ __all__ = [
     "VolumeSource",
     "badges_of",
     "canonical_geometry",
+    "check_grid_fits",
     "ct_digest",
     "demo_patient",
     "inspect_path",

@@ -135,9 +135,9 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     first = slices[0]
     row = np.array(first.row_lps)
     column = np.array(first.column_lps)
-    column = column - row * (row @ column)
-    column /= np.linalg.norm(column)
+    # The directions are unit vectors and meet at 90 degrees within MAX_SKEW_DEG; the grid keeps them as they are.
     normal = np.cross(row, column)
+    normal /= np.linalg.norm(normal)
     ordered = sorted(slices, key=lambda header: (float(normal @ np.array(header.position_lps)), str(header.path)))
     positions = np.array([header.position_lps for header in ordered])
     along = positions @ normal

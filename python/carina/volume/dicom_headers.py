@@ -30,6 +30,7 @@ from carina.errors import CarinaError
 from carina.volume.character_sets import settle_character_set
 from carina.volume.dicom_modality_lut import ModalityLut, read_modality_lut
 from carina.volume.padding import PaddingRange, padding_ranges
+from carina.volume.right_angles import MAX_SKEW_DEG
 
 __all__ = [
     "IDENTITY",
@@ -472,8 +473,8 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         row_lps, column_lps = _unit(orientation[:3]), _unit(orientation[3:])
         lengths = [math.dist((0, 0, 0), orientation[:3]), math.dist((0, 0, 0), orientation[3:])]
         cosine = sum(a * b for a, b in zip(row_lps, column_lps, strict=True))
-        # 1e-3 passes values written with four digits; a far corner 300 mm away moves by at most 0.3 mm then.
-        if any(abs(length - 1) > 1e-3 for length in lengths) or abs(cosine) > 1e-3:
+        # 1e-3 accepts lengths of values written with four digits; the directions themselves are stored as they are.
+        if any(abs(length - 1) > 1e-3 for length in lengths) or abs(cosine) > math.sin(math.radians(MAX_SKEW_DEG)):
             tags.problems.append("the tag ImageOrientationPatient does not contain two perpendicular unit vectors")
     if spacing is not None and min(spacing) <= 0:
         tags.problems.append(f"the tag PixelSpacing should be above 0 mm; found {min(spacing):g}")

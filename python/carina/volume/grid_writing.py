@@ -25,14 +25,16 @@ from numpy.typing import NDArray
 
 from carina.disk import drafted
 from carina.errors import GeometryError, UsageError
+from carina.volume.right_angles import has_right_angles, skew_deg, straightened
 
-__all__ = ["GRID_SUFFIXES", "write_grid", "write_grid_to"]
+__all__ = ["GRID_SUFFIXES", "check_grid_fits", "write_grid", "write_grid_to"]
 
 Values = NDArray[Any]
 _CHUNK_BYTES = 8 << 20
 _NIFTI_TYPES = {"uint8": 2, "int16": 4}
 _NRRD_TYPES = {"uint8": "unsigned char", "int16": "short"}
 _META_TYPES = {"uint8": "MET_UCHAR", "int16": "MET_SHORT"}
+_NIFTI_MAX_VOXELS = 32767  # of one axis: dim is int16
 
 
 def write_grid(
@@ -53,7 +55,8 @@ def write_grid(
     values_zyx
         (nz, ny, nx) uint8 or int16.
     lps_from_ijk
-        (4, 4), mm: where the voxels lie. Its axes must be at right angles.
+        (4, 4), mm, from voxel centres to LPS. Only ``.nrrd`` stores axes that are not at right angles
+        (``right_angles``).
     what
         What it is, for messages: "the mask".
     note
@@ -64,21 +67,61 @@ def write_grid(
 
     Raises
     ------
-    UsageError
-        If the suffix or the kind of number is another.
-    GeometryError
-        If the axes are not at right angles, which these formats cannot all say.
+    UsageError, GeometryError
+        As :func:`check_grid_fits`; or the kind of number is another.
     DiskError
         If it cannot be written; what was there before stays.
+    """
+    suffix = check_grid_fits(path, values_zyx.shape, lps_from_ijk, what=what)
+    with drafted(path, what=what) as file:
+        write_grid_to(file, suffix, values_zyx, lps_from_ijk, what=what, note=note, level=level)
+    return Path(path)
+
+
+def check_grid_fits(
+    path: Path | str, shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64], *, what: str
+) -> str:
+    """Check, before any long work, that a grid can be written to a file of this name; return the file's suffix.
+
+    Parameters
+    ----------
+    path
+        The file to be written.
+    shape_zyx, lps_from_ijk, what
+        As of :func:`write_grid`.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is not one of :data:`GRID_SUFFIXES`.
+    GeometryError
+        ``geometry.sheared`` or ``geometry.shape``, if the format cannot store this grid.
     """
     name = Path(path).name.lower()
     suffix = next((s for s in _WRITERS if name.endswith(s)), None)
     if suffix is None:
         msg = f"{what} must be written as {', '.join(GRID_SUFFIXES)}; found {Path(path).name!r}"
         raise UsageError(msg)
-    with drafted(path, what=what) as file:
-        write_grid_to(file, suffix, values_zyx, lps_from_ijk, what=what, note=note, level=level)
-    return Path(path)
+    _check_format(suffix, shape_zyx, lps_from_ijk, what)
+    return suffix
+
+
+def _check_format(suffix: str, shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64], what: str) -> None:
+    if suffix == ".nrrd":
+        return
+    if not has_right_angles(lps_from_ijk, shape_zyx[::-1]):
+        msg = (
+            f"{what} cannot be written as {suffix}: two axes of the scan meet at {90 - skew_deg(lps_from_ijk):.1f} "
+            "instead of 90 degrees (gantry tilt), which this format cannot represent; write it as .nrrd, or resample "
+            "the scan"
+        )
+        raise GeometryError(msg, code="geometry.sheared")
+    if suffix != ".mha" and max(shape_zyx) > _NIFTI_MAX_VOXELS:
+        msg = (
+            f"{what} cannot be written as {suffix}: an axis of the scan has {max(shape_zyx)} voxels, and NIfTI stores "
+            f"at most {_NIFTI_MAX_VOXELS}; write it as .nrrd"
+        )
+        raise GeometryError(msg, code="geometry.shape")
 
 
 def write_grid_to(
@@ -102,14 +145,7 @@ def write_grid_to(
     """
     if values_zyx.dtype.name not in _NIFTI_TYPES:
         raise UsageError(f"{what} must contain uint8 or int16 values; found {values_zyx.dtype.name}")
-    spacing = np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
-    direction = lps_from_ijk[:3, :3] / spacing
-    if not np.allclose(direction.T @ direction, np.eye(3), atol=1e-4):
-        msg = (
-            "the scan's axes are not at right angles (gantry tilt), which a mask file cannot represent; resample "
-            "the scan"
-        )
-        raise GeometryError(msg, code="geometry.sheared")
+    _check_format(suffix, values_zyx.shape, lps_from_ijk, what)
     values = np.ascontiguousarray(values_zyx, dtype=values_zyx.dtype.newbyteorder("<"))
     # One line: these headers are lines of text.
     _WRITERS[suffix](file, _Grid(values, lps_from_ijk, " ".join((note or "").split()), level))
@@ -145,10 +181,13 @@ def _nifti_gz(file: BinaryIO, grid: _Grid) -> None:
 
 
 def _nifti_header(grid: _Grid) -> bytes:
-    """348 bytes and four for "no extension"; the place both as a quaternion (qform) and as a matrix (sform)."""
+    """Return 348 bytes and four for "no extension", with the transform as a matrix (sform) and a quaternion (qform).
+
+    The sform is exact. A quaternion has right angles only, so the qform is the nearest rotation.
+    """
     ras_from_ijk = np.diag([-1.0, -1.0, 1.0, 1.0]) @ grid.lps_from_ijk
     spacing = np.linalg.norm(ras_from_ijk[:3, :3], axis=0)
-    turn = ras_from_ijk[:3, :3] / spacing
+    turn = straightened(ras_from_ijk)[:3, :3] / spacing
     qfac = 1.0
     if np.linalg.det(turn) < 0.0:
         # A quaternion turns, and does not mirror: the third axis is mirrored by qfac.
