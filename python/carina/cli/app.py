@@ -13,8 +13,18 @@ from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
 from carina.cli.arguments import check_output_folder, parse_point, parse_size
-from carina.cli.console import exit_codes, fail, log_to_terminal, print_json, progress_printer, say_usage, show
+from carina.cli.console import (
+    accept_any_text,
+    exit_codes,
+    fail,
+    log_to_terminal,
+    print_json,
+    progress_printer,
+    say_usage,
+    show,
+)
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, TokenOption
+from carina.display.printable import printable
 from carina.errors import UsageError
 
 __all__ = ["app", "main"]
@@ -501,7 +511,7 @@ def phantom(
             print_json(summary)
         else:
             show(f"{summary['branches']} branches, {made.volume!r}")
-            show(*summary["files"])
+            show(*map(printable, summary["files"]))
 
 
 @app.command()
@@ -641,6 +651,7 @@ USAGE_ERROR: Any = typer.BadParameter.__base__
 def main() -> None:
     """Entry point of the ``carina`` command."""
     as_json = "--json" in sys.argv[1:]
+    accept_any_text()
     with exit_codes(as_json):
         from carina.config import load_settings
 

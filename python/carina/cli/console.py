@@ -19,6 +19,7 @@ from carina.display.terminal import as_line, as_terminal_text, escaped_json
 from carina.errors import CancelledError, CarinaError
 
 __all__ = [
+    "accept_any_text",
     "exit_codes",
     "fail",
     "interruptible",
@@ -61,6 +62,13 @@ def log_to_terminal(level: str) -> None:
     handler = logging.StreamHandler()
     handler.setFormatter(_LogFormatter("%(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=level, handlers=[handler])
+
+
+def accept_any_text() -> None:
+    """Let stdout and stderr escape what their encoding cannot represent, such as file names that are not UTF-8."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def print_json(payload: dict[str, Any]) -> None:

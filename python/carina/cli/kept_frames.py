@@ -9,7 +9,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from carina.disk import make_folder, read_regular_text, write_whole
+from carina.disk import library_path, make_folder, read_regular_text, write_whole
 from carina.errors import UsageError, VolumeImportError
 from carina.render import Picture
 
@@ -82,7 +82,8 @@ class KeptFrames:
         """
         file = self._file(number)
         try:
-            rgb = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+            with library_path(file) as name:
+                rgb = sitk.GetArrayFromImage(sitk.ReadImage(name))
         except RuntimeError as trouble:
             msg = f"{file}: this frame cannot be read; delete it and all later frames, then start again"
             raise VolumeImportError(msg, code="fly.kept") from trouble

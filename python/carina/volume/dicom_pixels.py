@@ -16,7 +16,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.encaps import encapsulate
 from pydicom.uid import UID, CTImageStorage
 
-from carina.disk import scratch_folder
+from carina.disk import library_path, scratch_folder
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
 from carina.volume.dicom_streams import Stream, decoder_words, fragments, read_stream, rle_problem
@@ -195,10 +195,10 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     reader.SetImageIO("GDCMImageIO")
     with scratch_folder() as folder:
         path = folder / "pixels.dcm"
-        reader.SetFileName(str(path))
         try:
             pixels.save_as(path, enforce_file_format=True)
-            with decoder_words() as muttered:
+            with library_path(path) as name, decoder_words() as muttered:
+                reader.SetFileName(name)
                 image = reader.Execute()
         except (RuntimeError, ValueError, MemoryError, OverflowError, TypeError, AttributeError, LookupError):
             msg = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ __all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
 # Tools count structures from 1. Larger ones would not be the same number in a browser, or after rounding to float32.
 _LARGEST_LABEL = 2**24
 _SAMPLED = 10_000
+# Labels 0 to 25 in a byte are off by up to 0.05; a probability map of two values is a segmentation.
+_MAX_FLOAT_LABEL_ERROR = 0.05
+_MAX_FLOAT_LABELS = 100_000
 # Of a voxel: headers in float32 are right to about 1e-4 mm, another grid is off by a good part of a voxel.
 _SAME_VOXEL = 0.05
 
@@ -179,18 +183,64 @@ def _labels(path: Path, volume: Volume, watch: Watch) -> _Labels:
         )
         raise VolumeImportError(msg, code="import.mask")
     if values.dtype.kind == "f":
-        if not np.isfinite(values).all() or (values != np.rint(values)).any():
-            msg = (
-                f"reading the segmentation {path.name}: expected whole numbers (0 outside), found fractions; it may "
-                "be a probability map; export the segmentation itself"
-            )
-            raise VolumeImportError(msg, code="import.mask")
-        values = values.astype(np.int32)
+        values = _rounded_labels(path, values, header.scaling)
     numbers, counts = np.unique(values, return_counts=True)
     sizes = {int(number): int(count) for number, count in zip(numbers, counts, strict=True) if number != 0}
     return _Labels(
         sizes, lambda number: (values == number, ()), header.lps_from_ijk, {}, tuple(note.words for note in notes)
     )
+
+
+def _rounded_labels(path: Path, values: NDArray[Any], scaling: tuple[float, float] | None) -> NDArray[np.int32]:
+    """Return the labels of a segmentation that stores them as numbers with fractions.
+
+    nibabel stores labels of floating-point type under an integer header as multiples of a step (``scl_slope``), so that
+    labels 0 to 12 come back as 0.988, 2.024, 3.012, ... Such a value is at most half a step from its label. A file
+    without a step may contain the same numbers as floats; then each label has one single value, near the label.
+
+    Raises
+    ------
+    VolumeImportError
+        ``import.mask``, if the fractions do not come from rounding, as in a probability map.
+    """
+    if not np.isfinite(values).all():
+        raise _fractions(path, "values that are not finite (NaN or infinite)")
+    labels: NDArray[np.int32] = np.rint(values).astype(np.int32)
+    off = np.abs(values - labels)
+    largest = float(off.max())
+    if largest == 0.0:
+        return labels
+    step = None if scaling is None else abs(scaling[0])
+    at = int(off.argmax())
+    example = float(values.reshape(-1)[at])
+    if step is not None and step < 1.0:
+        # float32 stores the product of step and number with a relative error of 6e-8.
+        allowed = 0.5 * step + 1e-6 * max(1.0, float(np.abs(values).max()))
+        if largest > allowed:
+            raise _fractions(path, f"{example:.5g}, which is further from a whole number than half a step ({step:.5g})")
+        return labels
+    if largest > _MAX_FLOAT_LABEL_ERROR + 1e-6 or not _one_value_each(values, labels):
+        raise _fractions(path, f"{example:.5g}")
+    return labels
+
+
+def _one_value_each(values: NDArray[Any], labels: NDArray[np.int32]) -> bool:
+    """Return whether all voxels of a label have the same value."""
+    lowest = int(labels.min())
+    if int(labels.max()) - lowest > _MAX_FLOAT_LABELS:
+        return False
+    index = labels - lowest
+    value_of = np.zeros(int(index.max()) + 1, dtype=values.dtype)
+    value_of[index.reshape(-1)] = values.reshape(-1)
+    return bool((value_of[index] == values).all())
+
+
+def _fractions(path: Path, found: str) -> VolumeImportError:
+    msg = (
+        f"reading the segmentation {path.name}: expected whole numbers (0 outside), found {found}; it may be a "
+        "probability map; export the segmentation itself"
+    )
+    return VolumeImportError(msg, code="import.mask")
 
 
 def _chosen(path: Path, found: _Labels, label: int | None, voxel_ml: float) -> int:

@@ -49,11 +49,25 @@ def text_width(text: str, size: float) -> float:
 
 
 def lines_of(text: str, size: float, width: float) -> list[str]:
-    """Text in lines that fit a width, broken at spaces."""
+    """Return text in lines that fit a width, broken at spaces, and inside a word that is longer than a line."""
     lines: list[str] = []
     for word in text.split():
         if lines and text_width(f"{lines[-1]} {word}", size) <= width:
             lines[-1] += f" {word}"
         else:
-            lines.append(word)
+            lines += _pieces(word, size, width)
     return lines
+
+
+def _pieces(word: str, size: float, width: float) -> list[str]:
+    """Return a word in pieces that fit a width; a piece has at least one character."""
+    pieces = [""]
+    used = 0.0
+    for letter in word:
+        wide = text_width(letter, size)
+        if pieces[-1] and used + wide > width:
+            pieces.append("")
+            used = 0.0
+        pieces[-1] += letter
+        used += wide
+    return pieces
