@@ -43,6 +43,7 @@ NEAR = {
     "session": ("session", "server", "contract", "navigate"),
     "server": ("server", "contract", "session"),
     "track": ("track", "session", "export", "phantom"),
+    "volume": ("volume",),
 }
 QUICK = "not soak and not ray and not browser and not data and not gpu"
 THOROUGH = "not soak and not gpu"

@@ -12,7 +12,7 @@ import carina
 from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
-from carina.cli.arguments import check_output_folder, parse_point, parse_size
+from carina.cli.arguments import check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
     accept_any_text,
     exit_codes,
@@ -118,6 +118,8 @@ def _workstation(
         from carina.phone import PhoneSwitch
         from carina.server import serve
 
+        check_window_path(path)
+        check_window_path(ct)
         record = None if path is None else stored_case(path)
         if ct is not None:
             from carina.cli.opened import check_case_options

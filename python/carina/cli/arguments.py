@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.disk import disk_trouble
-from carina.errors import UsageError
+from carina.display.printable import printable
+from carina.errors import UsageError, VolumeImportError
 
-__all__ = ["check_output_file", "check_output_folder", "parse_point", "parse_size"]
+__all__ = ["check_output_file", "check_output_folder", "check_window_path", "parse_point", "parse_size"]
 
 
 def parse_point(text: str, what: str) -> NDArray[np.float64]:
@@ -55,6 +56,22 @@ def check_output_file(path: Path, suffix: str | None = None, *, what: str = "-o"
     if path.is_dir():
         raise UsageError(f"{what}: expected a file; {path} is a folder")
     _check_writable(path.parent)
+
+
+def check_window_path(path: Path | None) -> None:
+    """Refuse a path that the window cannot receive, because JSON text has neither such bytes nor such characters.
+
+    Raises
+    ------
+    VolumeImportError
+        If the path is not UTF-8 or contains control characters.
+    """
+    if path is not None and printable(str(path)) != str(path):
+        msg = (
+            f"{path}: the window cannot open a file or folder whose name is not valid UTF-8 or contains control "
+            "characters; rename it"
+        )
+        raise VolumeImportError(msg, code="import.unreadable")
 
 
 def check_output_folder(path: Path) -> None:

@@ -1,0 +1,247 @@
+"""Every numeric bound of the geometry checks: a value just inside opens, a value just outside is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from carina.errors import VolumeImportError
+from carina.volume.dicom_geometry import grid_from_slices
+from carina.volume.grid_claim import GridHeader
+from carina.volume.grid_headers import _check as check_grid_header
+from carina.volume.quality import trusted_generation
+
+INSIDE, OUTSIDE = 1 - 1e-6, 1 + 1e-6
+
+
+def stack(
+    positions: np.ndarray, *, spacing=(0.7, 0.7), side=512, row=(1.0, 0.0, 0.0), column=(0.0, 1.0, 0.0)
+) -> list[SimpleNamespace]:
+    """Slices at these positions, with what the geometry check reads of a header."""
+    return [
+        SimpleNamespace(
+            path=Path(f"IM{n:03d}"),
+            rows=side,
+            columns=side,
+            position_lps=tuple(position),
+            row_lps=row,
+            column_lps=column,
+            spacing_mm=spacing,
+        )
+        for n, position in enumerate(positions)
+    ]
+
+
+def heights(*gaps: float) -> np.ndarray:
+    """Positions on a straight stack with these gaps."""
+    z = np.concatenate([[0.0], np.cumsum(gaps)])
+    return np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+
+
+def answer(slices: list[SimpleNamespace]) -> str:
+    try:
+        grid_from_slices(slices, what="reading a series")
+    except VolumeImportError as error:
+        return error.code.removeprefix("import.").removeprefix("geometry.")
+    return "opens"
+
+
+def one_gap(expected: float, share: float) -> list[SimpleNamespace]:
+    """Twenty even gaps, one of them ``share`` of the limit for a doubled slice."""
+    gaps = [expected] * 20
+    gaps[10] = max(0.01, 0.02 * expected) * share
+    return stack(heights(*gaps))
+
+
+def longer_gap(expected: float, share: float, tolerance: float, sign: int = 1) -> list[SimpleNamespace]:
+    """Gaps of which one is off by twice the tolerance, and its neighbour makes up for the difference."""
+    gaps = np.full(400, expected)
+    gaps[200] += sign * 2 * tolerance * share
+    gaps[201] -= sign * 2 * tolerance * share
+    # Half of the difference on each side of the line, so that no slice leaves the grid by more than the tolerance.
+    gaps[199] -= sign * tolerance * share
+    gaps[202] += sign * tolerance * share
+    return stack(heights(*gaps))
+
+
+def one_off(expected: float, off_mm: float) -> list[SimpleNamespace]:
+    """One slice away from its place along the normal."""
+    positions = heights(*[expected] * 20)
+    positions[10, 2] += off_mm
+    return stack(positions)
+
+
+def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> list[SimpleNamespace]:
+    """One slice away from its place across the normal."""
+    positions = heights(*[1.0] * 20)
+    positions[10, axis] += shift_mm
+    return stack(positions, spacing=spacing)
+
+
+def tilted(degrees: float, num_slices: int, gap: float = 1.0, axis: int = 0) -> list[SimpleNamespace]:
+    """A stack that leans by an angle."""
+    positions = heights(*[gap] * (num_slices - 1))
+    positions[:, axis] = positions[:, 2] * math.tan(math.radians(degrees))
+    return stack(positions)
+
+
+def lean(lean_mm: float, height_mm: float = 4.0) -> list[SimpleNamespace]:
+    """Five slices that lean by a distance (more than 0.2 degrees)."""
+    positions = heights(*[height_mm / 4] * 4)
+    positions[:, 0] = np.linspace(0, lean_mm, 5)
+    return stack(positions)
+
+
+def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
+    """A last slice whose far corner moves by a distance, because a direction turns."""
+    slices = stack(heights(*[1.0] * 5))
+    angle = 2 * math.asin(shift_mm / math.hypot(512 * 0.7, 512 * 0.7) / 2)  # a chord
+    c, s = math.cos(angle), math.sin(angle)
+    if which == "row":
+        slices[-1].row_lps = (c, 0.0, s)
+    else:
+        slices[-1].column_lps = (0.0, c, s)
+    return slices
+
+
+def stretched(shift_mm: float, axis: int) -> list[SimpleNamespace]:
+    """A last slice whose far edge moves by a distance, because its pixels are larger or smaller."""
+    slices = stack(heights(*[1.0] * 5))
+    spacing = [0.7, 0.7]
+    spacing[axis] += shift_mm / 512
+    slices[-1].spacing_mm = tuple(spacing)
+    return slices
+
+
+def resized(rows: int, columns: int) -> list[SimpleNamespace]:
+    """A last slice of another size."""
+    slices = stack(heights(*[1.0] * 5))
+    slices[-1].rows, slices[-1].columns = rows, columns
+    return slices
+
+
+BOUNDS = {
+    # Slices at the position of another one: 0.01 mm, or 2 % of the gap.
+    "doubled, 2 % of 1.25 mm": (lambda share: one_gap(1.25, share), "duplicate", "irregular"),
+    "doubled, 0.01 mm at 0.4 mm": (lambda share: one_gap(0.4, share), "duplicate", "irregular"),
+    # Off the grid: a tenth of the gap, at least 0.06 and at most 0.3 mm.
+    "off by a tenth of 1 mm": (lambda share: one_off(1.0, 0.1 * share), "opens", "irregular"),
+    "off by 0.06 mm at 0.5 mm": (lambda share: one_off(0.5, 0.06 * share), "opens", "irregular"),
+    "off by 0.3 mm at 5 mm": (lambda share: one_off(5.0, 0.3 * share), "opens", "irregular"),
+    "off by -0.3 mm at 5 mm": (lambda share: one_off(5.0, -0.3 * share), "opens", "irregular"),
+    # A gap: twice that.
+    "gap longer by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1), "opens", "irregular"),
+    "gap shorter by a fifth of 1 mm": (lambda share: longer_gap(1.0, share, 0.1, -1), "opens", "irregular"),
+    "gap longer by 0.6 mm at 5 mm": (lambda share: longer_gap(5.0, share, 0.3), "opens", "irregular"),
+    # Across the normal: 0.1 mm, or a tenth of the smaller pixel side.
+    "sideways 0.1 mm at 0.7 mm pixels": (lambda share: sideways(0.1 * share, (0.7, 0.7)), "opens", "shifted"),
+    "sideways -0.1 mm along y": (lambda share: sideways(-0.1 * share, (0.7, 0.7), axis=1), "opens", "shifted"),
+    "sideways 0.15 mm at 1.5 mm pixels": (lambda share: sideways(0.15 * share, (1.5, 2.0)), "opens", "shifted"),
+    # Lean: 0.2 degrees, or 0.1 mm over the height.
+    "leaning 0.2 degrees over 299 mm": (lambda share: tilted(0.2 * share, 300), "opens", "tilt"),
+    "leaning -0.2 degrees along y": (lambda share: tilted(-0.2 * share, 300, axis=1), "opens", "tilt"),
+    "leaning 0.1 mm over 4 mm": (lambda share: lean(0.1 * share), "opens", "tilt"),
+    # Far corner of the image: 0.1 mm.
+    "rows turned": (lambda share: turned(0.1 * share, "row"), "opens", "mixed"),
+    "columns turned": (lambda share: turned(0.1 * share, "column"), "opens", "mixed"),
+    "pixels larger along x": (lambda share: stretched(0.1 * share, 0), "opens", "mixed"),
+    "pixels smaller along x": (lambda share: stretched(-0.1 * share, 0), "opens", "mixed"),
+    "pixels larger along y": (lambda share: stretched(0.1 * share, 1), "opens", "mixed"),
+    "pixels smaller along y": (lambda share: stretched(-0.1 * share, 1), "opens", "mixed"),
+}
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_each_bound_of_a_series_decides_between_just_inside_and_just_outside(name):
+    make, inside, outside = BOUNDS[name]
+    assert answer(make(INSIDE)) == inside
+    assert answer(make(OUTSIDE)) == outside
+
+
+def test_a_slice_shifted_by_a_third_of_a_millimetre_is_refused_in_a_straight_stack():
+    # The stack does not lean: neither the angle nor the distance of the tilt check decides.
+    assert answer(sideways(0.3, (0.7, 0.7))) == "shifted"
+
+
+def test_a_large_angle_alone_or_a_large_distance_alone_is_no_tilt():
+    assert answer(lean(0.09, height_mm=2.0)) == "opens"  # 2.6 degrees, 0.09 mm
+    assert answer(tilted(0.19, 300)) == "opens"  # 0.99 mm, 0.19 degrees
+    assert answer(tilted(0.3, 300)) == "tilt"
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "expected"), [(512, 512, "opens"), (511, 512, "mixed"), (512, 513, "mixed")]
+)
+def test_one_other_side_is_another_size(rows, columns, expected):
+    assert answer(resized(rows, columns)) == expected
+
+
+@pytest.mark.parametrize(("count", "expected"), [(1, "single-slice"), (2, "opens"), (3, "opens")])
+def test_a_stack_has_two_slices(count, expected):
+    assert answer(stack(heights(*[1.0] * (count - 1)))) == expected
+
+
+@pytest.mark.parametrize(("missing", "words"), [(1, "a slice may be missing"), (3, "3 slices may be missing")])
+def test_missing_slices_are_counted(missing, words):
+    gaps = [1.0] * 20
+    gaps[7] = 1.0 + missing
+    with pytest.raises(VolumeImportError, match=rf"found {gaps[7]:.2f} mm after slice 8 of 21 \(IM007\).*{words}"):
+        grid_from_slices(stack(heights(*gaps)), what="reading a series")
+
+
+def header(shape=(3, 3, 3), matrix=None, components=1) -> GridHeader:
+    """A header of a grid file."""
+    return GridHeader(
+        format="nrrd",
+        shape_ijk=shape,
+        num_components=components,
+        dtype=np.dtype("<i2"),
+        lps_from_ijk=np.eye(4) if matrix is None else matrix,
+        data_path=Path("ct.nrrd"),
+        data_offset=0,
+        compression=None,
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "code"),
+    [
+        (header(), None),
+        (header((2, 2, 2)), None),
+        (header((1, 3, 3)), "import.single-slice"),
+        (header((3, 3, 1)), "import.single-slice"),
+        (header((0, 3, 3)), "import.header"),
+        (header((3, -1, 3)), "import.header"),
+        (header((3, 3)), "import.not-3d"),
+        (header((3, 3, 3, 2)), "import.not-3d"),
+        (header(components=2), "import.not-3d"),
+        (header(components=0), "import.not-3d"),
+        (header(matrix=np.diag([0.01, 1, 1, 1])), None),
+        (header(matrix=np.diag([0.01 * INSIDE, 1, 1, 1])), "import.geometry.spacing"),
+        (header(matrix=np.diag([1, 1, 100.0, 1])), None),
+        (header(matrix=np.diag([1, 1, 100.0 * OUTSIDE, 1])), "import.geometry.spacing"),
+        (header(matrix=np.diag([1, 1, np.nan, 1])), "import.geometry.spacing"),
+        (header(matrix=np.diag([1, np.inf, 1, 1])), "import.geometry.spacing"),
+    ],
+)
+def test_each_bound_of_a_grid_header(given, code):
+    if code is None:
+        check_grid_header(given.data_path, given)
+        return
+    with pytest.raises(VolumeImportError) as caught:
+        check_grid_header(given.data_path, given)
+    assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    ("widest_mm", "generation"),
+    # Weibel's diameters; 1.5 mm is the least visible one.
+    [(0.5, 9), (1.54, 9), (1.541, 8), (1.86, 8), (1.861, 7), (2.3, 7), (2.301, 6), (18.0, 0), (30.0, 0)],
+)
+def test_the_trusted_generation_changes_at_each_diameter(widest_mm, generation):
+    assert trusted_generation((0.5, 0.5, widest_mm)) == generation
+    assert trusted_generation((widest_mm, 0.5, 0.5)) == generation
