@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +35,7 @@ _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[0-9],[0-9]")
 _MAX_PROBLEM_CHARS = 400
+_MAX_NAME_BYTES = 255  # of every common file system
 
 
 class HeaderValueError(ValueError):
@@ -183,6 +185,8 @@ def beside(path: Path, name: str) -> Path:
     if simple.upper().startswith("LIST") or "%" in simple:
         problem = "its values are split across several files, which is not supported"
         raise refuse(path, problem, "save it again as one file", "import.not-supported")
+    if len(os.fsencode(simple)) > _MAX_NAME_BYTES:
+        raise HeaderValueError("name of the data file", f"at most {_MAX_NAME_BYTES} bytes long", simple)
     if not simple or simple != Path(simple).name or "\\" in simple or simple in (".", ".."):
         problem = "its values are in another folder"
         raise refuse(path, problem, "save the scan again, with both files in one folder", "import.elsewhere")

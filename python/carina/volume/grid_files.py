@@ -30,6 +30,7 @@ _ITK_READERS = {"nifti": "NiftiImageIO", "nrrd": "NrrdImageIO", "metaimage": "Me
 _LIBRARY = re.compile(
     rb"Meta(?:Object|Image|IO|Command)|MET_|\bdefin(?:ed|ing)\b|nrrd|nifti|nii_|^\*\*|^\+\+|itk", re.IGNORECASE
 )
+_MAX_METAIO_LINE = 1000
 _LIBRARY_SKEW_DEG = 0.002
 """ITK begins to refuse an sform at about ten times this angle."""
 
@@ -47,6 +48,9 @@ def _library_copy(header: GridHeader, head: bytes) -> Iterator[Path]:
         suffix, stand_in = ".hdr", "carina-header.img"
     elif header.format == "nrrd" and header.values_are_elsewhere:
         suffix, stand_in = ".nhdr", header.data_path.name
+    elif header.format == "metaimage":
+        # MetaIO cannot read long lines; those of the geometry are short.
+        head = b"".join(text for text in head.splitlines(keepends=True) if len(text) <= _MAX_METAIO_LINE)
     with scratch_folder() as folder:
         named = folder / f"carina-header{suffix}"
         # NIfTI: four bytes that say that no extension follows.

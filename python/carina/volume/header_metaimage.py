@@ -29,8 +29,8 @@ _KINDS = {
     "MET_DOUBLE": "f8",
 }  # fmt: skip
 _TRUTH = {"true": True, "t": True, "1": True, "false": False, "f": False, "0": False}
-_TURNS = ("transformmatrix", "rotation", "orientation")
-_ORIGINS = ("offset", "position", "origin")
+_TURNS = ("TransformMatrix", "Rotation", "Orientation")
+_ORIGINS = ("Offset", "Position", "Origin")
 _FROM_LETTERS = ("RL", "AP", "IS")  # AnatomicalOrientation names where an axis comes from
 
 
@@ -129,11 +129,10 @@ def _fields(path: Path, text: bytes) -> tuple[dict[str, str], int]:
             raise KeyError("ElementDataFile")
 
 
-def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default: str) -> str:
-    """The value of fields that mean the same; refused where two of them differ."""
-    given = {name: fields[name] for name in names if name in fields}
-    values = {tuple(real(number, name) for number in text.split()) for name, text in given.items()}
-    if len(values) > 1:
+def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default: list[float]) -> list[float]:
+    """Return the numbers of fields that mean the same; refuse a header in which two of them differ."""
+    given = {name: reals(fields[name.lower()], name, len(default)) for name in names if name.lower() in fields}
+    if len({tuple(numbers) for numbers in given.values()}) > 1:
         problem = f"its {' and '.join(given)} contradict each other"
         way_out = "programs differ in which one they use; export it again"
         raise refuse(path, problem, way_out, "import.geometry.ambiguous")
@@ -174,7 +173,7 @@ def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:
 def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[Note, ...]:
     """What the format fills in by itself, and what it says twice in two ways."""
     notes = []
-    if not any(name in fields for name in _TURNS):
+    if not any(name.lower() in fields for name in _TURNS):
         words = "its header does not state where its axes point; they are assumed to point left, posterior and superior"
         notes.append(Note("import.orientation-doubted", words, badge=True))
     else:
@@ -189,7 +188,7 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
                 )
                 notes.append(Note("import.orientation-doubted", words, badge=True))
                 break
-    if not any(name in fields for name in _ORIGINS):
+    if not any(name.lower() in fields for name in _ORIGINS):
         words = (
             "its header does not state the position of its first voxel; segmentations and points "
             "from other programs may not match"
@@ -210,14 +209,14 @@ def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.
     if num_axes != 3:
         return matrix
     # Each row of three numbers is the direction of one axis; the world is LPS.
-    turn = _one_of(path, fields, _TURNS, "1 0 0 0 1 0 0 0 1")
-    origin = _one_of(path, fields, _ORIGINS, "0 0 0")
-    directions = np.array(reals(turn, "TransformMatrix", 9)).reshape(3, 3)
+    turn = _one_of(path, fields, _TURNS, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    origin = _one_of(path, fields, _ORIGINS, [0.0, 0.0, 0.0])
+    directions = np.array(turn).reshape(3, 3)
     lengths = np.linalg.norm(directions, axis=1)
     if not (np.abs(lengths - 1.0) < 0.01).all():  # three digits, as some programs write, are off by 0.001
         found = ", ".join(f"{length:g}" for length in lengths)
         problem = f"the directions in its TransformMatrix should have length 1; found {found}"
         raise refuse(path, problem, "export it again, with its spacing in ElementSpacing", "import.geometry.ambiguous")
     matrix[:3, :3] = directions.T * spacing
-    matrix[:3, 3] = reals(origin, "Offset", 3)
+    matrix[:3, 3] = origin
     return matrix
