@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from corpus import Input
 from grid_writers import AIR, FORMS, LPS_FROM_IJK, bgzip, chest, metaimage, nifti, nrrd
+from nifti_forms import nearest_rotation, with_both_forms, with_qform
 
 __all__ = ["INPUTS"]
 
@@ -125,11 +127,51 @@ def _ras(lines: list[str]) -> None:
     )(lines)
 
 
+def _skewed(degrees: float) -> np.ndarray:
+    """The grid with its second axis turned towards the first one."""
+    matrix = LPS_FROM_IJK.copy()
+    angle = np.radians(degrees)
+    first, second = (matrix[:3, axis] / np.linalg.norm(matrix[:3, axis]) for axis in (0, 1))
+    matrix[:3, 1] = np.linalg.norm(matrix[:3, 1]) * (np.sin(angle) * first + np.cos(angle) * second)
+    return matrix
+
+
+def _pixdim(axis: int, value: float) -> Make:
+    """A NIfTI with qform alone, and one number of its pixdim."""
+    return _edited(
+        lambda folder: with_qform(folder, LPS_FROM_IJK), lambda data: struct.pack_into("<f", data, 76 + 4 * axis, value)
+    )
+
+
+def _packed(make: Make, pack: Callable[[bytes], bytes] = gzip.compress) -> Make:
+    """A file packed as a whole under its plain name."""
+
+    def again(folder: Path) -> Path:
+        path = make(folder)
+        path.write_bytes(pack(path.read_bytes()))
+        return path
+
+    return again
+
+
+def _named(make: Make, name: bytes) -> Make:
+    return lambda folder: make(folder).rename(folder / os.fsdecode(name))
+
+
 _FLOATS = chest().astype(np.float32)
 _STORED = (chest().astype(np.int32) + 1024).astype(np.uint16)
 _HALVES = (chest() * 2).astype(np.int16)
 _EIGHTS = (chest() * 8).astype(np.int16)
 _N, _R, _M, _G = "NIfTI", "NRRD", "MetaImage", "Numbers that are none"
+_L, _A, _Z, _V, _B = (
+    "Grids: left and right",
+    "Grids: almost right angles",
+    "Grids: packed files",
+    "Grids: values of text headers",
+    "Grids: names of files",
+)
+_HEADER = "correct the header, or export it again"
+_UNPACK = "unpack it and open the result"
 _NOT3D = "save each volume as a separate file"
 
 INPUTS: tuple[Input, ...] = (
@@ -262,5 +304,43 @@ INPUTS: tuple[Input, ...] = (
     Input("a tenth of the lung is NaN", _G, _nifti(_gaps("lung")), "opens", ("import.not-numbers",), is_hu=False,
           voxels=_lost_lung, do="export the scan again; what a program masked out is lost"),
     Input("NaN round the patient", _G, _nifti(_gaps("round")), "opens", ("import.not-numbers",), voxels=_same),
+    Input("pixdim[1] negative, qform alone", _L, _pixdim(1, -0.7), "import.geometry.ambiguous", do=SLICER),
+    Input("pixdim[2] negative, qform alone", _L, _pixdim(2, -0.9), "import.geometry.ambiguous", do=SLICER),
+    Input("pixdim[3] negative, qform alone", _L, _pixdim(3, -1.25), "import.geometry.ambiguous", do=SLICER),
+    Input("pixdim[1] negative, sform alone", _L,
+          _edited(_nifti(), lambda data: struct.pack_into("<f", data, 80, -0.7)), "import.geometry.ambiguous",
+          do=SLICER),
+    Input("qfac (pixdim[0]) -2, qform alone", _L, _pixdim(0, -2), "import.geometry.ambiguous", do=SLICER),
+    Input("qfac (pixdim[0]) 0, qform alone", _L, _pixdim(0, 0), "opens", voxels=_same),
+    Input("a negative ElementSpacing", _L, _meta(edit=_lines(("ElementSpacing", "ElementSpacing = -0.7 0.9 1.25"))),
+          "import.geometry.spacing", do="export it again with its spacing"),
+    Input("NIfTI, axes 0.02 degrees off", _A, _nifti(lps_from_ijk=_skewed(0.02)), "opens", voxels=_same),
+    Input("NIfTI, axes 0.17 degrees off", _A, _nifti(lps_from_ijk=_skewed(0.17)), "opens", voxels=_same),
+    Input("NIfTI, axes 0.17 degrees off, the nearest rotation as qform", _A,
+          lambda folder: with_both_forms(folder, _skewed(0.17), nearest_rotation(_skewed(0.17))), "opens",
+          voxels=_same),
+    Input("NRRD, axes 0.17 degrees off", _A, _nrrd(lps_from_ijk=_skewed(0.17)), "opens", voxels=_same),
+    Input("NIfTI, axes 0.7 degrees off", _A, _nifti(lps_from_ijk=_skewed(0.7)), "import.geometry.sheared",
+          do="resample it to a rectangular grid first"),
+    Input("NRRD, axes 0.7 degrees off", _A, _nrrd(lps_from_ijk=_skewed(0.7)), "import.geometry.sheared",
+          do="resample it to a rectangular grid first"),
+    Input("a NIfTI packed by gzip and named .nii", _Z, _packed(_nifti()), "opens", voxels=_same),
+    Input("an NRRD packed by gzip as a whole", _Z, _packed(_nrrd()), "opens", voxels=_same),
+    Input("an NRRD with packed values, packed again as a whole", _Z, _packed(_form("nrrd gzip")), "opens",
+          voxels=_same),
+    Input("a compressed MetaImage, packed by gzip as a whole", _Z, _packed(_form("metaimage compressed")), "opens",
+          voxels=_same),
+    Input("packed twice by gzip", _Z, _packed(_packed(_nifti())), "import.not-an-image", do=_UNPACK),
+    Input("packed by bzip2", _Z, _packed(_nifti(), bz2.compress), "import.not-an-image", do=_UNPACK),
+    Input("MetaImage, decimal commas", _V, _meta(edit=_lines(("ElementSpacing", "ElementSpacing = 0,7 0,9 1,25"))),
+          "import.header", do=_HEADER, names=("'0,7 0,9 1,25'", "a comma is not accepted")),
+    Input("NRRD, decimal commas", _V, _nrrd(edit=_lines(("space origin", "space origin: (-31,5,12,25,140,0)"))),
+          "import.header", do=_HEADER, names=("'(-31,5,12,25,140,0)'", "a comma is not accepted")),
+    Input("a value of 10 kB", _V, _nrrd(edit=_lines(("space: ", "space: " + "x" * 10_000))),
+          "import.geometry.orientation-unknown", do=SLICER, names=("(10000 characters)",)),
+    Input("a comment of 10 kB", _V, _meta(edit=lambda lines: lines.insert(5, "Comment = " + "x " * 5_000)), "opens",
+          voxels=_same),
+    Input("a name that is not UTF-8", _B, _named(_nifti(), b"l\xe9.nii"), "opens", voxels=_same),
+    Input("a name with a line break", _B, _named(_nrrd(), b"a\nb.nrrd"), "opens", voxels=_same),
     Input("NaN alone", _G, _nifti(_gaps("all")), "import.no-numbers", do="export the scan again"),
 )  # fmt: skip
