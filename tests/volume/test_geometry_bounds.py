@@ -15,6 +15,7 @@ from carina.volume.grid_claim import GridHeader
 from carina.volume.grid_headers import _check as check_grid_header
 from carina.volume.quality import trusted_generation
 
+ORIGIN_LPS = np.array([-31.5, 12.25, 140.0])
 INSIDE, OUTSIDE = 1 - 1e-6, 1 + 1e-6
 
 
@@ -39,7 +40,7 @@ def stack(
 def heights(*gaps: float) -> np.ndarray:
     """Positions on a straight stack with these gaps."""
     z = np.concatenate([[0.0], np.cumsum(gaps)])
-    return np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    return np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1) + ORIGIN_LPS
 
 
 def answer(slices: list[SimpleNamespace]) -> str:
@@ -85,14 +86,14 @@ def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> li
 def tilted(degrees: float, num_slices: int, gap: float = 1.0, axis: int = 0) -> list[SimpleNamespace]:
     """A stack that leans by an angle."""
     positions = heights(*[gap] * (num_slices - 1))
-    positions[:, axis] = positions[:, 2] * math.tan(math.radians(degrees))
+    positions[:, axis] += (positions[:, 2] - ORIGIN_LPS[2]) * math.tan(math.radians(degrees))
     return stack(positions)
 
 
 def lean(lean_mm: float, height_mm: float = 4.0) -> list[SimpleNamespace]:
     """Five slices that lean by a distance (more than 0.2 degrees)."""
     positions = heights(*[height_mm / 4] * 4)
-    positions[:, 0] = np.linspace(0, lean_mm, 5)
+    positions[:, 0] += np.linspace(0, lean_mm, 5)
     return stack(positions)
 
 
@@ -190,6 +191,33 @@ def test_missing_slices_are_counted(missing, words):
     gaps = [1.0] * 20
     gaps[7] = 1.0 + missing
     with pytest.raises(VolumeImportError, match=rf"found {gaps[7]:.2f} mm after slice 8 of 21 \(IM007\).*{words}"):
+        grid_from_slices(stack(heights(*gaps)), what="reading a series")
+
+
+def test_a_stack_has_the_place_of_its_slices_and_keeps_its_lean():
+    slices = stack(heights(*[1.25] * 8), spacing=(0.7, 0.9))
+    for n, one in enumerate(slices):
+        one.position_lps = tuple(ORIGIN_LPS + n * np.array([0.002, -0.001, 1.25]))
+    ordered, lps_from_ijk = grid_from_slices(slices[::-1], what="reading a series")
+    assert ordered == slices
+    expected = np.eye(4)
+    expected[:3] = np.stack([(0.7, 0, 0), (0, 0.9, 0), (0.002, -0.001, 1.25), ORIGIN_LPS], axis=1)
+    np.testing.assert_allclose(lps_from_ijk, expected, rtol=0, atol=1e-12)
+
+
+def test_a_gap_that_is_not_a_whole_number_of_slices_is_not_called_a_missing_slice():
+    gaps = [1.0] * 20
+    gaps[7] = 2.5
+    with pytest.raises(VolumeImportError, match=r"found 2\.50 mm") as caught:
+        grid_from_slices(stack(heights(*gaps)), what="reading a series")
+    assert "missing" not in str(caught.value)
+    assert "more places" not in str(caught.value)
+
+
+def test_further_irregular_gaps_are_counted():
+    gaps = [1.0] * 20
+    gaps[7] = gaps[11] = 2.0
+    with pytest.raises(VolumeImportError, match=r"\(and at 1 more places\)"):
         grid_from_slices(stack(heights(*gaps)), what="reading a series")
 
 
