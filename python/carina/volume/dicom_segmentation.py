@@ -102,10 +102,10 @@ def read_segmentation(path: Path, watch: Watch, *, volume: Volume | None = None)
         If the file is not a segmentation, is damaged, or if its frames are not on one grid (code ``import.mask``).
     """
     with damaged_elements_refused(lambda problem: _refused(path, problem, "copy or export it again")):
-        return _read_segmentation(path, watch)
+        return _read_segmentation(path, watch, volume)
 
 
-def _read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDArray[np.float64], dict[int, str]]:
+def _read_segmentation(path: Path, watch: Watch, volume: Volume | None) -> Segmentation:
     watch.step("Reading the segmentation")
     try:
         data = read_dataset(path, pixels=True)
