@@ -19,6 +19,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
+from carina.argument_checks import (
+    array_of,
+    check_arguments,
+    choice,
+    each,
+    file_path,
+    flag,
+    function,
+    instance,
+    number_from,
+    whole_from,
+)
 from carina.config import load_settings
 from carina.disk import Draft, make_folder
 from carina.errors import CancelledError, UsageError
@@ -59,6 +71,27 @@ class Phantom:
         return f"Phantom({self.volume!r}, branches={len(self.truth['branches'])})"
 
 
+def _check_spacing(where: str, name: str, value: object) -> None:
+    """Refuse anything but one number or three numbers from 0.3 to 10 mm."""
+    one = number_from(0.3, 10.0, unit="mm")
+    (each(one, least=3, most=3) if isinstance(value, list | tuple | np.ndarray) else one)(where, name, value)
+
+
+@check_arguments(
+    seed=whole_from(0, 2**64 - 1),
+    spacing_mm=_check_spacing,
+    generations=whole_from(3, 9),
+    stenosis=flag,
+    nodule=flag,
+    noise_hu=number_from(0.0, 200.0, unit="HU"),
+    neck=flag,
+    tube=choice("endotracheal", "tracheostomy", optional=True),
+    resected=choice("RUL", "RML", "RLL", "LUL", "LLL", optional=True),
+    box_lps=array_of(2, 3, optional=True, what="two corners of three finite numbers in mm (LPS)"),
+    with_distance=flag,
+    progress=function,
+    cancel=function,
+)
 def generate_phantom(
     *,
     seed: int = 0,
@@ -234,6 +267,7 @@ def lumen_distance_at(
     return _core.chest_lumen_distances(seed, generations, stenosis, neck, points)
 
 
+@check_arguments(phantom=instance(Phantom, "make one with carina.generate_phantom"), directory=file_path())
 def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[Path]:
     """Write ``ct.nii.gz``, ``lumen.nii.gz`` and ``truth.json`` into a folder, which is made if missing.
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any, ParamSpec, Protocol, TypeVar
 
-from carina.errors import UsageError
+from carina.argument_checks import progress_choice
 
 __all__ = ["Progress", "ProgressChoice", "heard", "shows_progress"]
 
@@ -132,15 +132,9 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
     @functools.wraps(function)
     def shown(*args: P.args, **kwargs: P.kwargs) -> T:
         choice: Any = kwargs.get("progress")
+        progress_choice(function.__name__, "progress", choice)
         if callable(choice):
             return function(*args, **kwargs)
-        if choice is not None and not isinstance(choice, bool):
-            raise UsageError(
-                f"{function.__name__}: progress: expected True, False, None or a function that takes a string and "
-                "a fraction; "
-                f"found {type(choice).__name__}",
-                code="usage.type",
-            )
         make = bar_here() if choice is not False else None
         if make is None:
             kwargs["progress"] = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from carina.argument_checks import check_arguments, each, file_path, function, instance
 from carina.errors import check_type
 from carina.export.format_table import export_format
 from carina.export.mask_file import check_mask_file
@@ -60,6 +61,15 @@ def export_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = 
     return export_format(path, kind="tree").write(Path(path), tree, badges=badges)
 
 
+@check_arguments(
+    path=file_path(),
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    airways=instance(Airways, "get airways from carina.find_airways"),
+    tree=instance(AirwayTree, "get one from carina.find_airways", optional=True),
+    badges=each(instance(Note, "create a carina.volume.Note")),
+    progress=function,
+    cancel=function,
+)
 def export_airways(
     path: Path | str,
     volume: Volume,

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import check_arguments, file_path, function, instance, mask_array, number_from
 from carina.display import one_line
 from carina.display.html import caption, escaped, figure
 from carina.display.progress import ProgressChoice, heard, shows_progress
@@ -68,6 +69,16 @@ class Film:
 
 
 @shows_progress
+@check_arguments(
+    path=file_path(),
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    view=instance(AirwayView, "a video can only show the airway view", optional=True),
+    lumen_zyx=mask_array(optional=True),
+    tree=instance(AirwayTree, "get one from carina.find_airways", optional=True),
+    rate_hz=number_from(1.0, 240.0),
+    speed_mm_s=number_from(0.1, 500.0),
+    cancel=function,
+)
 def write_film(
     path: str | os.PathLike[str],
     volume: Volume,

@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from carina.argument_checks import check_arguments, each, file_path, instance
 from carina.disk import read_regular_text, write_whole
 from carina.errors import TrackingError, VolumeImportError, check_type
 from carina.track.tree.airway_tree import AirwayTree
@@ -18,6 +19,11 @@ __all__ = ["read_badges", "read_tree", "write_tree"]
 MAX_BYTES = 200_000_000
 
 
+@check_arguments(
+    path=file_path(),
+    tree=instance(AirwayTree, "get it from carina.find_airways"),
+    badges=each(instance(Note, "create a carina.volume.Note")),
+)
 def write_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write a tree as JSON, whole or not at all.
 
@@ -42,6 +48,7 @@ def write_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = (
     return write_whole(path, text.encode(), what="the tree")
 
 
+@check_arguments(path=file_path())
 def read_tree(path: Path | str) -> AirwayTree:
     """Read a tree from JSON.
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import any_number, check_arguments, instance, number_from
 from carina.errors import UsageError
 from carina.navigate.flight_path import FlightPath
 from carina.scopes import Pose
@@ -41,6 +42,11 @@ class AutoFlight:
     (12.0, 50.0, 60.0)
     """
 
+    @check_arguments(
+        path=instance(FlightPath, "create a carina.FlightPath from the points_lps of a route"),
+        speed_mm_s=any_number(),
+        pause_s=any_number(),
+    )
     def __init__(self, path: FlightPath, *, speed_mm_s: float = 20.0, pause_s: float = 1.0) -> None:
         if not (0.1 <= speed_mm_s <= 500.0 and 0.0 <= pause_s <= 60.0):
             raise UsageError(
@@ -68,10 +74,12 @@ class AutoFlight:
         """From the start of the path to the end of the last pause."""
         return float(self._times[-1])
 
+    @check_arguments(time_s=number_from(-1e9, 1e9, unit="s"))
     def path_mm(self, time_s: float) -> float:
         """The place at a time; clamped to the ends."""
         return float(np.interp(time_s, self._times, self._places))
 
+    @check_arguments(time_s=number_from(-1e9, 1e9, unit="s"))
     def pose_at(self, time_s: float) -> Pose:
         """The pose at a time."""
         return self._path.pose_at(self.path_mm(time_s))

@@ -9,6 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
+from carina.argument_checks import (
+    COORDINATE_MM,
+    any_number,
+    array_of,
+    check_arguments,
+    direction,
+    each,
+    lps_points,
+    number_from,
+    numbers_within,
+)
 from carina.errors import UsageError
 from carina.scopes import PathFrames, Pose
 
@@ -62,6 +73,13 @@ class FlightPath:
         "_up_lps",
     )
 
+    @check_arguments(
+        points_lps=numbers_within(),
+        up_lps=array_of(3, optional=True),
+        forks_mm=each(any_number()),
+        lookouts_mm=each(any_number(), optional=True),
+        max_deviation_mm=any_number(),
+    )
     def __init__(
         self,
         points_lps: ArrayLike,
@@ -86,6 +104,13 @@ class FlightPath:
         self._lookouts_mm = self._forks_mm if lookouts_mm is None else self._on_path("look-outs", lookouts_mm)
 
     @classmethod
+    @check_arguments(
+        points_lps=lps_points(),
+        up_lps=direction(optional=True),
+        forks_mm=each(number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm")),
+        lookouts_mm=each(number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm")),
+        max_deviation_mm=number_from(0.2, 10.0, unit="mm"),
+    )
     def made_before(
         cls,
         points_lps: NDArray[np.float64],
@@ -157,6 +182,7 @@ class FlightPath:
             "max_deviation_mm": self._max_deviation_mm,
         }
 
+    @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def pose_at(self, path_mm: float) -> Pose:
         """The camera at a place, looking along the path ahead; clamped to the ends."""
         return Pose(self._curve.pose_at(float(path_mm)))
@@ -170,10 +196,12 @@ class FlightPath:
             found = self._frames = PathFrames(np.linspace(0.0, self.length_mm, len(frames)), frames)
         return found
 
+    @check_arguments(point_lps=numbers_within())
     def nearest_mm(self, point_lps: ArrayLike) -> float:
         """The place nearest to a point (LPS mm)."""
         return self.nearest(point_lps)[0]
 
+    @check_arguments(point_lps=numbers_within())
     def nearest(self, point_lps: ArrayLike) -> tuple[float, float]:
         """The place nearest to a point (LPS mm), and the distance to it in mm."""
         point = np.asarray(point_lps, dtype=np.float64)
@@ -181,11 +209,13 @@ class FlightPath:
             raise UsageError("a point needs three finite numbers")
         return self._curve.nearest((float(point[0]), float(point[1]), float(point[2])))
 
+    @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def next_fork_mm(self, path_mm: float) -> float:
         """The first look-out beyond a place, or the end of the path."""
         # 0.01 mm: a person at a fork means the one after it, whatever the rounding of the way here.
         return next((f for f in self._lookouts_mm if f > path_mm + 0.01), self.length_mm)
 
+    @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def previous_fork_mm(self, path_mm: float) -> float:
         """The last look-out before a place, or the start of the path."""
         return next((f for f in reversed(self._lookouts_mm) if f < path_mm - 0.01), 0.0)

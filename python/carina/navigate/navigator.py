@@ -9,6 +9,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import (
+    COORDINATE_MM,
+    array_of,
+    bounded,
+    check_arguments,
+    choice,
+    instance,
+    number_from,
+    numbers_within,
+)
 from carina.errors import UsageError
 from carina.navigate.flight_path import FlightPath
 from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_from_rotation, yaw_pitch_roll
@@ -24,6 +34,13 @@ Limit = Literal["none", "volume", "path start", "path end"]
 # A tip this near to the path joins it without a jump, easing over; the trachea's radius is some 9 mm. Farther off,
 # easing over would fly through tissue.
 JOIN_MM = 10.0
+MM = bounded(COORDINATE_MM, unit="mm")
+RAD = bounded(1e6, unit="rad")
+SECONDS = number_from(-86_400.0, 86_400.0, unit="s")
+AN_OPERATOR = choice("head", "facing")
+A_POSE = instance(Pose, "get one from a carina.FlightPath or from carina.Pose.looking")
+A_PATH = instance(FlightPath, "create a carina.FlightPath from the points_lps of a route", optional=True)
+A_VOLUME = instance(Volume, "open a volume with carina.open_volume", optional=True)
 # Easing per mm of advance: at most 4 degrees and half a millimetre, and exponentially over the last stretch.
 EASE_RAD_PER_MM = math.radians(4.0)
 EASE_MM_PER_MM = 0.5
@@ -62,6 +79,7 @@ class Navigator:
     [0.0, 0.0, -5.0]
     """
 
+    @check_arguments(pose=A_POSE, volume=A_VOLUME, operator=AN_OPERATOR)
     def __init__(self, pose: Pose, *, volume: Volume | None = None, operator: OperatorPosition = "head") -> None:
         self._volume = volume
         self._operator: OperatorPosition = _checked_operator(operator)
@@ -147,6 +165,7 @@ class Navigator:
 
     # Movement.
 
+    @check_arguments(advance_mm=MM, yaw_rad=RAD, pitch_rad=RAD, roll_rad=RAD, dt_s=SECONDS)
     def steer(
         self,
         advance_mm: float = 0.0,
@@ -188,6 +207,7 @@ class Navigator:
         at = self._pose.position_lps
         self._set_free(rotation, self._held_inside(at, at + advance_mm * rotation[:, 2]))
 
+    @check_arguments(offset_mm=array_of(3), turn=array_of(3, 3, largest=2.0), dt_s=SECONDS)
     def move_by(self, offset_mm: tuple[float, float, float], turn: NDArray[np.float64], *, dt_s: float = 0.0) -> None:
         """Move and turn at once, as a rigid hand does.
 
@@ -219,11 +239,13 @@ class Navigator:
         wanted = before[:3, 3] + before[:3, :3] @ np.array(offset_mm)
         self._set_free(orthonormal(before[:3, :3] @ turn), self._held_inside(before[:3, 3], wanted))
 
+    @check_arguments(insertion_mm=MM, roll_rad=RAD, flexion_rad=RAD, dt_s=SECONDS)
     def hold_scope(self, insertion_mm: float, roll_rad: float, flexion_rad: float, *, dt_s: float = 0.0) -> None:
         """Set the scope's three controls; mode *scope* only. See :meth:`carina.scopes.ScopeDrive.drive`."""
         drive = self._needed_drive()
         self._pose = drive.drive(insertion_mm, roll_rad, flexion_rad, max(dt_s, 0.0)).pose
 
+    @check_arguments(drive=instance(ScopeDrive, "create a carina.ScopeDrive"))
     def enter_scope(self, drive: ScopeDrive) -> None:
         """Hold a scope that lies in the lumen; the tip is where its tip is, seen as the operator stands."""
         drive.set_operator(self._operator)
@@ -232,6 +254,7 @@ class Navigator:
         self._look, self._entry = np.eye(3), np.eye(3)
         self._pose = drive.state.pose
 
+    @check_arguments(path_mm=MM)
     def go_to(self, path_mm: float) -> None:
         """Go to a place of the path, clamped to its ends; enters mode *path*.
 
@@ -254,6 +277,7 @@ class Navigator:
         self.go_to(self._needed_path().previous_fork_mm(self._nearest_mm()))
         return self._path_mm
 
+    @check_arguments(pose=A_POSE)
     def place(self, pose: Pose) -> None:
         """Put the tip anywhere in the volume; enters mode *free*. Outside it is held at the edge (:attr:`limit`)."""
         self._mode = "free"
@@ -266,6 +290,7 @@ class Navigator:
         else:
             self._set_pose(pose.lps_from_camera[:3, :3], at)
 
+    @check_arguments(point_lps=numbers_within())
     def place_at(self, point_lps: Sequence[float] | NDArray[np.float64]) -> None:
         """Move the tip to a point and keep where it looks; enters mode *free*."""
         point = np.asarray(point_lps, dtype=np.float64)
@@ -277,6 +302,7 @@ class Navigator:
 
     # Modes.
 
+    @check_arguments(path=A_PATH)
     def set_path(self, path: FlightPath | None) -> None:
         """Take another path to fly on. In mode *path* the tip joins it where it is nearest; without one it is free."""
         self._path = path
@@ -287,6 +313,7 @@ class Navigator:
             else:
                 self._look = np.eye(3)
 
+    @check_arguments(mode=choice("free", "path", "scope"))
     def set_mode(self, mode: Mode) -> None:
         """Enter a mode; the picture does not jump (see the class).
 
@@ -332,6 +359,7 @@ class Navigator:
         # Level is at a right angle to the view; the camera's own up is -y.
         self._roll(math.atan2(float(level @ rotation[:, 0]), float(level @ -rotation[:, 1])))
 
+    @check_arguments(position=AN_OPERATOR)
     def set_operator(self, position: OperatorPosition) -> None:
         """Stand at the patient's head or face the patient: the picture turns by 180 degrees.
 
@@ -360,6 +388,7 @@ class Navigator:
             "lps_from_camera": self._pose.lps_from_camera.tolist(),
         }
 
+    @check_arguments(state=instance(dict, "take one from Navigator.state"), path=A_PATH)
     def restore(self, state: dict[str, Any], path: FlightPath | None) -> None:
         """Be as at :meth:`state`.
 

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import any_number, check_fields
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.nodule import Nodule
@@ -38,6 +39,7 @@ class NeedleErrors:
     """Of the scope's tip, on each of the two axes across the needle."""
 
     def __post_init__(self) -> None:
+        check_fields(self, angle_deg=any_number(), tip_mm=any_number())
         for name, value, most in (("angle_deg", self.angle_deg, 45.0), ("tip_mm", self.tip_mm, 20.0)):
             if not (math.isfinite(value) and 0.0 <= value <= most):
                 raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.errors")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from carina.argument_checks import check_arguments, function, instance, lps_point
 from carina.errors import NoResultError, UsageError, check_type
 from carina.plan.boundary import HALVES_MM, Boundary, no_boundary
 from carina.plan.boundary_measures import measured
@@ -23,6 +24,12 @@ MOST_STEPS = 60
 """Voxels from the middle of a box to its side: a mass needs no finer ones."""
 
 
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    at_lps=lps_point(),
+    wall=instance(WallField, "make one with carina.wall_field", optional=True),
+    progress=function,
+)
 def grow_nodule(
     volume: Volume,
     at_lps: ArrayLike,

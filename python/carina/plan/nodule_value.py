@@ -11,6 +11,20 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from carina.argument_checks import (
+    COORDINATE_MM,
+    array_of,
+    check_arguments,
+    check_fields,
+    choice,
+    each,
+    instance,
+    lps_point,
+    lps_points,
+    mask_array,
+    number_from,
+    text_of,
+)
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.box import ball_distance, surface
@@ -74,6 +88,26 @@ class Nodule:
     notes: tuple[str, ...] = ()
     """What a person should know about its boundary: that it was edited by hand, what of a file was left out."""
 
+    def __post_init__(self) -> None:
+        size = number_from(0.0, COORDINATE_MM, unit="mm")
+        volume = number_from(0.0, 1e9, unit="mm3")
+        check_fields(
+            self,
+            centre_lps=lps_point(),
+            kind=choice(*get_args(NoduleKind)),
+            volume_mm3=volume,
+            volume_error_mm3=volume,
+            long_mm=size,
+            short_mm=size,
+            diameter_error_mm=size,
+            solid_mm3=volume,
+            density_hu=number_from(-40_000.0, 40_000.0, unit="HU"),
+            touches=each(text_of()),
+            inside_zyx=mask_array(),
+            lps_from_ijk=array_of(4, 4),
+            notes=each(text_of(20_000)),
+        )
+
     @property
     def equivalent_mm(self) -> float:
         """Diameter of the ball of its volume."""
@@ -131,6 +165,7 @@ class Nodule:
         }
 
     @classmethod
+    @check_arguments(record=instance(Mapping, "take one from Nodule.to_record"))
     def from_record(cls, record: Mapping[str, Any]) -> Nodule:
         """The nodule that `to_record` wrote.
 
@@ -161,6 +196,7 @@ class Nodule:
             raise UsageError("reading a nodule: its record holds impossible values", code="plan.record")
         return made
 
+    @check_arguments(points_lps=lps_points())
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
         """How far points are from its boundary; 0 inside.
 
@@ -180,6 +216,7 @@ class Nodule:
         half_mm = 0.5 * float(np.linalg.norm(self.lps_from_ijk[:3, 0]))
         return np.where(self.contains(points), 0.0, np.maximum(off - half_mm, 0.0))
 
+    @check_arguments(points_lps=lps_points())
     def contains(self, points_lps: ArrayLike) -> Mask:
         """Whether points (n, 3) LPS mm lie in it, by the nearest voxel of its box."""
         points = np.atleast_2d(np.asarray(points_lps, dtype=np.float64))

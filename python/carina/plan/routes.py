@@ -10,11 +10,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from carina.argument_checks import (
+    check_arguments,
+    check_fields,
+    choice,
+    each,
+    function,
+    instance,
+    lps_point,
+    lps_points,
+    name_or,
+    number_from,
+    text_of,
+)
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.hindrances import check_target, notes_of_target, notes_of_tools, why_none
@@ -132,6 +145,12 @@ class PlannedRoute:
         }
 
 
+def _check_target(where: str, name: str, value: object) -> None:
+    """Refuse anything but a target, a nodule and a point."""
+    if not isinstance(value, PlanTarget | Nodule):
+        lps_point()(where, name, value)
+
+
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
@@ -170,6 +189,27 @@ class Plan:
     """How far the ridge of the main carina lies beyond the place where the axes of the main bronchi meet, from which
     `PlannedRoute.from_carina_mm` counts; None where no ridge was found."""
 
+    def __post_init__(self) -> None:
+        check_fields(
+            self,
+            nodule=instance(Nodule, "get one from carina.grow_nodule"),
+            scope=instance(ScopePreset, "get one from carina.scopes.scope_preset"),
+            tool=instance(Tool, "get one from carina.plan.tool"),
+            bronchus_sign=choice(*get_args(BronchusSign)),
+            sign_branch=text_of(optional=True),
+            sign_lps=lps_point(optional=True),
+            moved_mm=number_from(0.0, 60.0, unit="mm"),
+            routes=each(instance(PlannedRoute, "get routes from carina.plan_route")),
+            why=text_of(20_000, optional=True),
+            notes=each(text_of(20_000)),
+            aims=each(lps_point()),
+            vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
+            weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights"),
+            nearest=instance(NearestPlace, "get one from carina.plan_route", optional=True),
+            carina_ridge_mm=number_from(-1000.0, 1000.0, optional=True, unit="mm"),
+        )
+
+    @check_arguments(route=instance(PlannedRoute, "take one of the plan's routes"))
     def past_carina_mm(self, route: PlannedRoute) -> float | None:
         """Where a route's scope stands, from the ridge of the main carina, as in theatre; None where there is none."""
         return None if route.from_carina_mm is None else route.from_carina_mm - (self.carina_ridge_mm or 0.0)
@@ -199,6 +239,21 @@ class Plan:
         }
 
 
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    airways=instance(Airways, "get airways from carina.find_airways"),
+    target=_check_target,
+    scope=name_or(ScopePreset, "name one of carina.scopes.scope_presets"),
+    tool=name_or(Tool, "name one of carina.plan.tools"),
+    aims=lps_points(optional=True),
+    vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
+    moved_mm=number_from(0.0, 60.0, optional=True, unit="mm"),
+    errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),
+    weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
+    wall=instance(WallField, "make one with carina.wall_field", optional=True),
+    progress=function,
+    cancel=function,
+)
 def plan_route(
     volume: Volume,
     airways: Airways,

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from carina.argument_checks import check_fields, number_from
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.last_leg import LastLeg
@@ -54,6 +55,7 @@ class ScoreWeights:
     """What the needle's way in the target lacks of 8 mm, or of the target's own length."""
 
     def __post_init__(self) -> None:
+        check_fields(self, **dict.fromkeys(self.__slots__, number_from(0.0, 1e6)))
         values = [getattr(self, name) for name in self.__slots__]
         if not all(math.isfinite(v) and v >= 0.0 for v in values) or sum(values) <= 0.0:
             raise UsageError(f"weights: expected numbers from 0 up, not all 0; found {values}", code="plan.weights")

@@ -8,7 +8,7 @@ from carina.render.appearance import Appearance, DecorationName
 from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
-from carina.render.pictures import mark_tip, render_surface, render_view, view_spec
+from carina.render.pictures import ignored_settings, mark_tip, render_surface, render_view, view_spec
 from carina.render.png_text import read_png_badges, read_png_pose
 from carina.render.renderer import Renderer, can_cut
 from carina.render.sight import Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
@@ -99,6 +99,7 @@ __all__ = [
     "build_isoregion_map",
     "can_cut",
     "find_adapters",
+    "ignored_settings",
     "isoregion_map",
     "letter_edges",
     "mark_path",

@@ -4,12 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+from functools import cache
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.errors import UsageError, check_type
+from carina.argument_checks import (
+    any_number,
+    array_of,
+    check_arguments,
+    choice,
+    flag,
+    having,
+    instance,
+    mask_array,
+    name_or,
+    numbers_within,
+    shown,
+    text_of,
+)
+from carina.errors import RenderError, UsageError, check_type
 from carina.render.backend import Backend
 from carina.render.decoration import DecorationTree
 from carina.render.renderer import Renderer
@@ -21,6 +36,7 @@ from carina.render.view_table import LEAD_VIEW, view_row
 from carina.render.views import AirwayView, Picture, TreeView, View
 from carina.scopes import (
     FULL_FRAME,
+    OUTLINES,
     DepthOfField,
     ImageField,
     Lens,
@@ -32,11 +48,53 @@ from carina.scopes import (
 )
 from carina.volume import Volume
 
-__all__ = ["mark_tip", "render_surface", "render_view", "view_spec"]
+__all__ = ["ignored_settings", "mark_tip", "render_surface", "render_view", "view_spec"]
 
 MARK_RGB = (70, 220, 235)
+A_WORD = text_of(80, least=0)
+"""The view refuses wrong words and wrong numbers itself, as a `RenderError`."""
+A_TRANSFER = instance(TransferFunction, "get one from carina.transfer_preset", optional=True)
+A_SCOPE = name_or(ScopePreset, "name one of carina.scopes.scope_presets", optional=True)
+A_LENS = instance(Lens, "create a carina.scopes.Lens", optional=True)
+AN_OUTLINE = choice(*OUTLINES, optional=True)
 
 
+def _check_view(where: str, name: str, value: object) -> None:
+    """Refuse a name that is too long to be shown; `render_view` refuses every other wrong view."""
+    if isinstance(value, str):
+        text_of(80, least=0)(where, name, value)
+
+
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    view=_check_view,
+    pose=instance(Pose, "get one from a carina.FlightPath or from carina.Pose.looking", optional=True),
+    fov_deg=any_number(optional=True),
+    width=any_number(),
+    height=any_number(),
+    method=A_WORD,
+    step_vox=any_number(),
+    transfer=A_TRANSFER,
+    shading=flag,
+    texture=flag,
+    orbit=array_of(None, largest=5000.0, optional=True),
+    window_hu=numbers_within(optional=True),
+    extent_mm=any_number(),
+    mm_per_px=any_number(optional=True),
+    carm_deg=array_of(2, largest=1e6),
+    tone=A_WORD,
+    path=instance(PathFrames, "get one from FlightPath.frames", optional=True),
+    turn_deg=any_number(),
+    slab=instance(Slab, "create a carina.render.Slab", optional=True),
+    scope=A_SCOPE,
+    lens=A_LENS,
+    outline=AN_OUTLINE,
+    vignette=any_number(optional=True),
+    depth_of_field=instance(DepthOfField, "create a carina.scopes.DepthOfField", optional=True),
+    lumen_zyx=mask_array(optional=True),
+    tree=having("branches", "get one from carina.find_airways", optional=True),
+    backend=instance(Backend, "create a carina.render.Backend", optional=True),
+)
 def render_view(
     volume: Volume,
     *,
@@ -159,10 +217,14 @@ def render_view(
         "depth_of_field": depth_of_field,
     }
     if isinstance(view, str):
+        given = {name for name, value in told.items() if _differs(value, _DEFAULTS[name])}
+        ignored = sorted(given & ignored_settings(view))
+        if ignored:
+            raise UsageError(f"render_view: {', '.join(ignored)}: not used by the {view} view; omit it")
         spec = view_spec(view=view, pose=_needed_pose("render_view", pose), **told)
     else:
         check_type("render_view", "view", view, get_args(View), "or pass one of carina.render.VIEW_NAMES")
-        doubled = [name for name, value in {"pose": pose, **told}.items() if value != _DEFAULTS[name]]
+        doubled = [name for name, value in {"pose": pose, **told}.items() if _differs(value, _DEFAULTS[name])]
         if doubled:
             names, kind = ", ".join(doubled), type(view).__name__
             raise UsageError(
@@ -181,12 +243,29 @@ def render_view(
 _DEFAULTS = {name: parameter.default for name, parameter in inspect.signature(render_view).parameters.items()}
 
 
+def _differs(value: object, default: object) -> bool:
+    """Whether an argument was given; an array differs from every default."""
+    return value is not default and (isinstance(value, np.ndarray) or value != default)
+
+
 def _needed_pose(where: str, pose: object) -> Pose:
     check_type(where, "pose", pose, Pose, "get one from a carina.FlightPath or from carina.Pose.looking")
     assert isinstance(pose, Pose)
     return pose
 
 
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    fov_deg=any_number(optional=True),
+    width=any_number(),
+    height=any_number(),
+    step_vox=any_number(),
+    transfer=A_TRANSFER,
+    scope=A_SCOPE,
+    lens=A_LENS,
+    outline=AN_OUTLINE,
+    lumen_zyx=mask_array(optional=True),
+)
 def render_surface(
     volume: Volume,
     *,
@@ -263,6 +342,51 @@ def render_surface(
     return renderer.surface(view)
 
 
+_STRAIGHT = PathFrames(np.array([0.0, 1.0]), np.stack([np.eye(4)] * 2))
+_PROBES: dict[str, tuple[Any, Any]] = {
+    "pose": (Pose.looking((0, 0, 0), (0, 0, -1)), Pose.looking((0, 0, 0), (0, 1, 0))),
+    "fov_deg": (30.0, 60.0),
+    "method": ("leap", "brute"),
+    "step_vox": (0.5, 1.0),
+    "shading": (True, False),
+    "texture": (True, False),
+    "orbit": ((0.0, 0.0), (10.0, 10.0)),
+    "window_hu": ((100.0, 0.0), (200.0, 0.0)),
+    "extent_mm": (60.0, 70.0),
+    "mm_per_px": (0.5, 1.0),
+    "carm_deg": ((0.0, 0.0), (10.0, 10.0)),
+    "tone": ("radiograph", "fluoroscopy"),
+    "path": (_STRAIGHT, PathFrames(np.array([0.0, 2.0]), np.stack([np.eye(4)] * 2))),
+    "turn_deg": (0.0, 10.0),
+    "slab": (Slab(5.0, "min"), Slab(10.0, "min")),
+    "scope": ("thin", "ultrathin"),
+    "lens": (Lens("pinhole"), Lens("equidistant")),
+    "outline": ("round", "octagon"),
+    "vignette": (0.0, 1.0),
+    "depth_of_field": (DepthOfField(3.0, 50.0), DepthOfField(5.0, 50.0)),
+}
+"""Two values of each setting of a view, by which `ignored_settings` sees whether a view uses the setting."""
+
+
+@cache
+def ignored_settings(view: str) -> frozenset[str]:
+    """Return the settings of `render_view` that do not change a view; ``pose`` stands for its direction.
+
+    Examples
+    --------
+    >>> sorted(ignored_settings("axial") & {"fov_deg", "window_hu", "tone"})
+    ['fov_deg', 'tone']
+    """
+    row = view_row(view)
+    base: dict[str, Any] = {"view": row.name, "pose": _PROBES["pose"][0], "path": _STRAIGHT}
+    found = set()
+    for name, values in _PROBES.items():
+        first, second = (view_spec(**{**base, name: value}) for value in values)
+        if all(getattr(first, one.name) == getattr(second, one.name) for one in dataclasses.fields(first)):
+            found.add(name)
+    return frozenset(found)
+
+
 def view_spec(
     *,
     view: str,
@@ -294,6 +418,10 @@ def view_spec(
     x, y, z = (float(v) for v in pose.position_lps)
     if orbit is not None and len(orbit) not in {2, 3}:
         raise UsageError(f"expected an orbit of azimuth, elevation and optionally distance; found {orbit}")
+    if window_hu is not None and np.shape(window_hu) != (2,):
+        raise RenderError(
+            f"a window needs a width above 0 and a level; found {shown(window_hu)}", code="render.setting"
+        )
     row = view_row(view)
     sight = Sight(
         window=None if window_hu is None else GreyWindow(*window_hu),

@@ -5,12 +5,24 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
 from carina._core import CancelToken
+from carina.argument_checks import (
+    check_arguments,
+    choice,
+    each,
+    file_path,
+    function,
+    having,
+    instance,
+    mask_array,
+    whole_from,
+)
 from carina.errors import RenderError
 from carina.render.airway import AirwayCaster
 from carina.render.backend import Backend
@@ -46,6 +58,14 @@ def can_cut(view: View) -> bool:
             return True
 
 
+VIEW_CLASSES = get_args(View)
+AN_OPTION = instance(bool, "give True or False", optional=True)
+ROWS = each(whole_from(0, 8192), least=2, most=2, optional=True)
+AN_AIRWAY_VIEW = instance(AirwayView, "create a carina.render.AirwayView")
+A_TRANSFER = instance(TransferFunction, "get one from carina.transfer_preset", optional=True)
+A_TREE = having("branches", "get one from carina.find_airways", optional=True)
+
+
 class Renderer:
     """Renders all views of one volume.
 
@@ -79,6 +99,13 @@ class Renderer:
     'tree'
     """
 
+    @check_arguments(
+        volume=instance(Volume, "open a volume with carina.open_volume"),
+        transfer=A_TRANSFER,
+        cache_dir=file_path(optional=True),
+        simd=choice("portable", "avx2", "avx512", "neon", optional=True),
+        backend=instance(Backend, "create a carina.render.Backend", optional=True),
+    )
     def __init__(
         self,
         volume: Volume,
@@ -114,10 +141,12 @@ class Renderer:
         scene = self._scenes.scene
         return scene.maps is not None or scene.class_maps is not None
 
+    @check_arguments(transfer=instance(TransferFunction, "get one from carina.transfer_preset"))
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Show the volume with another transfer function; call ``prepare`` again, unless its map is still in memory."""
         self._scenes.set_transfer(transfer)
 
+    @check_arguments(lumen_zyx=mask_array(optional=True), tree=A_TREE)
     def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
         """The airway lumen ``(nz, ny, nx)`` on the volume's grid, for the wall and the tree view; None for none known.
 
@@ -131,6 +160,7 @@ class Renderer:
         """
         self._scenes.set_lumen(lumen_zyx, tree)
 
+    @check_arguments(progress=function, cancel=function, all_classes=AN_OPTION)
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
@@ -163,6 +193,7 @@ class Renderer:
         """What pictures are made from now; it never changes, so a picture can be made from it later or elsewhere."""
         return self._scenes.scene
 
+    @check_arguments(scene=instance(Scene, "take one from Renderer.scene"))
     def adopt_scene(self, scene: Scene) -> None:
         """Show a scene that another renderer of the same volume has made: its lumen, wall, transfer function and maps.
 
@@ -173,6 +204,12 @@ class Renderer:
         """
         self._scenes.adopt(scene)
 
+    @check_arguments(
+        view=instance(VIEW_CLASSES, "create one of the views of carina.render"),
+        rows=ROWS,
+        stop=instance(CancelToken, "create a carina.render.CancelToken", optional=True),
+        scene=instance(Scene, "take one from Renderer.scene", optional=True),
+    )
     def render(
         self,
         view: View,
@@ -228,6 +265,7 @@ class Renderer:
         rays_s = _between(counted_s, _core.picture_clock_s(), seconds) if counts else None
         return dataclasses.replace(picture, stats=dataclasses.replace(picture.stats, seconds=seconds, rays_s=rays_s))
 
+    @check_arguments(view=AN_AIRWAY_VIEW, rows=ROWS)
     def surface(self, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
         """Depth, position and normal of the first wall at every pixel of an airway view, from the rays of its picture.
 
@@ -245,6 +283,7 @@ class Renderer:
         """
         return self._airway.surface(self._scenes.scene, view, rows=rows)
 
+    @check_arguments(view=AN_AIRWAY_VIEW, column=whole_from(0, 8191), row=whole_from(0, 8191))
     def pick(self, view: AirwayView, column: int, row: int) -> Hit | None:
         """The first wall at one pixel of an airway view, or None where the ray meets none: one ray, the numbers of
         :meth:`surface`.

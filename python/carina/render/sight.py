@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from carina.argument_checks import any_number, check_fields, text_of
 from carina.errors import RenderError
 from carina.value import FrozenValue, PointLps
 
@@ -51,6 +52,7 @@ class Slab(FrozenValue, frozen=True):
     kind: SlabKind
 
     def __post_init__(self) -> None:
+        check_fields(self, RenderError, "render.setting", thickness_mm=any_number(), kind=text_of())
         if not 0.0 <= self.thickness_mm <= 100.0:
             raise RenderError(
                 f"slab thickness must be from 0 to 100 mm; found {self.thickness_mm}", code="render.setting"

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.argument_checks import check_arguments, instance
 from carina.errors import GeometryError, check_type
 from carina.render.transfer import TransferFunction
 from carina.volume import Volume
@@ -39,7 +40,7 @@ def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
     Examples
     --------
     >>> build_isoregion_map(np.ones((5, 5, 5), np.uint8))[2, 2]
-    array([0, 1, 2, 1, 0], dtype=uint8)
+    array_of([0, 1, 2, 1, 0], dtype=uint8)
     """
     if labels_zyx.ndim != 3 or 0 in labels_zyx.shape:
         raise GeometryError(
@@ -48,6 +49,10 @@ def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return _core.build_radius_map(np.ascontiguousarray(labels_zyx, dtype=np.uint8))
 
 
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    transfer=instance(TransferFunction, "get one from carina.transfer_preset", optional=True),
+)
 def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> NDArray[np.uint8]:
     """The IsoRegion map of a volume: for every voxel the largest cube of equal voxels centred on it.
 

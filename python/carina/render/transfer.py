@@ -10,6 +10,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import (
+    check_arguments,
+    check_fields,
+    choice,
+    flag,
+    instance,
+    number_from,
+    text_of,
+    whole_from,
+)
 from carina.display import one_line
 from carina.errors import RenderError, UsageError
 from carina.render.appearance import Appearance
@@ -36,6 +46,15 @@ class Light:
     """Distance at which half the light is left; None for none lost."""
 
     def __post_init__(self) -> None:
+        check_fields(
+            self,
+            RenderError,
+            ambient=number_from(0.0, 10.0),
+            diffuse=number_from(0.0, 10.0),
+            specular=number_from(0.0, 10.0),
+            shininess_log2=whole_from(0, 10),
+            reach_mm=number_from(0.0, 1e5, optional=True),
+        )
         shares = (self.ambient, self.diffuse, self.specular)
         whole = isinstance(self.shininess_log2, int) and 0 <= self.shininess_log2 <= 10
         if not whole or not all(np.isfinite(v) and 0 <= v <= 10 for v in shares):
@@ -100,7 +119,22 @@ class TransferFunction:
     appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
-        points = np.array(self.points, dtype=np.float64)
+        check_fields(
+            self,
+            RenderError,
+            "render.transfer",
+            reference_mm=number_from(0.0, 1e5, unit="mm"),
+            unit=choice("HU", "raw"),
+            name=text_of(200),
+            sampling=choice("trilinear", "nearest"),
+            wall=flag,
+            light=instance(Light, "create a carina.render.Light"),
+            appearance=instance(Appearance, "create a carina.render.Appearance", optional=True),
+        )
+        try:
+            points = np.array(self.points, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            points = np.zeros(0)
         if points.ndim != 2 or points.shape[1:] != (5,) or len(points) == 0:
             msg = (
                 "a transfer function needs at least one point, each [hu, r, g, b, alpha]; "
@@ -161,6 +195,7 @@ class TransferFunction:
         }
 
     @classmethod
+    @check_arguments(document=instance(Mapping, "take one from TransferFunction.to_json"))
     def from_json(cls, document: Mapping[str, Any]) -> TransferFunction:
         """From a JSON object; unknown keys are left alone, missing optional ones take their defaults.
 
@@ -196,6 +231,7 @@ class TransferFunction:
             raise RenderError(f"the transfer function cannot be read: {error}", code="render.transfer") from None
 
     @classmethod
+    @check_arguments(text=instance(str, "read the text of a JSON file"))
     def from_json_text(cls, text: str) -> TransferFunction:
         """From the text of a JSON file."""
         try:
@@ -271,6 +307,7 @@ SEE_THROUGH = TransferFunction(
 PRESETS = {t.name: t for t in (ENDOSCOPIC, CT_GREY, SEE_THROUGH, PAPER)}
 
 
+@check_arguments(name=text_of(200, least=0))
 def transfer_preset(name: str) -> TransferFunction:
     """A preset: ``endoscopic``, ``ct-grey``, ``see-through`` or ``paper``.
 

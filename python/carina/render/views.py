@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import numbers
 import os
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -12,10 +13,23 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import (
+    any_number,
+    array_of,
+    check_fields,
+    each,
+    flag,
+    instance,
+    is_number,
+    lps_point,
+    number_from,
+    shown,
+    text_of,
+)
 from carina.disk import write_whole
 from carina.display import one_line
 from carina.display.png import png_bytes
-from carina.errors import RenderError
+from carina.errors import RenderError, UsageError
 from carina.render.appearance import DecorationName, check_guides
 from carina.render.png_text import BADGES_KEYWORD, KEYWORD
 from carina.render.sight import Slab
@@ -43,34 +57,53 @@ WINDOW_HU = (1500.0, -600.0)
 STOP_TRANSPARENCY = 1 / 512
 
 
+A_POSE = instance(Pose, "get one from a carina.FlightPath or from carina.Pose.looking")
+A_WINDOW = array_of(2)
+A_POINT = array_of(3, largest=1e40)
+
+
 def _check(
     width: int, height: int, *, fov_deg: float | None = None, window_hu: tuple[float, float] | None = None
 ) -> None:
-    if not (1 <= width <= 8192 and 1 <= height <= 8192):
+    whole_sizes = all(isinstance(side, numbers.Integral) and not isinstance(side, bool) for side in (width, height))
+    if not (whole_sizes and 1 <= width <= 8192 and 1 <= height <= 8192):
         raise RenderError(
-            f"an image must have 1 to 8192 pixels on each side; found {width} x {height}", code="render.camera"
+            f"an image must have 1 to 8192 pixels on each side; found {shown(width)} x {shown(height)}",
+            code="render.camera",
         )
-    if fov_deg is not None and not 1.0 <= fov_deg <= 170.0:
+    if fov_deg is not None and not (is_number(fov_deg) and 1.0 <= fov_deg <= 170.0):
         raise RenderError(
-            f"the field of view must be between 1 and 170 degrees; found {fov_deg:g}", code="render.camera"
+            f"the field of view must be between 1 and 170 degrees; found {shown(fov_deg)}", code="render.camera"
         )
-    if window_hu is not None and not (np.isfinite(window_hu).all() and window_hu[0] > 0):
-        raise RenderError(f"a window needs a width above 0 and a level; found {window_hu}", code="render.setting")
+    given = window_hu
+    if window_hu is not None:
+        try:
+            A_WINDOW("window", "window", window_hu)
+        except UsageError:
+            window_hu = (0.0, 0.0)
+    if window_hu is not None and not window_hu[0] > 0:
+        raise RenderError(
+            f"a window needs a width above 0 and a level, both at most 1e5; found {shown(given)}", code="render.setting"
+        )
 
 
 def _check_mm(what: str, value: float | None) -> None:
-    if value is not None and not (np.isfinite(value) and value > 0):
-        raise RenderError(f"{what} must be above 0 mm; found {value}", code="render.setting")
+    if value is not None and not (is_number(value) and 0 < value <= 1e5):
+        raise RenderError(f"{what} must be above 0 mm and at most 1e5 mm; found {shown(value)}", code="render.setting")
 
 
-def _check_point(what: str, point: tuple[float, float, float] | NDArray[np.float64]) -> None:
-    if np.shape(point) != (3,) or not np.isfinite(point).all():
-        raise RenderError(f"{what} must be three finite numbers in mm (LPS); found {point}", code="render.setting")
+def _check_point(what: str, at: tuple[float, float, float] | NDArray[np.float64]) -> None:
+    try:
+        A_POINT(what, "point", at)
+    except UsageError:
+        raise RenderError(
+            f"{what} must be three finite numbers in mm (LPS); found {shown(at)}", code="render.setting"
+        ) from None
 
 
 def _check_plane(name: str) -> None:
-    if name not in PLANES:
-        raise RenderError(f"expected one of the planes {', '.join(PLANES)}; found {name!r}", code="render.setting")
+    if not isinstance(name, str) or name not in PLANES:
+        raise RenderError(f"expected one of the planes {', '.join(PLANES)}; found {shown(name)}", code="render.setting")
 
 
 @one_line
@@ -106,6 +139,21 @@ class AirwayView:
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, fov_deg=self.fov_deg)
+        check_fields(
+            self,
+            RenderError,
+            "render.setting",
+            pose=A_POSE,
+            step_vox=any_number(),
+            shading=flag,
+            method=text_of(),
+            lens=instance(Lens, "create a carina.scopes.Lens"),
+            field=instance(ImageField, "create a carina.scopes.ImageField"),
+            depth_of_field=instance(DepthOfField, "create a carina.scopes.DepthOfField", optional=True),
+            stop_transparency=any_number(),
+            guides_mm=each(lps_point(), least=1, most=16, optional=True),
+            texture=flag,
+        )
         # Made here and kept for the picture: a lens that does not fit is refused before anything is cast.
         _ = self.optics
         if not 0.01 <= self.step_vox <= 100:
@@ -158,7 +206,9 @@ class GreyView:
     slab: Slab | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self, RenderError, "render.setting", window_hu=A_WINDOW)
         _check(self.width, self.height, window_hu=self.window_hu)
+        check_fields(self, RenderError, "render.setting", slab=instance(Slab, "create a Slab", optional=True))
 
 
 @one_line
@@ -179,6 +229,8 @@ class OrbitView:
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, fov_deg=self.fov_deg)
+        angle = number_from(-3600.0, 3600.0, unit="degrees")
+        check_fields(self, RenderError, "render.setting", azimuth_deg=angle, elevation_deg=angle, fov_deg=any_number())
         _check_mm("the camera's distance", self.distance_mm)
 
 
@@ -197,6 +249,7 @@ class CutPlaneView(GreyView):
 
     def __post_init__(self) -> None:
         GreyView.__post_init__(self)
+        check_fields(self, RenderError, "render.setting", pose=A_POSE, extent_mm=any_number())
         _check_mm("the extent of a cut-plane", self.extent_mm)
         if self.centre_lps is not None:
             _check_point("the centre of a cut-plane", self.centre_lps)
@@ -224,6 +277,8 @@ class TriPlaneView(OrbitView):
     def __post_init__(self) -> None:
         OrbitView.__post_init__(self)
         _check(self.width, self.height, window_hu=self.window_hu)
+        clear = number_from(-40_000.0, 40_000.0, optional=True)
+        check_fields(self, RenderError, "render.setting", clear_below=clear, look_at=text_of(), window_hu=A_WINDOW)
         _check_point("the point where the planes meet", self.centre_lps)
         if self.look_at not in {"point", "volume"}:
             raise RenderError(f"look_at must be point or volume; found {self.look_at!r}", code="render.setting")
@@ -279,6 +334,17 @@ class DrrView:
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, window_hu=self.window_mm)
+        check_fields(
+            self,
+            RenderError,
+            "render.setting",
+            primary_deg=any_number(),
+            secondary_deg=any_number(),
+            parallel=flag,
+            sid_mm=any_number(),
+            sod_mm=any_number(),
+            tone=text_of(),
+        )
         _check_mm("the size of a pixel", self.mm_per_px)
         if not -360.0 <= self.primary_deg <= 360.0:
             raise RenderError(
@@ -329,6 +395,15 @@ class PathView(GreyView):
 
     def __post_init__(self) -> None:
         GreyView.__post_init__(self)
+        check_fields(
+            self,
+            RenderError,
+            "render.setting",
+            kind=text_of(),
+            path=instance(PathFrames, "get one from FlightPath.frames"),
+            turn_deg=number_from(-3600.0, 3600.0, unit="degrees"),
+            centre_mm=number_from(-1e5, 1e5, unit="mm"),
+        )
         _check_mm("the size of a pixel", self.mm_per_px)
         if self.kind not in {"straightened", "curved"}:
             raise RenderError(f"a path view must be straightened or curved; found {self.kind!r}", code="render.setting")

@@ -11,6 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
+from carina.argument_checks import (
+    COORDINATE_MM,
+    array_of,
+    bounded,
+    check_arguments,
+    choice,
+    instance,
+    name_or,
+    numbers_within,
+    text_of,
+)
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.scopes.library import ScopePreset, scope_preset
@@ -150,6 +161,14 @@ class ScopeDrive:
     [0.0, 0.0, -35.0]
     """
 
+    @check_arguments(
+        field=instance(WallField, "make one with carina.wall_field"),
+        scope=name_or(ScopePreset, "name one of carina.scopes.scope_presets"),
+        start_path=numbers_within(),
+        up_lps=array_of(3, optional=True),
+        operator=text_of(80),
+        cords_mm=bounded(COORDINATE_MM, optional=True, unit="mm"),
+    )
     def __init__(
         self,
         field: WallField,
@@ -209,6 +228,7 @@ class ScopeDrive:
         """Where the operator stands."""
         return self._operator
 
+    @check_arguments(operator=choice("head", "facing"))
     def set_operator(self, operator: OperatorPosition) -> ScopeState:
         """Turn the picture for an operator who stands elsewhere; the scope stays as it lies, to the last bit.
 
@@ -242,6 +262,12 @@ class ScopeDrive:
         """The lever's stops: the greatest flexion down (below 0) and up."""
         return -self._flexion_rad[0], self._flexion_rad[1]
 
+    @check_arguments(
+        insertion_mm=bounded(COORDINATE_MM, unit="mm"),
+        roll_rad=bounded(1e6, unit="rad"),
+        flexion_rad=bounded(1e6, unit="rad"),
+        dt_s=bounded(86_400.0, unit="s"),
+    )
     def drive(self, insertion_mm: float, roll_rad: float, flexion_rad: float, dt_s: float) -> ScopeState:
         """Set the three controls; the scope moves towards them from where it is and stops where it cannot go on.
 
@@ -271,6 +297,7 @@ class ScopeDrive:
         self._state = self._seen(found)
         return self._state
 
+    @check_arguments(path=numbers_within(), insertion_mm=bounded(COORDINATE_MM, unit="mm"))
     def place(self, path: ArrayLike, insertion_mm: float) -> ScopeState:
         """Lay the scope along a path, roll and flexion 0, with a new record of contact.
 

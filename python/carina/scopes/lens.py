@@ -17,6 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.argument_checks import (
+    any_number,
+    check_arguments,
+    check_fields,
+    choice,
+    each,
+    instance,
+    number_from,
+    pixels,
+    text_of,
+)
 from carina.display import one_line
 from carina.errors import RenderError
 
@@ -72,6 +83,14 @@ class Lens:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
+        check_fields(
+            self,
+            RenderError,
+            "render.camera",
+            model=choice("pinhole", "equidistant", "brown", "fisheye"),
+            coefficients=each(number_from(-1e6, 1e6), most=8),
+            calibration=instance(Calibration, "read one with carina.scopes.lens_from_file", optional=True),
+        )
         expected = {"pinhole": 0, "equidistant": 0, "brown": 8, "fisheye": 4}.get(self.model)
         if len(self.coefficients) != expected:
             raise RenderError(
@@ -95,15 +114,18 @@ class Lens:
         return cls("equidistant")
 
     @classmethod
+    @check_arguments(**dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), number_from(-1e6, 1e6)))
     def brown(cls, k1: float, k2: float = 0.0, *, k3: float = 0.0, p1: float = 0.0, p2: float = 0.0) -> Lens:
         """Brown's radial and tangential distortion; k1 below 0 is a barrel."""
         return cls("brown", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
 
     @classmethod
+    @check_arguments(**dict.fromkeys(("k1", "k2", "k3", "k4"), number_from(-1e6, 1e6)))
     def fisheye(cls, k1: float, k2: float = 0.0, k3: float = 0.0, k4: float = 0.0) -> Lens:
         """An equidistant lens with a polynomial of the angle (Kannala and Brandt 2006)."""
         return cls("fisheye", (k1, k2, k3, k4))
 
+    @check_arguments(width=pixels(), height=pixels(), fov_deg=number_from(1.0, 170.0, optional=True, unit="degrees"))
     def optics(self, width: int, height: int, fov_deg: float | None = None) -> Optics:
         """This lens in front of a picture.
 
@@ -146,6 +168,7 @@ class ImageField:
     vignette: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self, RenderError, "render.camera", outline=text_of(), edge_px=any_number(), vignette=any_number())
         if self.outline not in OUTLINES:
             raise RenderError(
                 f"outline must be one of {', '.join(OUTLINES)}; found {self.outline!r}", code="render.camera"
@@ -177,7 +200,14 @@ class DepthOfField:
     far_mm: float
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.near_mm < self.far_mm and math.isfinite(self.far_mm)):
+        check_fields(
+            self,
+            RenderError,
+            "render.camera",
+            near_mm=any_number(),
+            far_mm=any_number(),
+        )
+        if not (0.0 < self.near_mm < self.far_mm <= 1e5):
             raise RenderError(
                 "the near limit of a depth of field must be above 0 mm and below its far limit; found "
                 f"{self.near_mm:g} to {self.far_mm:g} mm",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import array_of, check_arguments, check_fields
 from carina.display import one_line
 from carina.errors import UsageError
 
@@ -36,6 +37,9 @@ class PathFrames:
     lps_from_frame: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        check_fields(self, path_mm=array_of(None), lps_from_frame=array_of(None, 4, 4))
+        object.__setattr__(self, "path_mm", np.asarray(self.path_mm, dtype=np.float64))
+        object.__setattr__(self, "lps_from_frame", np.asarray(self.lps_from_frame, dtype=np.float64))
         num = len(self.path_mm)
         if num < 2 or self.path_mm.shape != (num,) or self.lps_from_frame.shape != (num, 4, 4):
             found = f"{self.path_mm.shape} and {self.lps_from_frame.shape}"
@@ -55,6 +59,7 @@ class PathFrames:
         """(n, 3), the path."""
         return self.lps_from_frame[:, :3, 3]
 
+    @check_arguments(path_mm=array_of(None))
     def at(self, path_mm: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points (m, 3) and axes (m, 3, 3; columns right, down, along) at places; straight on beyond an end."""
         inside = np.clip(path_mm, self.path_mm[0], self.path_mm[-1])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from carina.argument_checks import check_arguments, check_fields, numbers_within
 from carina.display import as_words
 from carina.errors import UsageError
 
@@ -14,6 +15,8 @@ __all__ = ["Pose", "upright"]
 
 ANTERIOR_LPS = np.array([0.0, -1.0, 0.0])
 SUPERIOR_LPS = np.array([0.0, 0.0, 1.0])
+FAR_MM = 1e40
+"""Largest absolute coordinate of a pose: a camera far outside the volume is allowed and shows the background."""
 
 
 def upright(forward_lps: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -49,6 +52,7 @@ class Pose:
     lps_from_camera: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        check_fields(self, lps_from_camera=numbers_within(FAR_MM))
         m = np.array(self.lps_from_camera, dtype=np.float64)
         if m.shape != (4, 4) or not np.isfinite(m).all():
             found = f"shape {m.shape}" if m.shape != (4, 4) else f"{m.ravel().tolist()}"
@@ -71,6 +75,9 @@ class Pose:
         return f"Pose(position_lps={at}, forward_lps={look})"
 
     @classmethod
+    @check_arguments(
+        at_lps=numbers_within(FAR_MM), look_lps=numbers_within(FAR_MM), up_lps=numbers_within(FAR_MM, optional=True)
+    )
     def looking(cls, at_lps: ArrayLike, look_lps: ArrayLike, up_lps: ArrayLike | None = None) -> Pose:
         """The pose at a point, looking along a direction, with ``up`` as near the top of the picture as it can be.
 
@@ -91,7 +98,8 @@ class Pose:
         """
         at = np.asarray(at_lps, dtype=np.float64)
         look = np.asarray(look_lps, dtype=np.float64)
-        norm = float(np.linalg.norm(look))
+        with np.errstate(under="ignore"):
+            norm = float(np.linalg.norm(look))
         if at.shape != (3,) or look.shape != (3,) or not np.isfinite(at).all() or not np.isfinite(norm) or norm < 1e-9:
             raise UsageError(
                 "a pose needs a position of three finite numbers and a viewing direction longer than 0; "

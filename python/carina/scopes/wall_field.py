@@ -9,6 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
+from carina.argument_checks import (
+    COORDINATE_MM,
+    array_of,
+    check_arguments,
+    check_fields,
+    coordinates,
+    function,
+    instance,
+    lps_points,
+    number_from,
+)
 from carina.display import one_line
 
 __all__ = ["WallField"]
@@ -41,7 +52,11 @@ class WallField:
 
     core: _core.WallField
 
+    def __post_init__(self) -> None:
+        check_fields(self, core=instance(_core.WallField, "make one with carina.wall_field"))
+
     @classmethod
+    @check_arguments(distance_mm_zyx=array_of(None, None, None), lps_from_ijk=array_of(4, 4))
     def from_distances(cls, distance_mm_zyx: NDArray[np.float32], lps_from_ijk: NDArray[np.float64]) -> WallField:
         """From signed distances on a grid.
 
@@ -61,6 +76,13 @@ class WallField:
         return cls(_core.WallField.from_distances(values, np.asarray(lps_from_ijk, dtype=np.float64)))
 
     @classmethod
+    @check_arguments(
+        vertices_lps=lps_points(),
+        triangles=array_of(None, 3, largest=2**32 - 1, what="triangles (m, 3): indices of vertices"),
+        spacing_mm=number_from(0.1, 0.6, unit="mm"),
+        progress=function,
+        cancel=function,
+    )
     def from_mesh(
         cls,
         vertices_lps: NDArray[np.float64],
@@ -106,10 +128,12 @@ class WallField:
         """What tells one field from another: equal for equal samples, to the last bit."""
         return self.core.digest()
 
+    @check_arguments(points_lps=coordinates(COORDINATE_MM))
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
         """Distances (n,) of points (n, 3), LPS mm."""
         return self.core.distance_mm(np.atleast_2d(np.asarray(points_lps, dtype=np.float64)))
 
+    @check_arguments(points_lps=coordinates(COORDINATE_MM))
     def ball_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
         """Radius of the largest ball round points that touches no wall, for measuring; what `distance_mm` says outside.
 

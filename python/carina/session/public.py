@@ -8,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
+from carina.argument_checks import check_arguments, file_path, flag, having, instance, pixels, text_of
 from carina.commands import Command, Question, Redo, Undo
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.render import LEAD_VIEW
@@ -47,6 +48,7 @@ class Case:
     ('route to LB9', (48, 64, 3))
     """
 
+    @check_arguments(case=having("session", "open one with carina.Case.open"))
     def __init__(self, case: ProgramCase) -> None:
         self._case = case
 
@@ -55,6 +57,7 @@ class Case:
         return self._case.session
 
     @classmethod
+    @check_arguments(source=file_path(also=Volume), ct=file_path(optional=True))
     def open(cls, source: str | Path | Volume, *, ct: str | Path | None = None) -> Case:
         """Open a CT and find its airways, or open a case file and go on from there.
 
@@ -120,6 +123,7 @@ class Case:
 
     # ------------------------------------------------------------ doing
 
+    @check_arguments(command=instance(Command, "create one of the commands of carina.commands"))
     def do(self, command: Command) -> None:
         """Do a command, and wait for what goes on with it.
 
@@ -132,6 +136,7 @@ class Case:
         """
         self._case.do(command)
 
+    @check_arguments(question=instance(Question, "create one of the questions of carina.commands.questions"))
     def ask(self, question: Question[A]) -> A:
         """Answer a question of :mod:`carina.commands.questions`; nothing changes."""
         return self._session.ask(question)
@@ -148,6 +153,7 @@ class Case:
         """What can be taken back, in words, the oldest first."""
         return self._session.history()
 
+    @check_arguments(path=file_path(optional=True), replace=flag)
     def save(self, path: str | Path | None = None, *, replace: bool = False) -> Path:
         """Write the case as one whole file, ``NAME.carina``; the CT is not in it.
 
@@ -227,6 +233,7 @@ class Case:
             raise UsageError("no case is open", code="session.no-case")
         return info.pose
 
+    @check_arguments(view=text_of(80), width=pixels(), height=pixels())
     def render(self, view: str = LEAD_VIEW, *, width: int = 512, height: int = 512) -> Picture:
         """A picture of a view as the window shows it.
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import check_arguments, file_path, function, text_of
 from carina.display import one_line
 from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
@@ -83,6 +84,7 @@ class Inspection:
         }
 
 
+@check_arguments(path=file_path(), series=text_of(200, optional=True), progress=function, cancel=function)
 def inspect_path(
     path: str | Path,
     *,

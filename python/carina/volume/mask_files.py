@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import check_arguments, file_path, flag, function, instance, whole_from
 from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.volume.dicom_start import looks_like_dicom
@@ -79,6 +80,14 @@ class MaskGridError(VolumeImportError):
         """How much of the structure lies in the scan, 0 to 1."""
 
 
+@check_arguments(
+    path=file_path(),
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    label=whole_from(0, 2**31 - 1, optional=True),
+    resample=flag,
+    progress=function,
+    cancel=function,
+)
 def open_mask(
     path: str | Path,
     volume: Volume,

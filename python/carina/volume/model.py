@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.argument_checks import array_of, check_arguments, check_fields, coordinates, flag, instance, text_of
 from carina.display import one_line
 from carina.display.html import caption, figure, picture
 from carina.display.slices import middle_slices
@@ -41,6 +42,9 @@ class Note(Remark):
 
     badge: bool = False
     """True where it puts the values or the geometry in doubt: it goes with the case wherever the case goes."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, code=text_of(200), words=text_of(20_000), badge=flag)
 
     def to_json(self) -> dict[str, str | bool]:
         """Plain JSON types, as every ``--json`` prints a note."""
@@ -115,6 +119,14 @@ class Volume:
     """What ``ct_digest`` found, once it was asked."""
 
     def __post_init__(self) -> None:
+        check_fields(
+            self,
+            hu_zyx=instance(np.ndarray, "give an array (nz, ny, nx) of int16"),
+            is_hu=flag,
+            not_hu_reason=text_of(optional=True),
+            source=instance(VolumeSource, "give a carina.volume.VolumeSource"),
+        )
+        check_fields(self, GeometryError, "geometry.transform", lps_from_ijk=array_of(4, 4, largest=1e6))
         values = self.hu_zyx
         if values.ndim != 3 or 0 in values.shape:
             msg = f"a volume needs three axes with at least one voxel each; found shape {values.shape}"
@@ -185,10 +197,12 @@ class Volume:
         """The inverse of ``lps_from_ijk``."""
         return np.asarray(np.linalg.inv(self.lps_from_ijk), dtype=np.float64)
 
+    @check_arguments(points_ijk=coordinates(1e45))
     def to_lps(self, points_ijk: NDArray[np.float64]) -> NDArray[np.float64]:
         """Voxel coordinates ``(..., 3)`` to LPS mm."""
         return np.asarray(points_ijk, dtype=np.float64) @ self.lps_from_ijk[:3, :3].T + self.lps_from_ijk[:3, 3]
 
+    @check_arguments(points_lps=coordinates(1e45))
     def to_ijk(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
         """LPS mm ``(..., 3)`` to voxel coordinates."""
         inverse = self.ijk_from_lps
@@ -200,6 +214,7 @@ class Volume:
         nz, ny, nx = self.shape_zyx
         return self.to_lps(np.array([(nx - 1) / 2, (ny - 1) / 2, (nz - 1) / 2]))
 
+    @check_arguments(point_lps=array_of(3, largest=1e45))
     def contains_lps(self, point_lps: NDArray[np.float64]) -> bool:
         """True where the point lies in the grid, half a voxel beyond the outer centres included."""
         nz, ny, nx = self.shape_zyx

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from carina.argument_checks import check_arguments, file_path, function, text_of
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import UsageError, VolumeImportError, check_type
 from carina.volume.dicom_start import looks_like_dicom
@@ -27,6 +28,7 @@ _GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
 @shows_progress
+@check_arguments(path=file_path(), series=text_of(200, optional=True), cancel=function)
 def open_volume(
     path: str | Path,
     *,

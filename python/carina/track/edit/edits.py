@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from carina.argument_checks import check_arguments, flag, function, instance
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.track.edit.calibre import with_sections, with_walls
 from carina.track.edit.evidence import evidence_of
@@ -33,7 +34,7 @@ from carina.track.edit.labels import edit_words
 from carina.track.edit.lumen import EditedLumen, lumen_voxels
 from carina.track.edit.steps import EditSteps
 from carina.track.edit.tree import needed_branch
-from carina.track.find.found import Airways
+from carina.track.find.found import TREE_EDITS, Airways
 from carina.track.names.drawn import carried_names, seen_part
 from carina.track.names.naming import name_tree
 from carina.track.paths.tracker import PathTracker
@@ -63,6 +64,14 @@ __all__ = [
 ]
 
 
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    airways=instance(Airways, "get airways from carina.find_airways"),
+    edit=instance(TREE_EDITS, "create one of the tree edits of carina.commands"),
+    name_branches=flag,
+    progress=function,
+    cancel=function,
+)
 def edit_airways(
     volume: Volume,
     airways: Airways,

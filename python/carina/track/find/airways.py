@@ -9,6 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import LumenTracker
+from carina.argument_checks import (
+    check_arguments,
+    each,
+    function,
+    instance,
+    lps_point,
+    mask_array,
+    number_from,
+    text_of,
+)
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import UsageError, check_type
 from carina.track.find.canonical import CanonicalOrder
@@ -37,6 +47,14 @@ MIN_GRAMMAR_BRANCHES = 12
 
 
 @shows_progress
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    root_lps=lps_point(optional=True),
+    lumen_threshold=number_from(-40_000.0, 40_000.0, optional=True),
+    lumen_zyx=mask_array(optional=True),
+    notes=each(text_of(20_000)),
+    cancel=function,
+)
 def find_airways(
     volume: Volume,
     *,

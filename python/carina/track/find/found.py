@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import (
+    array_of,
+    check_fields,
+    each,
+    instance,
+    lps_point,
+    lps_points,
+    mask_array,
+    number_from,
+    text_of,
+    whole_from,
+)
 from carina.commands.tree import AnyTreeEdit as TreeEdit
 from carina.display import as_words
 from carina.track.find.kept import KeptForVolume
@@ -18,6 +31,15 @@ from carina.track.tree.uncertain import Uncertainty
 from carina.volume.model import Note
 
 __all__ = ["Airways"]
+
+
+TREE_EDITS = get_args(TreeEdit)
+
+
+def _check_threshold(where: str, name: str, value: object) -> None:
+    """Refuse anything but a finite number and NaN, which is the threshold of a lumen from a file."""
+    if not (isinstance(value, float) and math.isnan(value)):
+        number_from(-40_000.0, 40_000.0)(where, name, value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +83,25 @@ class Airways:
     ends below them; not kept in a case file."""
     evidence: KeptForVolume[Any] = field(default_factory=KeptForVolume, repr=False, compare=False)
     """What the CT shows of airways beyond those found, for edits; found when first needed, the same after each edit."""
+
+    def __post_init__(self) -> None:
+        check_fields(
+            self,
+            lumen_zyx=mask_array(),
+            root_lps=lps_point(),
+            tree=instance(AirwayTree, "get one from carina.find_airways"),
+            tracker=instance(PathTracker, "get one from carina.find_airways"),
+            threshold=_check_threshold,
+            notes=each(text_of(20_000)),
+            wall_levels=array_of(3, optional=True),
+            edits=each(instance(TREE_EDITS, "create one of the tree edits of carina.commands")),
+            base=instance(Airways, "get airways from carina.find_airways", optional=True),
+            next_id=whole_from(0, 2**31, optional=True),
+            uncertain=each(instance(Uncertainty, "get them from carina.find_airways")),
+            bridges=each(lps_points()),
+            upper_airway_zyx=mask_array(optional=True),
+            evidence=instance(KeptForVolume, "omit it"),
+        )
 
     def __repr__(self) -> str:
         edited = f", {len(self.edits)} edits" if self.edits else ""

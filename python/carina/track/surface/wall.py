@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from carina.argument_checks import check_arguments, function, instance, number_from
 from carina.errors import check_type
 from carina.scopes import WallField
 from carina.track.find.found import Airways
@@ -12,6 +13,13 @@ from carina.volume.model import Volume
 __all__ = ["wall_field"]
 
 
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    airways=instance(Airways, "get airways from carina.find_airways"),
+    spacing_mm=number_from(0.1, 0.6, unit="mm"),
+    progress=function,
+    cancel=function,
+)
 def wall_field(
     volume: Volume,
     airways: Airways,

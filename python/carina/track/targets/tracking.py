@@ -9,19 +9,36 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import check_arguments, choice, each, function, instance, lps_point, number_from
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.track.find.airways import Airways, find_airways
 from carina.track.paths.tracker import SNAP_MM, as_point, words
 from carina.track.stages import Cancel
-from carina.track.targets.paper import check_choice, track_on_graph
+from carina.track.targets.paper import COSTS, GRAPHS, check_choice, track_on_graph
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.volume.model import Volume
 
 __all__ = ["track_paths"]
 
 
+def _check_root(where: str, name: str, value: object) -> None:
+    """Refuse anything but "auto" and a point."""
+    (choice("auto") if isinstance(value, str) else lps_point())(where, name, value)
+
+
 @shows_progress
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    root=_check_root,
+    targets=each(lps_point(), least=1, most=10_000),
+    cost=choice(*COSTS),
+    graph=choice(*GRAPHS),
+    airways=instance(Airways, "get airways from carina.find_airways", optional=True),
+    lumen_threshold=number_from(-40_000.0, 40_000.0, optional=True),
+    snap_mm=number_from(0.0, 100.0, unit="mm"),
+    cancel=function,
+)
 def track_paths(
     volume: Volume,
     *,

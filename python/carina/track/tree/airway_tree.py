@@ -10,6 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.argument_checks import (
+    COORDINATE_MM,
+    any_number,
+    array_of,
+    check_arguments,
+    check_fields,
+    choice,
+    each,
+    instance,
+    lps_point,
+    number_from,
+    numbers_within,
+    text_of,
+    whole_from,
+)
 from carina.display import as_words, one_line
 from carina.display.html import caption, figure, table
 from carina.display.ways import DRAWN_COLOUR, Way, generation_colour, ways_svg
@@ -62,6 +77,28 @@ class Branch:
     """Length along which the CT shows no wall: above 0 only in ``manual`` branches, which a person asked for."""
     wall_mm: NDArray[np.float64] | None = field(default=None, repr=False)
     """(n,) distance to the wall, mm; None for a tree that was read from a file. See ``wall_distance``."""
+
+    def __post_init__(self) -> None:
+        check_fields(
+            self,
+            id=whole_from(0, 2**31),
+            parent=whole_from(0, 2**31, optional=True),
+            children=each(whole_from(0, 2**31)),
+            generation=whole_from(0, 1000),
+            name=text_of(optional=True),
+            kind=choice(*KINDS),
+            points=instance(np.ndarray, "give an array (n, 3)"),
+            radius=instance(np.ndarray, "give an array (n,)"),
+            cost=number_from(-1e12, 1e12, optional=True),
+            confidence=any_number(optional=True),
+            name_confidence=any_number(optional=True),
+            name_from=choice(*NAME_SOURCES, optional=True),
+            variant=text_of(optional=True),
+            doubtful_mm=any_number(),
+            wall_mm=array_of(None, optional=True),
+        )
+        check_fields(self, points=numbers_within(), radius=numbers_within())
+        _check_branch(self)
 
     def __repr__(self) -> str:
         name = "" if self.name is None else f"{as_words(self.name)}, "
@@ -184,6 +221,11 @@ class AirwayTree:
     """Smooths a whole way inside the lumen it was tracked in: even points and their radii. Not saved."""
 
     def __post_init__(self) -> None:
+        check_fields(
+            self,
+            branches=each(instance(Branch, "get branches from an AirwayTree"), least=1),
+            notes=each(instance(Note, "create a carina.volume.Note")),
+        )
         _check(self.branches)
 
     def __len__(self) -> int:
@@ -197,6 +239,7 @@ class AirwayTree:
         """The tree, drawn from the front and as a table, in a notebook."""
         return self.to_html()
 
+    @check_arguments(more=each(text_of(20_000)))
     def to_html(self, more: Sequence[str] = ()) -> str:
         """The tree drawn from the front, a table of its first branches, and words below: ``more`` stands at the end."""
         inner_first = sorted(self.branches, key=lambda branch: (branch.generation, branch.id))
@@ -227,6 +270,7 @@ class AirwayTree:
         """The trunk."""
         return self.branches[0]
 
+    @check_arguments(branch_id=whole_from(0, 2**31))
     def branch(self, branch_id: int) -> Branch:
         """The branch of that id.
 
@@ -245,6 +289,7 @@ class AirwayTree:
         """Branches without children."""
         return [branch for branch in self.branches if not branch.children]
 
+    @check_arguments(name=text_of(80))
     def named(self, name: str) -> Branch | None:
         """The branch of that name, if any."""
         return next((branch for branch in self.branches if branch.name == name), None)
@@ -283,6 +328,7 @@ class AirwayTree:
             depths[head] = 0 if above is None else depths[head_of[above]] + 1
         return tuple(TreeRow(tuple(members), depths[head]) for head, members in pieces.items())
 
+    @check_arguments(branch_id=whole_from(0, 2**31))
     def lineage(self, branch_id: int) -> list[Branch]:
         """The branches from the root to this one."""
         found = [self.branch(branch_id)]
@@ -290,6 +336,7 @@ class AirwayTree:
             found.append(self.branch(found[-1].parent))
         return found[::-1]
 
+    @check_arguments(point_lps=lps_point())
     def nearest_branch(self, point_lps: Sequence[float] | Points) -> tuple[Branch, int, float]:
         """The branch whose centreline is nearest to a point, the index of its nearest point, and the distance in mm."""
         point = np.asarray(point_lps, dtype=np.float64)
@@ -302,6 +349,7 @@ class AirwayTree:
         assert best is not None
         return best
 
+    @check_arguments(branch_id=whole_from(0, 2**31))
     def route_to(self, branch_id: int) -> Route:
         """The way from the root to the tip of a branch.
 
@@ -456,7 +504,7 @@ def _read_branch(row: object, number: int) -> Branch:
     if not isinstance(row, Mapping):
         raise _refused(f"{where}: expected a JSON object, found {type(row).__name__}")
 
-    def whole(key: str, value: object) -> int:
+    def whole_from(key: str, value: object) -> int:
         if isinstance(value, bool) or not isinstance(value, int):
             raise _refused(f"{where}: {key} must be a whole number, found {value!r}")
         return value
@@ -475,7 +523,7 @@ def _read_branch(row: object, number: int) -> Branch:
             raise _refused(f"{where}: {key} must be a finite number or null, found {value!r}")
         return float(value)
 
-    branch_id = whole("id", row.get("id"))
+    branch_id = whole_from("id", row.get("id"))
     where = f"branch {branch_id}"
     parent = row.get("parent")
     name, name_from = text_or_none("name"), text_or_none("name_from")
@@ -494,9 +542,9 @@ def _read_branch(row: object, number: int) -> Branch:
         raise _refused(f"{where}: points must be a list of [x, y, z], radius a list of numbers") from None
     return Branch(
         id=branch_id,
-        parent=None if parent is None else whole("parent", parent),
-        children=tuple(whole("children", child) for child in children),
-        generation=whole("generation", row.get("generation")),
+        parent=None if parent is None else whole_from("parent", parent),
+        children=tuple(whole_from("children", child) for child in children),
+        generation=whole_from("generation", row.get("generation")),
         name=name,
         kind=kind,
         points=points,
@@ -510,6 +558,22 @@ def _read_branch(row: object, number: int) -> Branch:
     )
 
 
+def _check_branch(branch: Branch) -> None:
+    """Refuse a branch whose numbers are impossible."""
+    where = f"branch {branch.id}"
+    points, radius = branch.points, branch.radius
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1 or not np.isfinite(points).all():
+        raise _refused(f"{where}: points must be a list of finite [x, y, z]")
+    if radius.shape != (len(points),) or not np.isfinite(radius).all() or (radius < 0).any():
+        raise _refused(f"{where}: radius must contain one number of at least 0 for each of its {len(points)} points")
+    if branch.confidence is not None and not 0.0 <= branch.confidence <= 1.0:
+        raise _refused(f"{where}: confidence must be between 0 and 1, found {branch.confidence}")
+    if branch.name_confidence is not None and not 0.0 <= branch.name_confidence <= 1.0:
+        raise _refused(f"{where}: name_confidence must be between 0 and 1, found {branch.name_confidence}")
+    if not 0.0 <= branch.doubtful_mm <= COORDINATE_MM:
+        raise _refused(f"{where}: doubtful_mm must be at least 0, found {branch.doubtful_mm}")
+
+
 def _check(branches: tuple[Branch, ...]) -> None:
     """Refuse what would be a silent wrong geometry later."""
     if not branches:
@@ -517,26 +581,13 @@ def _check(branches: tuple[Branch, ...]) -> None:
     seen: dict[int, Branch] = {}
     for number, branch in enumerate(branches):
         where = f"branch {branch.id}"
-        points, radius = branch.points, branch.radius
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1 or not np.isfinite(points).all():
-            raise _refused(f"{where}: points must be a list of finite [x, y, z]")
-        if radius.shape != (len(points),) or not np.isfinite(radius).all() or (radius < 0).any():
-            raise _refused(
-                f"{where}: radius must contain one number of at least 0 for each of its {len(points)} points"
-            )
-        if branch.confidence is not None and not 0.0 <= branch.confidence <= 1.0:
-            raise _refused(f"{where}: confidence must be between 0 and 1, found {branch.confidence}")
-        if branch.name_confidence is not None and not 0.0 <= branch.name_confidence <= 1.0:
-            raise _refused(f"{where}: name_confidence must be between 0 and 1, found {branch.name_confidence}")
-        if not branch.doubtful_mm >= 0.0:
-            raise _refused(f"{where}: doubtful_mm must be at least 0, found {branch.doubtful_mm}")
         if (branch.parent is None) != (number == 0):
             raise _refused(f"{where}: the root, and only the root, must have no parent")
         if branch.parent is not None:
             parent = seen.get(branch.parent)
             if parent is None or branch.id not in parent.children:
                 raise _refused(f"{where}: its parent {branch.parent} does not list it as a child")
-            if not np.array_equal(points[0], parent.points[-1]):
+            if not np.array_equal(branch.points[0], parent.points[-1]):
                 raise _refused(f"{where}: its first point is not the last point of its parent {branch.parent}")
         if branch.generation < 0:
             raise _refused(f"{where}: generation must be at least 0, found {branch.generation}")
