@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import carina
 from carina.cli.adding import add_branches, error_json
-from carina.cli.arguments import check_output_file
+from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.console import print_json, progress_printer, say, show
 from carina.cli.opened import Opened, check_case_options, opened
 from carina.errors import UsageError
@@ -29,7 +29,7 @@ from carina.export import (
     write_tree,
 )
 from carina.track import Absence, Airways, drawn_tree, kind_words, lumen_mask
-from carina.volume import open_mask
+from carina.volume import GRID_SUFFIXES, open_mask
 
 __all__ = ["find", "write"]
 
@@ -59,11 +59,7 @@ def find(
     if output is not None:
         check_output_file(output, ".json")
     if mask is not None:
-        check_output_file(mask, what="--mask")
-        if not mask.name.lower().endswith(MASK_SUFFIXES):
-            raise UsageError(
-                f"--mask: expected a file name that ends in {', '.join(MASK_SUFFIXES)}; found {mask.name!r}"
-            )
+        check_output_file(mask, *MASK_SUFFIXES, what="--mask")
     _check_mask_options(from_mask, label, resample)
     check_case_options(path, ct, seed=seed is not None, from_mask=from_mask)
     source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
@@ -162,6 +158,8 @@ def write(
         raise UsageError(f"-o: {error}") from None
     check_output_file(output)
     _check_mask_options(from_mask, label, resample)
+    if tree is not None and tree_alone:
+        check_needs("formats with the lumen, or without --tree", from_mask=from_mask)
     check_case_options(path, ct, tree=tree, from_mask=from_mask)
     given = None if tree is None else read_tree(tree)
     source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
@@ -188,6 +186,7 @@ def write(
 
 
 def _check_mask_options(from_mask: Path | None, label: int | None, resample: bool) -> None:
+    check_range("--label", label, 0, 2**31 - 1)
     if from_mask is None and (label is not None or resample):
         raise UsageError("--label and --resample only apply to an imported segmentation; specify one with --from-mask")
 

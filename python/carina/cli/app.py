@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 import carina
 from carina.cli.app_airways import airways, export, plan, track
 from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
-from carina.cli.arguments import check_output_folder, check_window_path, parse_point, parse_size
+from carina.cli.arguments import check_needs, check_output_folder, check_window_path, parse_point, parse_size
 from carina.cli.console import (
     accept_any_text,
     exit_codes,
@@ -29,7 +30,23 @@ from carina.errors import UsageError
 
 __all__ = ["app", "main"]
 
+
+class CarinaCommands(TyperGroup):
+    """The commands of ``carina``; an empty argument is refused for all of them."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse an empty argument: as a path it would be the present folder."""
+        for number, word in enumerate(args):
+            name, sign, value = word.partition("=")
+            if not word.strip() or (name.startswith("--") and sign and not value.strip()):
+                before = args[number - 1] if number and not sign else name
+                place = f"{before}: " if before.startswith("-") else ""
+                raise typer.BadParameter(f"{place}expected a value; found an empty text", ctx=ctx)
+        return super().parse_args(ctx, args)
+
+
 app = typer.Typer(
+    cls=CarinaCommands,
     help="Virtual bronchoscopy: fly through the airways of a chest CT. Not a medical device.",
     no_args_is_help=False,
     pretty_exceptions_enable=False,
@@ -118,6 +135,10 @@ def _workstation(
         from carina.phone import PhoneSwitch
         from carina.server import serve
 
+        if cluster is None:
+            check_needs("a cluster (--cluster)", mixed=mixed, token_file=token)
+        if not phone:
+            check_needs("the phone page (--phone)", phone_address=phone_address)
         check_window_path(path)
         check_window_path(ct)
         record = None if path is None else stored_case(path)
@@ -398,6 +419,8 @@ def render(
         from carina.cli.render import report
         from carina.render import LEAD_VIEW
 
+        if outline is not None:
+            check_needs("images without --outline, its present name", mask=mask)
         for what, switch in (("--shading", shading), ("--texture", texture)):
             if switch not in {None, "on", "off"}:
                 raise UsageError(f"{what}: expected on or off; found {switch!r}")

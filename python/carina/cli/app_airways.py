@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from carina.argument_checks import PATH_CHARACTERS
 from carina.cli.arguments import parse_point
 from carina.cli.console import exit_codes
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption
@@ -276,10 +277,11 @@ def plan(
     with exit_codes(as_json):
         from carina.cli.plan import report
 
+        is_file = target not in {".", ".."} and len(target) < PATH_CHARACTERS and Path(target).exists()
         raise SystemExit(
             report(
                 path,
-                target=Path(target) if Path(target).exists() else parse_point(target, "--target"),
+                target=Path(target) if is_file else parse_point(target, "--target"),
                 structure=structure,
                 part=None if part is None else parse_point(part, "--part"),
                 resample=resample,

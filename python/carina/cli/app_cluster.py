@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from carina.cli.arguments import check_needs
 from carina.cli.console import exit_codes
 from carina.cli.options import JsonOption, TokenOption
 from carina.errors import UsageError
@@ -48,6 +49,8 @@ def cluster_start(
             raise UsageError(
                 "a cluster starts with its head node: carina cluster start --head; other machines then join it"
             )
+        if not renders:
+            check_needs("machines that render", dedicated=dedicated)
         from carina.cli.cluster import start
 
         raise SystemExit(

@@ -15,7 +15,15 @@ from carina.disk import disk_trouble
 from carina.display.printable import printable
 from carina.errors import UsageError, VolumeImportError
 
-__all__ = ["check_output_file", "check_output_folder", "check_window_path", "parse_point", "parse_size"]
+__all__ = [
+    "check_needs",
+    "check_output_file",
+    "check_output_folder",
+    "check_range",
+    "check_window_path",
+    "parse_point",
+    "parse_size",
+]
 
 
 def parse_point(text: str, what: str) -> NDArray[np.float64]:
@@ -31,6 +39,39 @@ def parse_point(text: str, what: str) -> NDArray[np.float64]:
     return np.array(values)
 
 
+def check_range(option: str, value: float | None, least: float, most: float, unit: str = "") -> None:
+    """Refuse a number outside a range before the work; None is not checked.
+
+    Raises
+    ------
+    UsageError
+        If the number is not finite or outside the range.
+    """
+    if value is not None and not least <= value <= most:
+        expected = f"a number from {least:g} to {most:g}{f' {unit}' if unit else ''}"
+        raise UsageError(f"{option}: expected {expected}; found {value:g}", code="usage.range")
+
+
+def check_needs(why: str, **given: object) -> None:
+    """Refuse options that have no effect in this combination.
+
+    Parameters
+    ----------
+    why
+        What the options apply to, as the end of the sentence *--OPTION only applies to*.
+    **given
+        The options, with ``_`` for ``-``; False and None are options that were not given.
+
+    Raises
+    ------
+    UsageError
+        ``usage.ignored``, for the first option that was given.
+    """
+    for name, value in given.items():
+        if value is not None and value is not False:
+            raise UsageError(f"--{name.replace('_', '-')} only applies to {why}", code="usage.ignored")
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """``WxH`` in pixels."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
@@ -39,7 +80,7 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def check_output_file(path: Path, suffix: str | None = None, *, what: str = "-o") -> None:
+def check_output_file(path: Path, *suffixes: str, what: str = "-o") -> None:
     """Refuse a result's place before the work and not after it.
 
     Raises
@@ -49,8 +90,8 @@ def check_output_file(path: Path, suffix: str | None = None, *, what: str = "-o"
     DiskError
         If this person may not write there.
     """
-    if suffix is not None and path.suffix.lower() != suffix:
-        raise UsageError(f"{what}: expected a file name that ends in {suffix}; found {path.name!r}")
+    if suffixes and not path.name.lower().endswith(suffixes):
+        raise UsageError(f"{what}: expected a file name that ends in {', '.join(suffixes)}; found {path.name[:80]!r}")
     if not path.parent.is_dir():
         raise UsageError(f"{what}: the folder {path.parent} does not exist")
     if path.is_dir():

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import carina
 from carina.case import CaseFile
 from carina.cli.along import check_destination, say_drawn, way_to
-from carina.cli.arguments import check_output_file
+from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.case import recording_in
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
@@ -37,7 +37,11 @@ from carina.session import RendererFactory, is_case_file, key_file, view_words
 from carina.track import edits_from_json, wall_field
 from carina.volume import Volume
 
-__all__ = ["report"]
+__all__ = ["PAUSE_S", "SPEED_MM_S", "report"]
+
+SPEED_MM_S = 20.0
+PAUSE_S = 1.0
+"""Defaults of the options."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +76,23 @@ def report(
     ct: Path | None = None,
 ) -> int:
     """Render all frames and write them; on the machines of a cluster, and going on from what was kept."""
-    check_output_file(output)
-    if output.suffix.lower() not in VIDEO_SUFFIXES:
-        raise UsageError(f"-o: expected a file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {output.name!r}")
+    check_output_file(output, *VIDEO_SUFFIXES)
+    check_range("--rate", rate_hz, 1.0, 240.0)
+    check_range("--step-vox", step_vox, 0.01, 100.0)
+    check_range("--speed", speed_mm_s, 0.1, 500.0, "mm/s")
+    check_range("--pause", pause_s, 0.0, 60.0, "s")
     if (to is not None) + (recording is not None) + (keys is not None) != 1:
         raise UsageError("choose exactly one flight: --to (a branch or point), --recording or --keys")
-    if tree is not None and to is None:
-        raise UsageError("--tree only applies together with --to")
+    if to is None:
+        moved = {
+            "speed": None if speed_mm_s == SPEED_MM_S else speed_mm_s,
+            "pause": None if pause_s == PAUSE_S else pause_s,
+        }
+        check_needs("a flight along a route (--to)", tree=tree, **moved)
+    if recording is not None:
+        check_needs("a route or key frames; a recording has its own scope", scope=scope)
+    if cluster is None:
+        check_needs("a cluster (--cluster)", mixed=mixed, token_file=token)
     check_case_options(path, ct, tree=tree)
     notes = size_notes(output, *size, rate_hz=rate_hz)
     for note in notes:

@@ -11,7 +11,6 @@ from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
 from carina.cli.render import chosen_transfer
-from carina.errors import UsageError
 from carina.volume import GRID_SUFFIXES, check_grid_fits, write_grid
 
 __all__ = ["write"]
@@ -19,10 +18,7 @@ __all__ = ["write"]
 
 def write(path: Path, *, output: Path, transfer: str | None, series: str | None, ct: Path | None, as_json: bool) -> int:
     """Build the map and write it on the scan's grid."""
-    check_output_file(output)
-    if not output.name.lower().endswith(GRID_SUFFIXES):
-        msg = f"-o: expected a file name that ends in {', '.join(GRID_SUFFIXES)}; found {output.name!r}"
-        raise UsageError(msg)
+    check_output_file(output, *GRID_SUFFIXES)
     chosen = chosen_transfer(transfer)
     check_case_options(path, ct)
     source = opened(path, series=series, progress=progress_printer(), ct=ct)

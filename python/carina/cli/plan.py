@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.cli.arguments import check_output_file
+from carina.cli.arguments import check_needs, check_output_file, check_range
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.opened import check_case_options, opened
 from carina.disk import ScratchFolder
@@ -64,11 +64,20 @@ def report(
     """Plan the ways to one target, say them, and write them; 4 if there is none."""
     if output is not None:
         known = (*REPORT_SUFFIXES, *PLAN_FORMATS, ARCHIVE_SUFFIX)
-        if not output.name.lower().endswith(known):
-            raise UsageError(f"-o: expected a file name that ends in {', '.join(known)}; found {output.name!r}")
-        check_output_file(output)
-    if not isinstance(target, Path) and (structure is not None or part is not None or resample):
-        raise UsageError("--structure, --part and --resample only apply if --target is a file")
+        check_output_file(output, *known)
+    name = "" if output is None else output.name.lower()
+    if not isinstance(target, Path):
+        check_needs("a target from a file; the target is a point", structure=structure, part=part, resample=resample)
+    check_range("--vessel-margin-mm", vessel_margin_mm, 0.0, 50.0, "mm")
+    check_range("--moved-mm", moved_mm, 0.0, 60.0, "mm")
+    if not name.endswith((".html", ".pdf")):
+        check_needs("a report (-o NAME.html or NAME.pdf)", tracing_sheet=kind == "tracing")
+    if not name.endswith((".pdf", ARCHIVE_SUFFIX)):
+        check_needs("a report on paper (-o NAME.pdf or NAME.pdf.dcm)", paper=None if paper == "A4" else paper)
+    if not name.endswith(".html") or kind == "tracing":
+        check_needs("an .html report (-o NAME.html)", no_clips=not clips)
+    if not name.endswith(".dcm"):
+        check_needs("DICOM files (-o NAME.seg.dcm, NAME.sr.dcm or NAME.pdf.dcm)", with_identity=identity != "none")
     peer = None if send_to is None else _peer(send_to)
     instrument = scope_from_file(scope) if Path(scope).is_file() else scope_preset(scope)
     used = tool_from_file(tool) if Path(tool).is_file() else tool_named(tool)
@@ -164,7 +173,7 @@ def report(
 def _peer(words: str) -> tuple[str, int]:
     """host:port"""
     host, _, port = words.rpartition(":")
-    if not host or not port.isdecimal():
+    if not host or not port.isdecimal() or len(port) > 5 or not 1 <= int(port) <= 65535:
         raise UsageError(f"--send: expected HOST:PORT, such as 127.0.0.1:18944; found {words!r}")
     return host, int(port)
 

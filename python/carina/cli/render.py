@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import carina
 from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, say_drawn, way_to
-from carina.cli.arguments import check_output_file, parse_point
+from carina.cli.arguments import check_needs, check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, progress_printer, say
 from carina.cli.opened import Opened, check_case_options, opened
 from carina.cli.optics import SeenThrough
@@ -27,6 +27,7 @@ from carina.render import (
     Picture,
     Slab,
     TransferFunction,
+    ignored_settings,
     letter_edges,
     mark_path,
     mark_tip,
@@ -42,6 +43,7 @@ from carina.track import kind_words
 __all__ = ["chosen_transfer", "report"]
 
 MAX_TRANSFER_BYTES = 1_000_000
+STEP_VOX = 0.5
 # Stands for the path while the arguments are checked.
 _ANY_PATH = PathFrames(np.array([0.0, 1.0]), np.stack([np.eye(4)] * 2))
 
@@ -192,6 +194,26 @@ def report(
         **seen.options(view),
     }
     row = view_row(view)
+    ignored = ignored_settings(view)
+    given = {
+        "look": ("pose", look is not None),
+        "up": ("pose", up is not None),
+        "fov": ("fov_deg", fov_deg is not None),
+        "method": ("method", method != "leap"),
+        "step_vox": ("step_vox", step_vox != STEP_VOX),
+        "shading": ("shading", shading is not None),
+        "texture": ("texture", texture is not None),
+        "orbit": ("orbit", orbit is not None),
+        "window": ("window_hu", window is not None),
+        "turn": ("turn_deg", turn_deg != 0.0),
+        "carm_primary": ("carm_deg", carm_deg[0] != 0.0),
+        "carm_secondary": ("carm_deg", carm_deg[1] != 0.0),
+        "tone": ("tone", tone != "radiograph"),
+    }
+    unused = {option: is_given for option, (setting, is_given) in given.items() if setting in ignored}
+    check_needs(f"other views; the view is {view!r}", **unused)
+    if view != LEAD_VIEW:
+        check_needs(f"the airway view; the view is {view!r}", transfer=transfer)
     along_path = "route" in row.needs
     if along_path:
         to = check_destination(to, view)

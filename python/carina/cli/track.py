@@ -36,7 +36,7 @@ def report(
 ) -> int:
     """Track all targets and write the tree; 4 if one of them has no path (the others are written)."""
     if output is not None:
-        check_output_file(output)
+        check_output_file(output, ".json")
     check_choice(cost, graph)
     # The costs that know no lumen begin anywhere; the others where the case's airways do.
     check_case_options(path, ct, root=root is not None and cost == "lumen")
