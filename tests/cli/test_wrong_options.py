@@ -120,6 +120,7 @@ def wrong_calls(name: str) -> list[tuple[str, list[str], bool]]:
 
 
 @pytest.mark.usefixtures("no_work")
+@pytest.mark.soak
 @pytest.mark.parametrize("name", UNATTENDED)
 def test_a_command_refuses_wrong_values_before_the_work(
     name: str, carina: Any, ct: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
