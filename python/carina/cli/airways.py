@@ -29,7 +29,7 @@ from carina.export import (
     write_tree,
 )
 from carina.track import Absence, Airways, drawn_tree, kind_words, lumen_mask
-from carina.volume import GRID_SUFFIXES, open_mask
+from carina.volume import open_mask
 
 __all__ = ["find", "write"]
 
