@@ -299,7 +299,8 @@ def _dilated(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _ijk(grid: Volume, points: Points) -> NDArray[np.intp]:
-    return np.rint(grid.to_ijk(points)).astype(np.intp)
+    ijk: NDArray[np.intp] = np.rint(grid.to_ijk(points)).astype(np.intp)
+    return ijk
 
 
 def _holds(grid: Volume, points: Points) -> Mask:
