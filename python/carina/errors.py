@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from carina.display.printable import printable
+from carina.display.printable import printable, shortened_words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,7 +47,7 @@ class CarinaError(Exception):
     exit_code: int = 1
 
     def __init__(self, message: str, *, code: str | None = None) -> None:
-        super().__init__(printable(message))
+        super().__init__(shortened_words(printable(message)))
         if code is not None:
             self.code = code
 

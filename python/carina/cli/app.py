@@ -685,5 +685,6 @@ def main() -> None:
             code = app(prog_name="carina", standalone_mode=False)
         except USAGE_ERROR as error:
             say_usage(error)
-            fail(as_json, UsageError.code, error.format_message(), UsageError.exit_code)
+            refused = UsageError(error.format_message())
+            fail(as_json, refused.code, str(refused), refused.exit_code)
     raise SystemExit(code if isinstance(code, int) else 0)

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from typing import Any, NoReturn, TypeVar
 
 from carina.disk import disk_trouble, is_disk_trouble
+from carina.display.printable import shortened_words
 from carina.display.terminal import as_line, as_terminal_text, escaped_json
 from carina.errors import CancelledError, CarinaError
 
@@ -49,7 +50,7 @@ def say_usage(error: Any) -> None:
     """Print a refusal of the argument parser with its usage line on stderr; file names in it are cleaned."""
     text = io.StringIO()
     error.show(file=text)
-    say(text.getvalue().rstrip())
+    say(shortened_words(text.getvalue().rstrip()))
 
 
 class _LogFormatter(logging.Formatter):

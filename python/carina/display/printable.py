@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["MAX_VALUE_CHARS", "printable", "shown_value"]
+__all__ = ["MAX_VALUE_CHARS", "MAX_WORD_CHARS", "printable", "shortened_words", "shown_value"]
 
 MAX_VALUE_CHARS = 80
 """Longest part of a header value that a message quotes."""
+MAX_WORD_CHARS = 800
+"""Longest word of a message, such as a path; what a user or a file gave may be a million characters long."""
 # C0 and C1 control characters, line and paragraph separators, direction overrides, and half surrogates: Python stores a
 # byte of a file name that is not UTF-8 as a half surrogate, which no encoder accepts.
 _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -22,6 +24,22 @@ def printable(text: str) -> str:
     'l\\\\xe9 1\\\\x0a2'
     """
     return _UNSAFE.sub(_escape, text)
+
+
+def shortened_words(text: str, max_chars: int = MAX_WORD_CHARS) -> str:
+    """Return a message in which each word of more than ``max_chars`` characters is shortened in the middle.
+
+    Examples
+    --------
+    >>> shortened_words("no file " + "x" * 900, max_chars=20)
+    'no file xxxxxxxxxxxxxx…xxxxx'
+    """
+    tail = max_chars // 4
+
+    def shorten(found: re.Match[str]) -> str:
+        return f"{found[0][: max_chars - tail - 1]}…{found[0][-tail:]}"
+
+    return re.sub(rf"\S{{{max_chars + 1},}}", shorten, text)
 
 
 def shown_value(value: str, max_chars: int = MAX_VALUE_CHARS) -> str:
