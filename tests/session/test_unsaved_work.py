@@ -79,7 +79,7 @@ def saved_steps(desk):
 
 
 def test_unsaved_work_names_the_changes_the_case_the_reason_and_the_last_saved_state(desk):
-    (work,) = desk.session.unsaved()
+    (work,) = desk.session.cases.unsaved()
     assert len(work.labels) == 5
     assert work.labels == tuple(desk.session.history()[3:])
     assert work.title == desk.session.snapshot().neutral_title
@@ -151,7 +151,7 @@ def test_a_user_who_quits_interrupts_or_is_gone_gets_the_error(desk, answer):
 
 
 def test_an_interrupt_before_the_question_ends_with_the_error(desk, monkeypatch):
-    settle = desk.session.unsaved
+    settle = desk.session.cases.unsaved
     calls = []
 
     def interrupted():
@@ -160,7 +160,7 @@ def test_an_interrupt_before_the_question_ends_with_the_error(desk, monkeypatch)
             raise KeyboardInterrupt
         return settle()
 
-    monkeypatch.setattr(desk.session, "unsaved", interrupted)
+    monkeypatch.setattr(desk.session.cases, "unsaved", interrupted)
     terminal = ScriptedTerminal()
     with pytest.raises(UnsavedWorkError, match="5 changes"):
         close_session(desk.session, terminal)
@@ -170,7 +170,7 @@ def test_an_interrupt_before_the_question_ends_with_the_error(desk, monkeypatch)
 def test_changes_that_were_taken_back_count_as_unsaved(desk):
     for _ in range(6):
         desk.session.do(c.Undo())
-    (work,) = desk.session.unsaved()
+    (work,) = desk.session.cases.unsaved()
     assert work.labels == (f"undo: {saved_steps(desk)[-1]}",)
 
 
@@ -194,7 +194,7 @@ def test_a_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
     monkeypatch.setattr("carina.session.records.write_whole", refuses)
     case_id = desk.session.cases.open_case[0]
     desk.session.do(c.RenameCase(case_id, "Nodule in RB4"))
-    (work,) = desk.session.unsaved()
+    (work,) = desk.session.cases.unsaved()
     assert (work.title, work.labels) == ("Nodule in RB4", ("name of the case",))
     monkeypatch.undo()
 
@@ -206,7 +206,7 @@ def test_a_thumbnail_is_not_made_where_the_case_could_not_be_saved(desk, caplog)
 
 
 def test_messages_hold_no_control_characters_and_a_bounded_number_of_labels(desk):
-    (work,) = desk.session.unsaved()
+    (work,) = desk.session.cases.unsaved()
     hostile = replace(work, labels=(*["x\x1b[2J" * 1000] * 400,))
     assert "\x1b" not in hostile.shown_labels
     assert len(hostile.shown_labels) < 400

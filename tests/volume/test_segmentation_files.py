@@ -151,7 +151,7 @@ def test_fractions_are_taken_from_a_half_on_with_a_note(tmp_path):
         found, notes = inside(path)
         # 255 steps: voxels within 0.2 % of a half may fall on either side.
         assert not (found ^ ball)[np.abs(share - 0.5) > 0.004].any()
-        assert notes[0] == f"the segmentation: it holds {word}; voxels of at least 50 % were taken as inside"
+        assert notes[0] == f"the segmentation: it contains {word}; voxels of 50 % or more count as inside"
     path = write(tmp_path / "s.dcm", ball.astype(np.float32), kind="FRACTIONAL", fractional_type="OCCUPANCY")
     found, notes = inside(path)
     assert np.array_equal(found, ball)

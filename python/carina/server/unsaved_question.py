@@ -92,14 +92,14 @@ def close_session(session: Session, terminal: Terminal) -> None:
             session.close(0.0)
         else:
             session.close()
-    lost = session.unsaved()
+    lost = session.cases.unsaved()
     if lost:
         raise unsaved_error(lost)
 
 
 def _ask_until_saved(session: Session, terminal: Terminal) -> bool:
     """Ask until no work is unsaved, and return True; False if the user quits."""
-    while work := session.unsaved():
+    while work := session.cases.unsaved():
         one = work[0]
         _describe(one, terminal)
         answer = terminal.ask(PROMPT)
@@ -109,7 +109,7 @@ def _ask_until_saved(session: Session, terminal: Terminal) -> bool:
             continue
         if answer.lower() != RETRY:
             try:
-                terminal.say(f"saved as {session.save_elsewhere(one.case_number, Path(answer))}")
+                terminal.say(f"saved as {session.cases.save_elsewhere(one.case_number, Path(answer))}")
             except CarinaError as trouble:
                 terminal.say(f"carina: {trouble}")
     return True

@@ -150,8 +150,6 @@ class OpenCase:
     """All of it is guarded by the session's lock."""
 
     number: int
-    case_id: str
-    """Random id: that of the case's record, once there is one."""
     info: CaseSnapshot
     content: ShownContent
     pilot: Pilot
@@ -187,6 +185,15 @@ class OpenCase:
         """A number that nothing of its kind had; with the session locked."""
         self.numbers[what] = self.numbers.get(what, 0) + 1
         return self.numbers[what]
+
+    @property
+    def case_id(self) -> str:
+        """Random id of the case: that of the case's record, once there is one."""
+        return self.info.case_id
+
+    @case_id.setter
+    def case_id(self, case_id: str) -> None:
+        self.info = replace(self.info, case_id=case_id)
 
     @property
     def neutral_title(self) -> str:
@@ -274,8 +281,7 @@ def new_case(
     )
     case = OpenCase(
         number=number,
-        case_id=new_case_id(),
-        info=CaseSnapshot(volume, parts.quality_words(volume), scale, volume.value_range),
+        info=CaseSnapshot(volume, parts.quality_words(volume), scale, volume.value_range, new_case_id()),
         content=ShownContent(
             renderer_factory(volume, transfer), transfer, jobs=jobs, lock=lock, changed=partial(changed, "views")
         ),

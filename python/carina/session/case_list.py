@@ -6,6 +6,7 @@ import heapq
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from carina import commands as c
@@ -18,6 +19,7 @@ from carina.session.record_repair import repair_records
 from carina.session.records import CaseRecord, CaseRecords
 from carina.session.snapshot import Trouble
 from carina.session.subject import Subject, does
+from carina.session.unsaved_work import UnsavedWork
 
 if TYPE_CHECKING:
     from carina.session.saving import Saving
@@ -62,9 +64,10 @@ class StorageInfo:
 class CaseList(Subject):
     """Joins the cases that are kept with the places that were opened."""
 
-    def __init__(self, core: SessionCore, saving: Saving) -> None:
+    def __init__(self, core: SessionCore, saving: Saving, end_recording: Callable[[], object] = lambda: None) -> None:
         super().__init__(core)
         self._saving = saving
+        self._end_recording = end_recording
         if core.store is not None and saving.cache is not None and not core.store.keeps_cts():
             saving.cache.switch(False)
 
@@ -124,6 +127,22 @@ class CaseList(Subject):
         """The small picture of a case, a JPEG; None where it has none."""
         records = self._saving.records
         return None if records is None else records.picture(case_id)
+
+    def unsaved(self) -> tuple[UnsavedWork, ...]:
+        """End a recording, stop all jobs, and return the work that no disk has taken; waits for the disks."""
+        self._end_recording()
+        self.core.jobs.cancel_kinds()
+        return self._saving.unsaved()
+
+    def save_elsewhere(self, case_number: int, path: Path) -> Path:
+        """Save a case with unsaved work to another file or folder, and return the file.
+
+        Raises
+        ------
+        CarinaError
+            If it cannot be written there either; ``case.exists``, ``case.no-place``.
+        """
+        return self._saving.save_elsewhere(case_number, path)
 
     # ------------------------------------------------------------ what is done to it
 

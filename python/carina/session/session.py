@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from carina.commands import Command, Question, all_commands, checked
@@ -40,7 +39,6 @@ from carina.session.scene import ShownCase
 from carina.session.snapshot import KeyFramesInfo, PoseInfo, Snapshot
 from carina.session.subject import handlers_of
 from carina.session.target_editing import TargetEditing
-from carina.session.unsaved_work import UnsavedWork
 
 __all__ = ["Session"]
 
@@ -93,7 +91,7 @@ class Session:
         self._core, self._keys, self._recording = core, keys, recording
         self._devices = Devices(core, recording, self.do)
         self._saving = Saving(core, records, files)
-        self._cases = CaseList(core, self._saving)
+        self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
         opening = Opening(core, finding, recording, holding, self._saving)
         # In this order: a recording's time before what follows, an edit's airways before who reads them.
@@ -233,22 +231,6 @@ class Session:
     def store(self) -> LocalStore | None:
         """Recent cases and the safety notice."""
         return self._core.store
-
-    def unsaved(self) -> tuple[UnsavedWork, ...]:
-        """End a recording, stop all jobs, and return the work that no disk has taken; waits for the disks."""
-        self._recording.stop()
-        self._core.jobs.cancel_kinds()
-        return self._saving.unsaved()
-
-    def save_elsewhere(self, case_number: int, path: Path) -> Path:
-        """Save a case with unsaved work to another file or folder, and return the file.
-
-        Raises
-        ------
-        CarinaError
-            If it cannot be written there either; ``case.exists``, ``case.no-place``.
-        """
-        return self._saving.save_elsewhere(case_number, path)
 
     def close(self, within_s: float = CLOSING_S) -> None:
         """End a recording, stop all jobs and give the threads back.

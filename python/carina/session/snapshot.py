@@ -58,6 +58,8 @@ class CaseSnapshot:
     quality: tuple[str, ...]
     scale: GreyScale
     value_range: tuple[int, int]
+    case_id: str = ""
+    """Random id of the case: that of the case's record, once there is one."""
 
     @property
     def off(self) -> tuple[FeatureOff, ...]:

@@ -84,7 +84,7 @@ class Segmentation:
             notes.append(f"{num_copies} of its frames were stored twice and were read once")
         if self._pixels.is_graded:
             what = "probabilities" if self._is_probability else "occupancies"
-            notes.append(f"it holds {what}; voxels of at least 50 % were taken as inside")
+            notes.append(f"it contains {what}; voxels of 50 % or more count as inside")
         return found, tuple(notes)
 
 

@@ -77,7 +77,7 @@ function Conflict({ saving }: { saving: SavingInfo }) {
         {choices.replaces ? (
           <Act
             label="Replace"
-            words="Keep the present file under a new name, then write this case in its place"
+            words={`Keep the present file under a new name, then save this case as ${saving.copy_name ?? ""}`}
             testId="save-replace"
             onPress={() => send({ type: "save_case", path, replace: true })}
           />
