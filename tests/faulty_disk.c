@@ -30,7 +30,7 @@ struct control {
 };
 
 enum { STALL = -1 };
-enum op { WRITE = 1, TRUNCATE, SYNC, RENAME, UNLINK, CREATE, MKDIR, RMDIR };
+enum op { WRITE = 1, TRUNCATE, SYNC, RENAME, UNLINK, CREATE, MKDIR, RMDIR, LINK };
 
 static struct control *control;
 static pthread_mutex_t order = PTHREAD_MUTEX_INITIALIZER;
@@ -165,6 +165,13 @@ int rename(const char *from, const char *to) {
     if (!is_ours(to)) return real(from, to);
     if (gate(1)) return -1;
     IN_ORDER(int, real(from, to), note(RENAME, from, to, 0, NULL, 0));
+}
+
+int link(const char *from, const char *to) {
+    REAL(link);
+    if (!is_ours(to)) return real(from, to);
+    if (gate(1)) return -1;
+    IN_ORDER(int, real(from, to), note(LINK, from, to, 0, NULL, 0));
 }
 
 int unlink(const char *path) {

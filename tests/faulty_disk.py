@@ -165,6 +165,8 @@ class Durable:
             )
         elif op in {5, 8}:
             self._change([(path, False)])
+        elif op == 9:
+            self._change([(other, self._names[path])])
         else:
             self._change([(path, _File() if op == 6 else None)])
 

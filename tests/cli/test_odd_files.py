@@ -13,7 +13,7 @@ CASES = os.environ.get("CARINA_CASES_DIR", "")
 
 
 @pytest.mark.data
-@pytest.mark.slow
+@pytest.mark.soak
 def test_commands_end_with_a_contract_outcome_on_every_odd_file(data_dir: Path) -> None:
     found = list(problems(inputs_in(data_dir / "odd")))
     assert not found, "\n".join(found)

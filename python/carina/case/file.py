@@ -46,6 +46,7 @@ from carina.case.sweeping import sweep
 from carina.case.trouble import CaseFileError, damaged, refused
 from carina.case.writing import CaseWriter
 from carina.disk import Placement, ScratchFolder, disk_trouble, drafted, write_whole
+from carina.disk.placing import move_to_new_name
 from carina.display import one_line
 from carina.navigate import Recording
 from carina.volume import Volume
@@ -135,7 +136,7 @@ class CaseFile:
             # Whole from its first moment on: what a crash leaves is no file, or a case.
             with told(place), contextlib.closing(_begun(source)) as begun:
                 content = begun.serialize()
-            write_whole(place, content, what="the case", private=True, lasting=True)
+            write_whole(place, content, what="the case", private=True, lasting=True, placement=move_to_new_name)
         except OSError as error:
             raise disk_trouble(error, "cannot write the case to", place) from error
         with told(place):
@@ -619,17 +620,17 @@ class CaseFile:
 
 
 def migrate(path: Path | str, target: Path | str) -> None:
-    """Write an older Carina's case as this one writes it, elsewhere; the original stays as it is.
+    """Write the case of an older Carina to a new file in the present format; the original stays as it is.
 
     Raises
     ------
     CaseFileError
         As :meth:`CaseFile.open`.
     DiskError
-        If it cannot be written.
+        If it cannot be written, or a file is at the target.
     """
     with CaseFile.open(path, read_only=True) as case:
-        case.write_copy(target, ct_place=case.source.path)
+        case.write_copy(target, ct_place=case.source.path, placement=move_to_new_name)
 
 
 def migrate_live(path: Path) -> Path:

@@ -14,6 +14,7 @@ from carina.cli.console import print_json, progress_printer, say, show
 from carina.cli.opened import case_scans, newest_state
 from carina.config import load_settings
 from carina.disk import say_size, write_whole
+from carina.disk.placing import move_to_new_name
 from carina.errors import DiskError, UsageError
 from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore
 from carina.session.record_repair import repair_records
@@ -193,7 +194,7 @@ def packed(path: Path, *, output: Path, ct: Path | None, as_json: bool) -> int:
     _check_target(path, output)
     with CaseFile.open(newest_state(path), read_only=True) as case:
         volume = case_scans().open(case, ct=ct, progress=progress_printer()).volume
-        case.write_copy(output, volume=volume)
+        case.write_copy(output, volume=volume, placement=move_to_new_name)
     return _wrote(output, as_json)
 
 
@@ -217,10 +218,10 @@ def recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
     """Write a recording of a case as a file of its own."""
     check_output_file(output, ".jsonl")
     if output.exists():
-        raise UsageError(f"-o: {output} already exists; choose another name")
+        raise UsageError(f"-o: {output} already exists; choose another name", code="case.exists")
     with CaseFile.open(newest_state(path), read_only=True) as case:
         text = case.recording_text(recording_in(case, wanted).recording_id)
-    write_whole(output, text.encode(), what="the recording")
+    write_whole(output, text.encode(), what="the recording", placement=move_to_new_name)
     return _wrote(output, as_json)
 
 
@@ -262,7 +263,9 @@ def _wrote(output: Path, as_json: bool, **facts: Any) -> int:
 def _check_target(path: Path, output: Path) -> None:
     check_output_file(output, CASE_SUFFIX)
     if output.exists():
-        raise UsageError(f"-o: {output} already exists; choose another name ({path.name} is never changed)")
+        raise UsageError(
+            f"-o: {output} already exists; choose another name ({path.name} is never changed)", code="case.exists"
+        )
 
 
 def _records() -> CaseRecords:
