@@ -433,9 +433,29 @@ def lps_point(*, optional: bool = False) -> Check:
     return array_of(3, optional=optional, what="a point of three finite numbers in mm (LPS)")
 
 
-def lps_points(*, optional: bool = False) -> Check:
-    """Return a check for points of shape (n, 3) in LPS mm, n at least 1."""
-    return array_of(None, 3, optional=optional, what="points of shape (n, 3), finite numbers in mm (LPS)")
+def lps_points(*, optional: bool = False, or_one: bool = False, or_none: bool = False) -> Check:
+    """Return a check for points of shape (n, 3) in LPS mm, n at least 1.
+
+    Parameters
+    ----------
+    optional
+        Whether the value None is allowed.
+    or_one
+        Whether one point of shape (3,) is allowed.
+    or_none
+        Whether there may be no points: shape (0, 3).
+    """
+    several = array_of(None, 3, optional=optional, what="points of shape (n, 3), finite numbers in mm (LPS)")
+    one = lps_point()
+
+    def check(where: str, name: str, value: Any) -> None:
+        shape = np.shape(value) if isinstance(value, np.ndarray | list | tuple) else None
+        if or_one and shape == (3,):
+            one(where, name, value)
+        elif not (or_none and shape == (0, 3)):
+            several(where, name, value)
+
+    return check
 
 
 def direction(*, optional: bool = False) -> Check:

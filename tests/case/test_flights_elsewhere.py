@@ -67,7 +67,8 @@ def test_those_in_the_file_and_those_in_memory_are_in_the_file_elsewhere(file, d
     flights, num_missing = whole_flights(Refusing(file), listed, [half, waiting], WITHIN_S)
     assert num_missing == 0
     place = tmp_path / "elsewhere.carina"
-    case_files().write(place, WholeCase(doing.case.volume, file.source.digest, doing.moment(), flights), None)
+    whole = WholeCase(doing.case.volume, file.source.digest, doing.moment(), flights)
+    case_files().write(place, whole, None, None, None)
     with CaseFile.open(place, read_only=True) as copy:
         assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case, deep=False)
         assert [(one.recording_id, one.name, one.complete) for one in copy.recordings()] == [

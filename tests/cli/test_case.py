@@ -110,15 +110,16 @@ def test_the_edited_tree_is_told_exported_and_tracked_in(carina, case, made_case
 
 
 def test_a_case_is_flown_through_its_key_frames_and_to_its_targets(carina, case, tmp_path):
-    quick = ("--size", "48x48", "--rate", "2", "--step-vox", "2", "--speed", "60", "--pause", "0", "--json")
-    along = carina("fly", case, "--keys", "all", "-o", tmp_path / "a.mp4", *quick).json()
+    keys = ("--size", "48x48", "--rate", "2", "--step-vox", "2", "--json")
+    quick = (*keys, "--speed", "60", "--pause", "0")
+    along = carina("fly", case, "--keys", "all", "-o", tmp_path / "a.mp4", *keys).json()
     assert along["path_mm"] == pytest.approx(20.0, abs=3.0)
-    back = carina("fly", case, "--keys", "key-2,key-1", "-o", tmp_path / "b.mp4", *quick).json()
+    back = carina("fly", case, "--keys", "key-2,key-1", "-o", tmp_path / "b.mp4", *keys).json()
     assert back["path_mm"] == pytest.approx(along["path_mm"], abs=1.0)
     to = carina("fly", case, "--to", "Target 1", "-o", tmp_path / "c.mp4", *quick).json()
     named = carina("fly", case, "--to", "near the tumour", "-o", tmp_path / "d.mp4", *quick).json()
     assert to["path_mm"] == pytest.approx(named["path_mm"], abs=6.0)
-    none = carina("fly", case, "--keys", "lunch", "-o", tmp_path / "e.mp4", *quick)
+    none = carina("fly", case, "--keys", "lunch", "-o", tmp_path / "e.mp4", *keys)
     assert none.code == 2
     assert "key-1, key-2" in none.err
 

@@ -18,6 +18,7 @@ from carina.errors import UsageError
 from carina.phantom import write_phantom
 from carina.server import serve as serving
 from carina.session.case import moment_of
+from carina.session.case_names import neutral_alias
 from carina.session.records import CaseRecords
 from carina.volume import ct_digest
 from made import made_phantom
@@ -64,7 +65,7 @@ def test_commands_read_a_stored_case_by_its_id(carina, stored, tmp_path):
     for name in (ID, short, ID[:MIN_ID_CHARS], ID.upper()):
         info = carina("case", "info", name, "--json")
         assert info.json()["targets"] == ["Target 1"]
-        assert f"stored case {ID}, Thorax" in info.err
+        assert f"stored case {ID}, {neutral_alias(ID)}" in info.err
     assert "rename" in carina("case", "history", short).out
     out = tmp_path / "out"
     out.mkdir()
@@ -152,8 +153,7 @@ def test_an_unknown_id_is_refused_with_its_reason(carina, stored):
 def test_an_ambiguous_beginning_is_refused_and_a_whole_id_is_not(stored, monkeypatch):
     volume = made_phantom(spacing_mm=3.0, generations=3).volume
     for other in ("abcd1234ffffffff", ID[:12]):
-        monkeypatch.setattr("secrets.token_hex", lambda _, other=other: other)
-        held = stored.begin("cd" * 32, None, "Other")
+        held = stored.begin("cd" * 32, None, case_id=other)
         CaseFile.create(held.path, SourceFacts.of(volume, "cd" * 32)).close()
         held.release()
     with pytest.raises(UsageError, match="3 cases on this machine have an id that begins with abcd1234") as refusal:

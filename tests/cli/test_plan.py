@@ -81,9 +81,9 @@ def test_no_route_is_exit_code_4_with_the_reason(chest, found_once, monkeypatch:
     [
         (["--tool", "saw"], 2, "no tool is called 'saw'"),
         (["--scope", "long"], 2, "long"),
-        (["--moved-mm", "-3"], 2, "moved_mm: expected 0 to 60; found -3"),
+        (["--moved-mm", "-3"], 2, "--moved-mm: expected a number from 0 to 60 mm; found -3"),
         (["-o", "plan.txt"], 2, ".html, .pdf, .json"),
-        (["--paper", "A3"], 2, "expected A4 or Letter"),
+        (["--paper", "A3", "-o", "plan.pdf"], 2, "expected A4 or Letter"),
     ],
 )
 def test_what_cannot_be_done_is_said(chest, found_once, more: list[str], code: int, words: str) -> None:

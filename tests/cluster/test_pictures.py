@@ -17,7 +17,7 @@ from carina.cluster import console as console_module
 from carina.cluster.host import RendererHost
 from carina.cluster.parcel import Parcels, open_parcel
 from carina.cluster.strips import cut_rows
-from carina.errors import CancelledError, ClusterError, RenderError
+from carina.errors import CancelledError, CarinaError, ClusterError, RenderError
 from carina.render import (
     AirwayView,
     CancelToken,
@@ -143,7 +143,7 @@ def test_pictures_that_need_all_their_pixels_are_not_cut(case):
 def test_rows_outside_the_picture_are_refused(case):
     renderer = case.renderer()
     for rows in ((-1, 5), (5, 5), (0, 62)):
-        with pytest.raises(RenderError, match="rows"):
+        with pytest.raises(CarinaError, match="rows"):
             renderer.render(CutPlaneView(case.pose, **SIZE), rows=rows)
 
 

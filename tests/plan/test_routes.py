@@ -329,7 +329,7 @@ def test_bad_input_is_refused_in_words() -> None:
     airways, volume = made_airways(**CHEST), made_phantom(**CHEST).volume
     with pytest.raises(UsageError, match="no tool is called 'saw'; expected one of needle-21g"):
         plan_route(volume, airways, plan().nodule, tool="saw")
-    with pytest.raises(UsageError, match="vessel_margin_mm: expected 0 to 50; found -1"):
+    with pytest.raises(UsageError, match="vessel_margin_mm: expected a number from 0 to 50 mm; found -1"):
         plan_route(volume, airways, plan().nodule, vessel_margin_mm=-1.0)
     with pytest.raises(UsageError, match="weights: expected numbers from 0 up"):
         ScoreWeights(misses=-0.1)

@@ -22,6 +22,7 @@ from carina.render import (
     mark_tip,
     render_view,
 )
+from carina.render.pictures import ignored_settings
 from carina.scopes import Pose
 from carina.volume import Volume
 
@@ -235,6 +236,7 @@ def test_marking_the_tip_draws_a_small_cross_there_and_nowhere_else():
 
 def test_every_view_of_the_command_line_renders(airway):
     path = FlightPath([(0.0, 0.0, 50.0), (0.0, 0.0, 0.0), (-20.0, 4.0, -30.0)]).frames()
+    settings = {"orbit": (10.0, 5.0), "path": path}
     for name in VIEW_NAMES:
         picture = render_view(
             airway.volume,
@@ -242,9 +244,8 @@ def test_every_view_of_the_command_line_renders(airway):
             pose=airway.pose,
             width=40,
             height=30,
-            orbit=(10.0, 5.0),
             lumen_zyx=airway.lumen_zyx,
-            path=path,
+            **{key: value for key, value in settings.items() if key not in ignored_settings(name)},
         )
         assert picture.view == name
         assert picture.rgb.shape == (30, 40, 3)

@@ -127,7 +127,7 @@ def test_depth_counts_from_the_cords_and_a_facing_operator_sees_the_picture_turn
     assert np.array_equal(b.pose.lps_from_camera, a.pose.lps_from_camera)
     for name in ("insertion_mm", "roll_rad", "flexion_rad", "contact", "record"):
         assert getattr(b, name) == getattr(a, name), name
-    with pytest.raises(UsageError, match="operator position"):
+    with pytest.raises(UsageError, match="expected one of head, facing"):
         facing.set_operator("above")  # type: ignore[arg-type]
     with pytest.raises(UsageError):
         ScopeDrive(field, "standard", path, cords_mm=math.nan)
@@ -179,7 +179,7 @@ def test_broken_samples_paths_and_fields_are_refused(chest: Phantom, field: Wall
         ScopeDrive(field, thick, thinnest["points"][3:])
     with pytest.raises(UsageError) as refused:
         WallField.from_distances(np.full((4, 5, 6), np.nan, dtype=np.float32), np.eye(4))
-    assert refused.value.code == "scope.wall"
+    assert refused.value.code == "usage.range"
 
 
 def test_the_field_of_a_mesh_can_be_stopped() -> None:

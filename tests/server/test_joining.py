@@ -21,7 +21,7 @@ import carina
 from carina import commands as c
 from carina.case import CaseFile, CaseFileError
 from carina.config import load_settings
-from carina.errors import CarinaError, DiskError, NoEvidenceError, NoResultError, UsageError
+from carina.errors import CarinaError, DiskError, NoEvidenceError, NoResultError, UnsavedWorkError, UsageError
 from carina.render import Renderer
 from carina.server import messages as wire
 from carina.server.programs import JoinedProgram, door_of, problem_of
@@ -287,8 +287,9 @@ def test_of_two_notebooks_one_owns_the_case_and_says_so(ct):
     loser = next(case for case in (one, other) if case.note is not None)
     with pytest.raises(UsageError, match="another name"):
         loser.save()
-    one.close()
-    other.close()
+    next(case for case in (one, other) if case is not loser).close()
+    with pytest.raises(UnsavedWorkError, match="1 change"):
+        loser.close()
 
 
 # ---------------------------------------------------------------- a workstation that is killed

@@ -178,7 +178,7 @@ class Notebook(Author):
                 self.case.close()
             except CarinaError as refused:
                 self.refusals += 1
-                self.told += "are saved in" in str(refused) or refused.code == "case.unsaved"
+                self.told += "are saved in" in str(refused) or refused.code == "case.not-saved"
                 self.hear(str(refused))
         if not has_note:
             self.saved |= steps

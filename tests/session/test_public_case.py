@@ -60,7 +60,7 @@ def test_trouble_is_raised_where_it_was_caused(phantom):
 
 
 def test_what_is_no_scan_is_refused_in_words():
-    with pytest.raises(UsageError, match=r"Case\.open: source: expected str, Path or Volume; found int"):
+    with pytest.raises(UsageError, match=r"Case\.open: source: expected str or Path; found int"):
         carina.Case.open(3)
     with pytest.raises(carina.VolumeImportError):
         carina.Case.open("/nowhere/at/all")

@@ -18,7 +18,7 @@ from carina.session.case_list import CaseList
 from carina.session.core import SessionCore
 from carina.session.doors import read_door
 from carina.session.record_repair import ASIDE, repair_records
-from carina.session.records import CaseRecord, CaseRecords
+from carina.session.records import VERSION, CaseRecord, CaseRecords
 from carina.session.saving import Saving
 from carina.session.snapshot import Trouble
 from own_folders import own_folders
@@ -123,7 +123,7 @@ def test_a_record_whose_case_is_open_in_another_process_is_left_alone(records, c
 
 
 def test_a_record_of_a_newer_carina_is_left_alone(records, case_id):
-    text = json.dumps({"format": "carina-record", "version": 2, "anything": [1]})
+    text = json.dumps({"format": "carina-record", "version": VERSION + 1, "anything": [1]})
     path = spoil(records, case_id, text)
     assert repair_records(records) == ()
     assert path.read_text() == text
@@ -133,7 +133,7 @@ def test_fields_that_a_newer_carina_added_do_not_make_a_record_unreadable(record
     path = records.folder / case_id / "record.json"
     plain = json.loads(path.read_text())
     path.write_text(json.dumps({**plain, "colour": "red"}))
-    assert records.find(case_id).title == "Thorax"
+    assert records.find(case_id).place == "/scans/ct"
     assert repair_records(records) == ()
 
 
@@ -151,14 +151,13 @@ NUMBERS = ("begun_s", "used_s", "copied_s", "pictured_s", "forgotten_s")
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e300, -1.0])
 def test_what_is_written_into_a_record_can_be_read_again(records, case_id, name, value):
     held = records.hold(records.find(case_id))
-    held.note(**{name: value}, alias="x" * 5000 + "\x1b[2J", title="\x00")
+    held.note(**{name: value}, alias="x" * 5000 + "\x1b[2J")
     held.release()
     text = (records.folder / case_id / "record.json").read_text()
     json.loads(text, parse_constant=pytest.fail)
     record = records.find(case_id)
     assert getattr(record, name) == (1e11 if value == 1e300 else 0.0)
     assert len(record.alias) == 1000
-    assert record.title == "\ufffd"
     assert repair_records(records) == ()
 
 
@@ -189,9 +188,9 @@ def test_a_settings_file_that_cannot_be_read_is_moved_aside_with_one_message(rec
     assert (store.notice_accepted(), store.keeps_cts()) == (False, True)
     store.accept_notice()
     store.keep_cts(False)
-    store.remember("/scans/ct", "Thorax", "2026-01-31")
+    store.remember("/scans/ct", "2026-01-31")
     assert listed(records, LocalStore(tmp_path))[1] == []
-    assert [one.title for one in LocalStore(tmp_path).recent()] == ["Thorax"]
+    assert [one.path for one in LocalStore(tmp_path).recent()] == ["/scans/ct"]
 
 
 @pytest.mark.parametrize("cases", [5, "text", None, {"a": 1}, [5], [None], [[]], [{"recent_id": 1}]])
@@ -202,13 +201,12 @@ def test_a_list_of_recent_cases_with_other_content_shows_none(tmp_path, cases):
 
 def test_an_entry_with_a_long_text_is_left_out(tmp_path):
     store = LocalStore(tmp_path)
-    store.remember("/scans/ct", "y" * 5000, "2026-01-31")
-    assert [len(one.title) for one in LocalStore(tmp_path).recent()] == [1000]
+    store.remember("/scans/ct", "2026-01-31")
     plain = json.loads((tmp_path / "recent.json").read_text())
-    plain["cases"].append({**plain["cases"][0], "title": "x" * 20_000_000})
+    plain["cases"].append({**plain["cases"][0], "path": "x" * 20_000_000})
     (tmp_path / "recent.json").write_text(json.dumps(plain)[: 4 << 20])
     assert LocalStore(tmp_path).recent() == ()
-    plain["cases"][-1]["title"] = "x" * 5000
+    plain["cases"][-1]["path"] = "x" * 5000
     (tmp_path / "recent.json").write_text(json.dumps(plain))
     assert len(LocalStore(tmp_path).recent()) == 1
 

@@ -99,7 +99,7 @@ def test_the_neck_is_there_above_the_cricoid_alone() -> None:
 def test_a_tracheostomy_needs_a_neck_and_a_tube_a_known_name() -> None:
     with pytest.raises(UsageError, match="tracheostomy"):
         generate_phantom(spacing_mm=6.0, generations=3, tube="tracheostomy")
-    with pytest.raises(UsageError, match="endotracheal or tracheostomy"):
+    with pytest.raises(UsageError, match="endotracheal, tracheostomy"):
         generate_phantom(spacing_mm=6.0, generations=3, tube="nasal")
 
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any, NoReturn, TypeVar
 
 from carina.disk import disk_trouble, is_disk_trouble
-from carina.display.printable import shortened_words
+from carina.display.printable import printable, shortened_words
 from carina.display.terminal import as_line, as_terminal_text, escaped_json
 from carina.errors import CancelledError, CarinaError
 
@@ -37,8 +37,8 @@ ProgressCallback = Callable[[str, float | None], None]
 
 
 def say(text: str) -> None:
-    """Print a line of progress or a remark on stderr, without control characters."""
-    print(as_terminal_text(text), file=sys.stderr, flush=True)
+    """Print one line of progress or a remark on stderr, without control characters and line breaks of file names."""
+    print(printable(as_terminal_text(text)), file=sys.stderr, flush=True)
 
 
 def show(*lines: object, flush: bool = False) -> None:
@@ -50,7 +50,8 @@ def say_usage(error: Any) -> None:
     """Print a refusal of the argument parser with its usage line on stderr; file names in it are cleaned."""
     text = io.StringIO()
     error.show(file=text)
-    say(shortened_words(text.getvalue().rstrip()))
+    for line in shortened_words(text.getvalue().rstrip()).splitlines():
+        say(line)
 
 
 class _LogFormatter(logging.Formatter):

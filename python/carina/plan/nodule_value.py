@@ -196,7 +196,7 @@ class Nodule:
             raise UsageError("reading a nodule: its record holds impossible values", code="plan.record")
         return made
 
-    @check_arguments(points_lps=lps_points())
+    @check_arguments(points_lps=lps_points(or_none=True))
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
         """How far points are from its boundary; 0 inside.
 
@@ -216,7 +216,7 @@ class Nodule:
         half_mm = 0.5 * float(np.linalg.norm(self.lps_from_ijk[:3, 0]))
         return np.where(self.contains(points), 0.0, np.maximum(off - half_mm, 0.0))
 
-    @check_arguments(points_lps=lps_points())
+    @check_arguments(points_lps=lps_points(or_none=True))
     def contains(self, points_lps: ArrayLike) -> Mask:
         """Whether points (n, 3) LPS mm lie in it, by the nearest voxel of its box."""
         points = np.atleast_2d(np.asarray(points_lps, dtype=np.float64))

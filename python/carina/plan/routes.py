@@ -245,7 +245,7 @@ class Plan:
     target=_check_target,
     scope=name_or(ScopePreset, "name one of carina.scopes.scope_presets"),
     tool=name_or(Tool, "name one of carina.plan.tools"),
-    aims=lps_points(optional=True),
+    aims=lps_points(optional=True, or_one=True),
     vessel_margin_mm=number_from(0.0, 50.0, unit="mm"),
     moved_mm=number_from(0.0, 60.0, optional=True, unit="mm"),
     errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),

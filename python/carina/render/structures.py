@@ -40,7 +40,7 @@ def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
     Examples
     --------
     >>> build_isoregion_map(np.ones((5, 5, 5), np.uint8))[2, 2]
-    array_of([0, 1, 2, 1, 0], dtype=uint8)
+    array([0, 1, 2, 1, 0], dtype=uint8)
     """
     if labels_zyx.ndim != 3 or 0 in labels_zyx.shape:
         raise GeometryError(

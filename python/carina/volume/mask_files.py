@@ -83,7 +83,7 @@ class MaskGridError(VolumeImportError):
 @check_arguments(
     path=file_path(),
     volume=instance(Volume, "open a volume with carina.open_volume"),
-    label=whole_from(0, 2**31 - 1, optional=True),
+    label=whole_from(-(2**31), 2**31 - 1, optional=True),
     resample=flag,
     progress=function,
     cancel=function,
