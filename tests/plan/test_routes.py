@@ -331,7 +331,7 @@ def test_bad_input_is_refused_in_words() -> None:
         plan_route(volume, airways, plan().nodule, tool="saw")
     with pytest.raises(UsageError, match="vessel_margin_mm: expected a number from 0 to 50 mm; found -1"):
         plan_route(volume, airways, plan().nodule, vessel_margin_mm=-1.0)
-    with pytest.raises(UsageError, match="weights: expected numbers from 0 up"):
+    with pytest.raises(UsageError, match="misses: expected a number from 0"):
         ScoreWeights(misses=-0.1)
     with pytest.raises(NoResultError, match="nodule"):
         plan_route(volume, airways, airways.tree.root.points[0] + [0.0, 60.0, 0.0])
