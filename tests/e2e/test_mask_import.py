@@ -144,7 +144,7 @@ def test_a_mask_is_not_taken_for_a_case_that_was_opened_while_it_was_sent(ready,
     drop(ready, masks["coarse"], "mask")
     ready.wait_for("window.held")
     page.locator(".path-form button[type=submit]").evaluate("button => button.click()")
-    ready.wait_for("window.__carina.state.case?.title === 'other.nrrd'")
+    ready.wait_for("window.__carina.state.case?.ct_name === 'other.nrrd'")
     page.evaluate("() => window.free()")
     page.get_by_text("Another case was opened during the upload").wait_for()
     assert ready.state("mask_question") is None
