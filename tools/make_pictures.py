@@ -91,7 +91,8 @@ PARTS = """() => {
         const text = icon ? '' : withoutNumbers(own.map((node) => node.data).join(' ').trim());
         const kind = icon ? 'icon' : element.dataset.view ?? element.getAttribute('role') ?? element.localName;
         const speaks = text !== '' || icon || ['canvas', 'button', 'input', 'select'].includes(element.localName);
-        if (!speaks || element.closest('.status-bar') || element.dataset.overlay) continue;
+        // The code in the title is random, and the button beside the title moves with it.
+        if (!speaks || element.closest('.status-bar, .case-title, .saved') || element.dataset.overlay) continue;
         if (!element.checkVisibility({opacityProperty: true, visibilityProperty: true}) || !inSight(element)) continue;
         const { x, y, width, height } = element.getBoundingClientRect();
         const { color, backgroundColor, fontSize, fontWeight } = getComputedStyle(element);
