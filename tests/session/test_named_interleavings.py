@@ -1,4 +1,4 @@
-"""Windows and notebooks of two users work on one named file: no saved step of anybody is lost, and each is told."""
+"""Windows and notebooks of two users save to one named file: no saved step is lost, and each refusal has a message."""
 
 from __future__ import annotations
 
