@@ -98,7 +98,7 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 @contextlib.contextmanager
 def told(path: Path) -> Iterator[None]:
-    """What SQLite refuses, in our words."""
+    """Raise the errors of SQLite and of the disk as Carina's errors."""
     try:
         yield
     except CarinaError:

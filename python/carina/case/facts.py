@@ -281,7 +281,7 @@ class _Decoders:
 
 @cache
 def decoders() -> _Decoders:
-    """The decoders."""
+    """Return the decoders of all JSON in a case file."""
     return _Decoders()
 
 

@@ -269,7 +269,7 @@ class CaseFile:
             self._has_orphans = True
 
     def load(self, volume: Volume) -> Moment:
-        """The moment that was saved last.
+        """Return the moment that was saved last.
 
         Nothing is found again: airways come with their tree as it was, and paths are calculated when they are first
         needed. Those of steps far from the present one are :class:`carina.track.FoldedAirways`.
@@ -314,7 +314,7 @@ class CaseFile:
             return moment
 
     def history(self) -> tuple[StepFacts, ...]:
-        """The steps in words, the oldest first, with those that were taken back; nothing large is read."""
+        """Return the labels and facts of all steps, the oldest first, undone ones included; read nothing large."""
         with self._lock, told(self.path):
             connection = self._open()
             found = connection.execute("SELECT position FROM moment").fetchone()
@@ -332,7 +332,7 @@ class CaseFile:
             )
 
     def summary(self) -> CaseSummary:
-        """What it holds, for a list; the CT is not needed, and nothing large is read."""
+        """Return a summary for the list of cases; read nothing large and no CT."""
         with self._lock, told(self.path), no_surprise():
             return read_summary(self._open())
 
@@ -377,7 +377,7 @@ class CaseFile:
             return self._open().execute("SELECT 1 FROM ct LIMIT 1").fetchone() is not None
 
     def packed_volume(self) -> Volume | None:
-        """The CT that was packed with the case; None where none was.
+        """Return the CT that was packed with the case; None if none was.
 
         Raises
         ------

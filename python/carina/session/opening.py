@@ -37,7 +37,7 @@ class _Found:
     file: CaseFile | None = None
     """To go on from."""
     mark: FileMark | None = None
-    """Of the file; None for a dropped file."""
+    """Mark of the opened file; None for a dropped file."""
     place: str | None = None
     """Of the CT."""
 

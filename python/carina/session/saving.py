@@ -142,7 +142,7 @@ class Between:
         Parameters
         ----------
         mark
-            Of the file, which follows the case from now on; None for a dropped file, which has no place of its own.
+            Mark of the opened file, which Carina updates from now on; None for a dropped file, which has no path.
 
         Returns
         -------
@@ -298,7 +298,7 @@ class Saving(Subject):
         path = str(case.path.absolute())
         for record in records:
             is_same = mark.digest in {record.copy_digest, record.next_copy_digest}
-            # A file that was moved is still the case's own. A copy beside the original becomes a case of its own.
+            # A moved file still belongs to its case. A copy beside the original becomes a separate case.
             if is_same and (record.copy_path == path or not Path(record.copy_path or "").exists()):
                 return record
         if any(one.copy_path == path for one in records):
