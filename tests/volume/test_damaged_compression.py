@@ -21,7 +21,7 @@ NUM = 6
 
 
 def _slices(num: int = NUM) -> np.ndarray:
-    """Return [z, y, x] HU: the small chest six times as wide, with noise of its own."""
+    """Return [z, y, x] HU: the small chest six times as wide, with added noise."""
     rng = np.random.default_rng(11)
     wide = np.kron(chest(noise_hu=1e-9)[:num], np.ones((1, 6, 6)))
     return np.clip(wide + rng.normal(0, 12, wide.shape), -1024, 3000).astype(np.int16)

@@ -148,7 +148,7 @@ class _Told(io.RawIOBase):
 
 
 class _DraftReader(io.RawIOBase):
-    """Reads a draft that is being written, at a position of its own."""
+    """Second reader of a draft that is being written, with a separate position."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._at = file, 0

@@ -161,7 +161,7 @@ def _counted(frame: NDArray[Any]) -> list[tuple[int, int]]:
 
 
 class _Pixels:
-    """The frames of a segmentation: bool for a segment of its own, numbers for a label map."""
+    """Frames of a segmentation: bool where each segment has separate frames, numbers in a label map."""
 
     def __init__(self, path: Path, data: Any, kind: str, shape: tuple[int, int, int]) -> None:
         self._path, self._kind, self._shape = path, kind, shape
