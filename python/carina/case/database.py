@@ -31,7 +31,7 @@ OLDEST_SQLITE: Final = (3, 37, 0)
 
 
 def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -> sqlite3.Connection:
-    """A connection that believes nothing that the file says of itself.
+    """Open a connection whose limits do not depend on the content of the file.
 
     Parameters
     ----------

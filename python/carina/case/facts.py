@@ -286,7 +286,7 @@ def decoders() -> _Decoders:
 
 
 def command_from_json(said: str | None, where: str) -> Any:
-    """The command of a step, also by the name that it had in an earlier version; None where the step has none.
+    """Return the command of a step, also if its name is that of an earlier version; None if the step has none.
 
     Raises
     ------
