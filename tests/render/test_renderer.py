@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from carina import _core
-from carina.errors import CancelledError, CarinaError, GeometryError, RenderError
+from carina.errors import CancelledError, GeometryError, RenderError, UsageError
 from carina.render import AirwayView, CancelToken, Light, Renderer, SliceView, TransferFunction, transfer_preset
 from carina.render.wall import grow_one_voxel, wall_levels, with_wall
 from carina.scopes import Pose
@@ -85,7 +85,7 @@ def test_strips_put_together_are_the_whole_picture(airway):
 def test_the_instruction_set_does_not_change_the_picture(airway):
     pictures = [Renderer(airway.volume, simd=name).render(view(airway)).rgb for name in ("portable", None)]
     np.testing.assert_array_equal(*pictures)
-    with pytest.raises(CarinaError, match=r"simd: expected one of portable"):
+    with pytest.raises(UsageError, match=r"simd: expected one of portable"):
         Renderer(airway.volume, simd="abacus").render(view(airway))
 
 

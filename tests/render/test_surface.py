@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import carina
-from carina.errors import CarinaError, RenderError
+from carina.errors import RenderError, UsageError
 from carina.render import AirwayView, Renderer, transfer_preset
 from carina.render.wall import grow_one_voxel
 
@@ -72,8 +72,11 @@ def test_a_picked_pixel_has_the_numbers_of_the_surface(renderer, airway):
         assert hit.depth_mm == surface.depth_mm[row, column]
         np.testing.assert_array_equal(hit.position_lps, surface.position_lps[row, column])
         np.testing.assert_array_equal(hit.normal_lps, surface.normal_lps[row, column])
-    for column, row in ((56, 0), (0, 44), (-1, 0), (0, -1)):
-        with pytest.raises(CarinaError):
+    for column, row in ((56, 0), (0, 44)):
+        with pytest.raises(RenderError):
+            renderer.pick(view, column, row)
+    for column, row in ((-1, 0), (0, -1)):
+        with pytest.raises(UsageError, match="expected a whole number from 0"):
             renderer.pick(view, column, row)
 
 
