@@ -43,7 +43,6 @@ __all__ = [
     "mask_array",
     "name_or",
     "number_from",
-    "numbers_of",
     "numbers_within",
     "pixels",
     "progress_choice",
@@ -468,8 +467,3 @@ def direction(*, optional: bool = False) -> Check:
             raise _wrong(where, name, "a direction longer than 0", value)
 
     return check
-
-
-def numbers_of(least: float, most: float, *, num: int | None = None, optional: bool = False) -> Check:
-    """Return a check for a list of finite numbers in a closed range, of a given length or of any length."""
-    return each(number_from(least, most), least=num or 0, most=num or 1_000_000, optional=optional)

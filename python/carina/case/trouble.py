@@ -9,6 +9,10 @@ from carina.errors import VolumeImportError
 __all__ = ["CaseFileError", "damaged", "refused"]
 
 
+MAX_FOUND_CHARS = 120
+"""Longest content of a file that a message quotes."""
+
+
 class CaseFileError(VolumeImportError):
     """A case file that is not opened; the message names it and says what to do.
 
@@ -25,7 +29,9 @@ def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
 
 
 def damaged(where: str, expected: str, found: str) -> CaseFileError:
-    """A part of a case file that does not hold what it must."""
+    """Return the refusal of a case file because of one part; long content is shortened in the message."""
+    if len(found) > MAX_FOUND_CHARS:
+        found = f"{found[:MAX_FOUND_CHARS]}… ({len(found)} characters)"
     return CaseFileError(
         f"the case file is damaged ({where}: expected {expected}, found {found}); open an earlier copy, or rescue the "
         "intact parts of this one",
