@@ -444,11 +444,12 @@ def lps_points(*, optional: bool = False, or_one: bool = False, or_none: bool = 
     or_none
         Whether there may be no points: shape (0, 3).
     """
-    several = array_of(None, 3, optional=optional, what="points of shape (n, 3), finite numbers in mm (LPS)")
+    what = "points of shape (n, 3), finite numbers in mm (LPS)"
+    several = array_of(None, 3, optional=optional, what=what)
     one = lps_point()
 
     def check(where: str, name: str, value: Any) -> None:
-        shape = np.shape(value) if isinstance(value, np.ndarray | list | tuple) else None
+        shape = None if value is None else _as_numbers(where, name, what, value).shape
         if or_one and shape == (3,):
             one(where, name, value)
         elif not (or_none and shape == (0, 3)):
