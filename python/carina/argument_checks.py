@@ -54,13 +54,13 @@ __all__ = [
 P = ParamSpec("P")
 T = TypeVar("T")
 Check = Callable[[str, str, Any], None]
-"""Called with the function's name, the argument's name and its value; raises UsageError for a wrong value."""
+"""``check(function_name, argument_name, value)`` raises UsageError for a wrong value."""
 COORDINATE_MM = 1e5
 """Largest absolute coordinate in LPS mm, and largest length; equal to the bound of ``carina.value.Coordinate``."""
 SHOWN_CHARACTERS = 60
 PATH_CHARACTERS = 4096
 NAME_CHARACTERS = 255
-"""Limits of file systems; a longer path or name raises an OSError at a place that does not name the argument."""
+"""Limits of file systems. A longer path or name would raise an OSError that does not name the argument."""
 
 
 def check_arguments(**checks: Check) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -104,7 +104,7 @@ def check_arguments(**checks: Check) -> Callable[[Callable[P, T]], Callable[P, T
 def check_fields(
     value: object, kind: type[CarinaError] = UsageError, code: str | None = None, /, **checks: Check
 ) -> None:
-    """Check fields of a value class; for ``__post_init__``.
+    """Check the fields of a value class; ``__post_init__`` calls this function.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def shown(value: Any) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a real number; True and False are not."""
+    """Return whether a value is a real number; True and False are not real numbers."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
 
 
@@ -216,13 +216,13 @@ def pixels(most: int = 8192) -> Check:
 
 
 def flag(where: str, name: str, value: Any) -> None:
-    """Refuse anything but True and False."""
+    """Refuse any value but True and False."""
     if not isinstance(value, bool | np.bool_):
         raise _wrong(where, name, "True or False", value, kind=True)
 
 
 def choice(*options: str, optional: bool = False) -> Check:
-    """Return a check for one of a few words; ``optional`` allows None."""
+    """Return a check for one of the allowed texts; ``optional`` allows None."""
     expected = f"one of {', '.join(options)}" + (" or None" if optional else "")
 
     def check(where: str, name: str, value: Any) -> None:
@@ -254,7 +254,7 @@ def text_of(most: int = 4000, *, least: int = 1, optional: bool = False) -> Chec
 def file_path(*, optional: bool = False, also: type | tuple[type, ...] = ()) -> Check:
     """Return a check for the path of a file or folder: not empty, without a NUL character.
 
-    ``optional`` allows None; ``also`` are other types that the argument may have.
+    ``optional`` allows None; ``also`` lists other types that the argument may have.
     """
 
     def check(where: str, name: str, value: Any) -> None:
@@ -273,7 +273,7 @@ def file_path(*, optional: bool = False, also: type | tuple[type, ...] = ()) -> 
 
 
 def instance(kinds: type | tuple[type, ...], remedy: str, *, optional: bool = False) -> Check:
-    """Return a check for a type; ``remedy`` says how to get such a value. ``optional`` allows None."""
+    """Return a check for a type; ``remedy`` states how to get such a value. ``optional`` allows None."""
 
     def check(where: str, name: str, value: Any) -> None:
         if not (value is None and optional):
@@ -294,7 +294,7 @@ def name_or(kinds: type | tuple[type, ...], remedy: str, *, optional: bool = Fal
 
 
 def having(attribute: str, remedy: str, *, optional: bool = False) -> Check:
-    """Return a check for an object with an attribute; ``remedy`` says how to get one. ``optional`` allows None."""
+    """Return a check for an object with an attribute; ``remedy`` states how to get it. ``optional`` allows None."""
 
     def check(where: str, name: str, value: Any) -> None:
         if not (value is None and optional) and not hasattr(value, attribute):
@@ -304,13 +304,13 @@ def having(attribute: str, remedy: str, *, optional: bool = False) -> Check:
 
 
 def function(where: str, name: str, value: Any) -> None:
-    """Refuse anything but a function and None."""
+    """Refuse any value but a function and None."""
     if value is not None and (not callable(value) or isinstance(value, type)):
         raise _wrong(where, name, "a function or None", value, kind=True)
 
 
 def progress_choice(where: str, name: str, value: Any) -> None:
-    """Refuse anything but a function, True, False and None."""
+    """Refuse any value but a function, True, False and None."""
     if value is not None and not isinstance(value, bool) and (not callable(value) or isinstance(value, type)):
         expected = "True, False, None or a function that takes a string and a fraction"
         raise UsageError(f"{where}: {name}: expected {expected}; found {type(value).__name__}", code="usage.type")
@@ -401,14 +401,14 @@ def array_of(
 
 
 def coordinates(largest: float = 1e7) -> Check:
-    """Return a check for points of shape (..., 3), of which there may be none: finite numbers."""
+    """Return a check for points of shape (..., 3), finite numbers; an array without points is allowed."""
     expected = f"points of shape (..., 3), finite numbers between -{largest:g} and {largest:g}"
 
     def check(where: str, name: str, value: Any) -> None:
         found = _as_numbers(where, name, expected, value)
         if found.ndim == 0 or found.shape[-1] != 3:
             raise _wrong(where, name, expected, value)
-        # False for NaN.
+        # The comparison is False for NaN.
         if found.size and not (-largest <= found.min() and found.max() <= largest):
             raise _wrong(where, name, expected, value)
 

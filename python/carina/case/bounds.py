@@ -1,7 +1,7 @@
-"""Bounds of the numbers and texts of a case file; content beyond them is damaged and is not shown.
+"""Bounds of the numbers and texts of a case file; content outside the bounds is damaged and is not shown.
 
-The bounds are listed in docs/case-file.md. What Carina writes is within them: the writer shortens texts and leaves out
-what cannot be read back.
+The bounds are listed in docs/case-file.md. Carina writes no content outside the bounds: the writer shortens texts
+and leaves out values that could not be read back.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ __all__ = [
 ]
 
 MAX_S: Final = 1e10
-"""Seconds since a case was begun: 317 years, so that a clock that is wrong does not matter."""
+"""Largest time since a case was begun, in seconds: 317 years, so that a wrong clock does not matter."""
 MAX_MM: Final = 1e6
 MAX_PLACE_MM: Final = 1e5
 MAX_NUMBER: Final = 1e9
-"""Of a number without a unit of length: a cost, a value of the CT, an angle, a percentage."""
+"""Largest number without a unit of length: a cost, a value of the CT, an angle, a percentage."""
 MAX_WHOLE: Final = 2**53
 MAX_LABEL_CHARS: Final = 1000
-"""Of a step's label; Carina's own have at most about 200 characters."""
+"""Length of a step's label; labels that Carina makes have at most about 200 characters."""
 MAX_NAME_CHARS: Final = 4000
-"""Of a name or a title: as long as any text of the wire."""
+"""Length of a name or a title, equal to the bound of a text of the wire."""
 MAX_MESSAGE_CHARS: Final = 20_000
-"""Of a note or a message."""
+"""Length of a note or a message."""
 MAX_DEPTH: Final = 32
 _TEXT: Final = re.compile(TEXT)
 _NOT_TEXT: Final = re.compile(r"[\x00-\x08\x0b-\x1f\ud800-\udfff]")
@@ -117,7 +117,7 @@ def bounded_array(values: NDArray[Any], where: str, low: float, high: float) -> 
 
 
 def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> None:
-    """Refuse places that go back.
+    """Refuse positions that are not in ascending order.
 
     Raises
     ------
@@ -129,12 +129,12 @@ def check_ascending(values: NDArray[Any] | tuple[float, ...], where: str) -> Non
 
 
 def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHARS) -> None:
-    """Check plain JSON whose fields this part does not know: its depth, numbers and texts.
+    """Check the depth, the numbers and the texts of JSON whose fields this module does not know.
 
     Parameters
     ----------
     most_chars
-        Of each text.
+        Largest length of each text.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def check_plain(value: object, where: str, *, most_chars: int = MAX_MESSAGE_CHAR
 
 
 def check_tip(tip: Mapping[str, Any], where: str, *, has_route: bool) -> None:
-    """Check a tip's state (:meth:`carina.navigate.Navigator.state`); an empty one begins at the usual place.
+    """Check a tip's state (:meth:`carina.navigate.Navigator.state`); an empty state means the default start.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def _shown(value: object) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """Return a text within the bounds of reading: without control characters, and with an ellipsis where it is cut."""
+    """Return a text that can be read back: without control characters, and with an ellipsis where it is cut."""
     text = _NOT_TEXT.sub("\ufffd", text)
     return text if len(text) <= most else text[: most - 1] + "\u2026"
 

@@ -1,4 +1,4 @@
-"""SQLite as a case file uses it: what it believes, when it writes, and what it refuses in words."""
+"""SQLite connections of a case file: settings, transactions, and errors as messages."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def connected(path: Path | None, mode: str = "rw", *, immutable: bool = False) -
     mode
         ``ro``, ``rw`` or ``rwc``.
     immutable
-        Neither locks nor journals are looked for: nothing is written beside the file.
+        Ignore locks and journals, so that no file is written beside the case file.
     """
     if sqlite3.sqlite_version_info < OLDEST_SQLITE:
         raise CaseFileError(
@@ -155,12 +155,12 @@ def no_surprise() -> Iterator[None]:
 
 
 def check_header(path: Path) -> None:
-    """Refuse a path that is not a database: by its kind, its journals and its first bytes.
+    """Refuse a path that is not a database, by the kind of file, its journals and its first bytes.
 
     Raises
     ------
     CaseFileError
-        ``case.not-a-case``, or ``case.damaged`` if a journal beside it is not a journal of SQLite.
+        ``case.not-a-case``, or ``case.damaged`` if a journal beside the file is not a journal of SQLite.
     OSError
         If it cannot be read.
     """

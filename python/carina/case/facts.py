@@ -1,4 +1,4 @@
-"""What stands in a case file as JSON: the numbers and words beside the arrays, with their bounds."""
+"""JSON of a case file: the numbers and texts beside the arrays, with their bounds."""
 
 from __future__ import annotations
 
@@ -286,12 +286,12 @@ def decoders() -> _Decoders:
 
 
 def command_from_json(said: str | None, where: str) -> Any:
-    """Return the command of a step, also if its name is that of an earlier version; None if the step has none.
+    """Return the command of a step, also under its name in an earlier version; None if the step has none.
 
     Raises
     ------
     CaseFileError
-        ``case.damaged``: if it is none.
+        ``case.damaged``: if the JSON is not a command.
     """
     if said is None:
         return None

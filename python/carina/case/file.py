@@ -1,4 +1,4 @@
-"""The case file: all that a person made of a CT, in one SQLite database (docs/case-file.md)."""
+"""The case file: all work on a CT, in one SQLite database (docs/case-file.md)."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class CaseFile:
 
     @classmethod
     def create(cls, path: Path | str, source: SourceFacts) -> CaseFile:
-        """Begin a case file, for this person alone; its journal stands beside it while it is open.
+        """Create a case file that only its user may read; a journal is beside the file while it is open.
 
         Raises
         ------
@@ -155,7 +155,7 @@ class CaseFile:
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False) -> CaseFile:
-        """Open a case file, whoever made it.
+        """Open a case file of any user or version.
 
         Parameters
         ----------
@@ -351,7 +351,7 @@ class CaseFile:
 
     @property
     def save_mark(self) -> SaveMark | None:
-        """Identity of the save under a name that wrote this file; None for a live file or an older version's."""
+        """Mark of the save that wrote this named file; None for a live file and for a file of an older version."""
         with self._lock, told(self.path):
             return read_save_mark(self._open())
 
@@ -377,7 +377,7 @@ class CaseFile:
             return self._open().execute("SELECT 1 FROM ct LIMIT 1").fetchone() is not None
 
     def packed_volume(self) -> Volume | None:
-        """Return the CT that was packed with the case; None if none was.
+        """Return the CT that was packed with the case; None without a packed CT.
 
         Raises
         ------
@@ -388,14 +388,14 @@ class CaseFile:
             return packed_volume(self._open())
 
     def set_source_path(self, path: str | None) -> None:
-        """The scan lies elsewhere: its place relative to the case file, None where that is not known."""
+        """Store the place of the scan relative to the case file; None where the place is unknown."""
         with self._lock, told(self.path):
             connection = self._writable()
             with transaction(connection):
                 write_source(connection, replace(read_source(connection), path=path))
 
     def extra(self, kind: str) -> tuple[Any, ...]:
-        """What was kept under this word (a plan, a report, scores), by its numbers."""
+        """Return the extra values of a kind (a plan, a report, scores), in the order of their numbers."""
         with self._lock, told(self.path):
             rows = self._open().execute("SELECT json FROM extra WHERE kind = ? ORDER BY n", (kind,)).fetchall()
             where = f"extra data of kind {kind[:80]}"
@@ -442,7 +442,7 @@ class CaseFile:
             recording.keep(self._table())
 
     def recordings(self) -> tuple[RecordingFacts, ...]:
-        """The recordings in their order."""
+        """Return the facts of all recordings, in their order."""
         with self._lock, told(self.path):
             return self._table().all()
 
@@ -513,32 +513,32 @@ class CaseFile:
         save_mark: SaveMark | None = None,
         placement: Placement | None = None,
     ) -> None:
-        """Write all of it as one whole file, without a journal: what a person names, shares and backs up.
+        """Write the case as one whole file, without a journal, to be named, shared and backed up.
 
-        It is made in memory, or where it is large in a temporary folder, and put in its place whole: no database is
-        ever open on a share, and a disk that is full is not needed to save on another one.
+        The copy is made in memory, or in a temporary folder if it is large, and is then moved to its path. No database
+        is ever open on a network share, and a copy on another disk needs no space on a full disk.
 
         Parameters
         ----------
         ct_place
-            Where the scan lies relative to the copy; None where that is not known.
+            Path of the scan relative to the copy; None if unknown.
         volume
             The CT, to be packed into the copy: lossless, in pieces with checksums.
         private
-            For this person alone: a live file.
+            Whether only the user may read the copy, as for a live file.
         save_mark
-            Stored in the copy, to identify this save; None stores none.
+            Mark that the copy gets, to identify this save; None stores no mark.
         placement
             Moves the complete copy to its path; None replaces whatever file is there.
 
         Raises
         ------
         DiskError
-            If it cannot be written; what was there before stays.
+            If the copy cannot be written; a former file at the path stays.
         UsageError
             ``case.other-scan``: if ``volume`` is not the case's.
         CarinaError
-            As ``placement`` raises; what was there before stays.
+            As ``placement`` raises; a former file at the path stays.
         """
         target = Path(path)
         with self._lock, told(self.path):
@@ -571,7 +571,7 @@ class CaseFile:
                 shutil.copyfileobj(whole, file, 1 << 20)
 
     def _back_up(self, copy: sqlite3.Connection, ct_place: str | None, save_mark: SaveMark | None) -> None:
-        """All of it, without what is not reached any more and without a journal."""
+        """Copy the whole case, without unreferenced rows and without a journal."""
         with self._lock:
             self._open().backup(copy)
         copy.execute("PRAGMA journal_mode=DELETE")
@@ -587,7 +587,7 @@ class CaseFile:
 
     @contextlib.contextmanager
     def _newer_in_words(self) -> Iterator[None]:
-        """What a newer Carina wrote otherwise is no damage."""
+        """Replace a damage error by an update notice if a newer version of Carina wrote the file."""
         try:
             yield
         except CaseFileError as trouble:
@@ -620,7 +620,7 @@ class CaseFile:
 
 
 def migrate(path: Path | str, target: Path | str) -> None:
-    """Write the case of an older Carina to a new file in the present format; the original stays as it is.
+    """Write a case of an older version of Carina to a new file in the present format; the original stays unchanged.
 
     Raises
     ------
@@ -669,7 +669,7 @@ def migrate_live(path: Path) -> Path:
 
 
 def _begun(source: SourceFacts) -> sqlite3.Connection:
-    """A case in memory in which nothing was done."""
+    """Create a case in memory in which nothing was done."""
     connection = connected(None)
     with transaction(connection):
         make_tables(connection)
@@ -700,7 +700,7 @@ def all_content(connection: sqlite3.Connection) -> Rows:
 
 
 def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
-    """The steps: number, label, command, seconds, document.
+    """Return the steps: number, label, command, seconds, document.
 
     Raises
     ------
@@ -733,11 +733,11 @@ def check_step(number: int, label: object, at_s: object) -> None:
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """A file that is only read need not know what came from it."""
+    """Ignore a read row: a file that is only read needs no record of its rows."""
 
 
 def _kind_of(command: object) -> str | None:
-    """The kind of a command from how its JSON begins, by its name of today."""
+    """Return the kind of a command from the beginning of its JSON, by its present name."""
     if not isinstance(command, str):
         return None
     _, mark, rest = command.partition('"type":"')

@@ -155,7 +155,7 @@ class History(Generic[D]):
         self._steps = [_with(step, folded(step.document)) for step in self._steps]
 
     def documents(self) -> list[D]:
-        """The first document, and that after each step."""
+        """Return the first document, and the document after each step."""
         return [self._first, *(step.document for step in self._steps)]
 
     def undo(self) -> str | None:

@@ -1,4 +1,4 @@
-"""A target with a size as a case file holds it."""
+"""Targets with a size, as a case file stores them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class LesionFacts(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 def lesion_facts(lesion: Lesion) -> LesionFacts:
-    """What is written."""
+    """Return the facts of a target's boundary, as a case file stores them."""
     return LesionFacts(lesion.target.to_record(), lesion.options)
 
 
 def made_lesion(facts: LesionFacts) -> Lesion:
-    """What was written.
+    """Return the boundary of a target from the facts in a case file.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def made_lesion(facts: LesionFacts) -> Lesion:
         ``case.damaged``.
     """
     where = "the boundary of a target"
-    # Its voxels are one long text.
+    # The voxels of a nodule are one long text, so the limit on texts does not apply.
     check_plain({name: value for name, value in facts.record.items() if name != "nodule"}, where)
     nodule = facts.record.get("nodule")
     check_plain(

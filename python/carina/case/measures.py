@@ -1,4 +1,4 @@
-"""What airways measure as a case file keeps it: the sections of a branch once, however many edits leave them alone."""
+"""Measurements of airways in a case file: the sections of a branch are stored once for all edits that keep them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MAX_SECTIONS: Final = 1_000_000
 
 
 def sections_of(measures: BranchMeasures) -> dict[str, Any]:
-    """The columns of a row of ``sections``."""
+    """Return the columns of a row of ``sections``."""
     columns = [np.asarray(getattr(measures, name), dtype="<f8") for name in FIGURES]
     # Column by column: what is alike lies together.
     figures = b"".join(np.ascontiguousarray(column.T).tobytes() for column in columns)
@@ -57,7 +57,7 @@ def flags_of(measures: BranchMeasures) -> bytes:
 
 
 def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.MeasuredFacts:
-    """What a branch and the fork at its end measure, beside the sections."""
+    """Return the measurements of a branch and of the fork at its end, without the sections."""
     summary, stenosis = measures.summary, measures.summary.stenosis
     names = [name for name in f.SummaryFacts.__struct_fields__ if name != "stenosis"]
     return f.MeasuredFacts(
@@ -84,7 +84,7 @@ def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.Measu
 def branch_from(
     columns: tuple[Any, ...], flags: object, facts: f.MeasuredFacts, num_points: int, where: str
 ) -> BranchMeasures:
-    """The measures of a branch from a row of ``sections``, flags and facts.
+    """Return the measurements of a branch from a row of ``sections``, flags and facts.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def branch_from(
 
 
 def fork_from(facts: f.MeasuredFacts) -> ForkMeasures | None:
-    """The fork at the end of a branch; None at a tip."""
+    """Return the measurements of the fork at the end of a branch; None at a tip."""
     fork = facts.fork
     return None if fork is None else ForkMeasures(facts.branch_id, **msgspec.structs.asdict(fork))
 

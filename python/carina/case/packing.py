@@ -1,4 +1,4 @@
-"""Bytes as a case file holds them: deflated, with the size that they had and a digest of what they were."""
+"""Bytes as a case file stores them: deflated, with their original size and digest."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def deflated(content: bytes | memoryview) -> bytes:
 
 
 def inflated(data: object, size: object, where: str) -> bytes:
-    """What was deflated; never more memory than its declared size, which is bounded.
+    """Decompress deflated bytes; use at most as much memory as their declared size, which is bounded.
 
     Raises
     ------
@@ -82,18 +82,18 @@ def packed_ints(values: list[int] | NDArray[np.int32]) -> bytes:
 
 
 def unpacked_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
-    """What :func:`packed_ints` packed."""
+    """Return the numbers that :func:`packed_ints` packed."""
     content = np.frombuffer(inflated(data, 4 * count, where), dtype="<i4")
     return np.cumsum(content, dtype=np.int64).astype(np.int32)
 
 
 def as_json(value: object) -> bytes:
-    """A value as JSON; numbers keep every bit. Numbers that are not finite are none in JSON: say them otherwise."""
+    """Return a value as JSON with every bit of its numbers; JSON has no numbers that are not finite."""
     return _ENCODER.encode(value)
 
 
 def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str) -> str:
-    """As :func:`as_json`, for what will be read with a decoder: what could not be read is not written.
+    """Return a value as JSON text, after a check that the decoder of the field can read it back.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
         try:
             decoder.decode(said)
         except msgspec.ValidationError:
-            # A long message or a control character in a name must not keep anyone's work from being saved.
+            # A long message or a control character in a name must not prevent the save.
             said = as_json(cleaned(msgspec.json.decode(said), MAX_NAME_CHARS))
             decoder.decode(said)
         if len(said) > MAX_JSON_BYTES:
@@ -116,7 +116,7 @@ def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str
 
 
 def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -> Any:
-    """A value of the decoder's type.
+    """Decode JSON into a value of the decoder's type.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Rows of a case file as the moment that they hold; what is far from the present step stays packed until needed."""
+"""Reader of the rows of a case file: makes a moment; steps far from the present one stay packed until needed."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ __all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]
 Rows = dict[str, dict[int, tuple[Any, ...]]]
 """By table and id, the columns after the id."""
 BOUNDS: Final = {"f8": (-MAX_MM, MAX_MM), "i8": (-1, 2**31), "u4": (0, 2**32)}
-"""Of the numbers of an array, by its type."""
+"""Bounds of the numbers of an array, by its type."""
 LENGTH_MM: Final = (0.0, MAX_MM)
 NO_TREES: Final = 4
 """Trees that are kept at hand while airways are read: those of a base and of its edits."""
@@ -77,7 +77,7 @@ class KeptAirways(FoldedAirways):
         return f"KeptAirways(row={self.row})"
 
     def unfold(self, volume: Volume) -> Airways:
-        """The airways as they were saved; their paths are calculated when they are first needed.
+        """Return the airways as they were saved; their paths are calculated when they are first needed.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class KeptMeasures:
         return f"KeptMeasures(row={self.row})"
 
     def load(self) -> TreeMeasures:
-        """The measures as they were saved; nothing is measured.
+        """Return the measurements as they were saved; nothing is measured again.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class CaseReader:
     # ------------------------------------------------------------ the moment
 
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
-        """The moment of steps (label, command, seconds, document), the first of which is the first document."""
+        """Return the moment of steps (label, command, seconds, document), the first of which is the first document."""
         if not 1 <= position + 1 <= len(steps):
             raise damaged("position in the history", f"0 to {len(steps) - 1}", str(position))
         with self._lock:
@@ -187,7 +187,7 @@ class CaseReader:
             )
 
     def _check_path(self, route: ChosenRoute) -> None:
-        """Refuse a shown route that cannot be flown; the curves of others are made when they are shown."""
+        """Refuse a shown route that cannot be flown; the curves of other routes are made when they are shown."""
         try:
             length_mm = route.path.length_mm
         except CarinaError as trouble:
@@ -195,7 +195,7 @@ class CaseReader:
         bounded_number(length_mm, "route", *LENGTH_MM)
 
     def airways_of(self, document: int) -> int | None:
-        """The row of a document's airways."""
+        """Return the row of a document's airways."""
         row: int | None = self.columns("document", document)[0]
         return row
 
@@ -210,7 +210,7 @@ class CaseReader:
         return tuple(found)
 
     def document(self, row: int) -> Document:
-        """A row of ``document``."""
+        """Return the document in a row of ``document``."""
         known = self._documents.get(row)
         if known is not None:
             return known
@@ -231,22 +231,22 @@ class CaseReader:
         return made
 
     def transfer(self, row: int) -> TransferFunction:
-        """A row of ``value``."""
+        """Return the transfer function in a row of ``value``."""
         made: TransferFunction = self._value("transfer", row, self._decoders.transfer, _transfer)
         return made
 
     def look(self, row: int) -> Look:
-        """A row of ``value``."""
+        """Return the look in a row of ``value``."""
         made: Look = self._value("look", row, self._decoders.look, lambda look: look)
         return made
 
     def keys(self, row: int) -> KeyFrames:
-        """A row of ``value``."""
+        """Return the key frames in a row of ``value``."""
         made: KeyFrames = self._value("keys", row, self._decoders.keys, _keys)
         return made
 
     def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
-        """A row of ``value``, without the paths."""
+        """Return the facts of the targets in a row of ``value``, without their paths."""
         _, said = self.columns("value", row)
         found: tuple[f.TargetFacts, ...] = from_json(said, self._decoders.targets, f"row {row} of value, kind targets")
         return found
@@ -275,7 +275,7 @@ class CaseReader:
         )
 
     def route(self, row: int) -> ChosenRoute:
-        """A row of ``route``."""
+        """Return the route in a row of ``route``."""
         known = self._routes.get(row)
         if known is not None:
             return known
@@ -349,7 +349,7 @@ class CaseReader:
         return whole
 
     def airways(self, row: int) -> Airways:
-        """A row of ``airways``, whole; its paths are calculated when they are first needed."""
+        """Return the whole airways in a row of ``airways``; their paths are calculated when they are first needed."""
         with self._lock:
             known = self._whole.get(row)
             return self._made_airways(row) if known is None else known
@@ -500,7 +500,7 @@ class CaseReader:
     # ------------------------------------------------------------ measures
 
     def measures_of(self, airways: int) -> KeptMeasures | None:
-        """What a row of ``airways`` measured; None where it was not measured."""
+        """Return the measurements of a row of ``airways``; None where it was not measured."""
         row = self._measures.get(airways)
         if row is None:
             return None
@@ -509,7 +509,7 @@ class CaseReader:
         return kept
 
     def measures(self, row: int) -> TreeMeasures:
-        """A row of ``measures``."""
+        """Return the measurements in a row of ``measures``."""
         with self._lock:
             where = f"row {row} of measures"
             airways, packed, said = self.columns("measures", row)
@@ -593,7 +593,7 @@ class CaseReader:
         return made
 
     def columns(self, table: str, row: int) -> tuple[Any, ...]:
-        """The columns of a row whose digest is of themselves."""
+        """Return the columns of a row, after a check of the digest of these columns."""
         columns = self._rows_of(table, row)
         self._check(table, row, digest_of(table, *columns))
         return columns
@@ -610,7 +610,7 @@ class CaseReader:
 
 
 def _edit(row: dict[str, Any]) -> TreeEdit:
-    """By its constructor: what a program made of it may lie beyond what is taken from a window."""
+    """Make an edit by its constructor: an edit from a program may be outside the limits for windows."""
     check_plain(row, "an edit")
     (edit,) = edits_from_json({**edits_to_json(()), "edits": [row]})
     return edit

@@ -1,4 +1,4 @@
-"""Recordings of a case: their lines in pieces of at most a second, so that a crash loses no more."""
+"""Recordings of a case, stored in pieces of at most a second, so that a crash loses no more than a second."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class RecordingTable:
         self._reading, self._writing, self._lock, self._path = reading, writing, lock, path
 
     def begin(self, name: str, begun_s: float, number: int | None = None) -> int:
-        """A new recording without lines; its number, which is the next one where none is given."""
+        """Begin a recording without lines, and return its number: the given one, else the next free one."""
         with self._lock, told(self._path):
             connection = self._writing()
             with transaction(connection):
@@ -99,7 +99,7 @@ class RecordingTable:
             return made.lastrowid
 
     def add(self, recording_id: int, first_n: int, chunks: list[str], length_s: float, *, complete: bool) -> None:
-        """More lines of it, in one transaction."""
+        """Add lines to a recording, in one transaction."""
         with self._lock, told(self._path):
             connection = self._writing()
             with transaction(connection):
@@ -115,7 +115,7 @@ class RecordingTable:
                 )
 
     def all(self) -> tuple[RecordingFacts, ...]:
-        """In their order."""
+        """Return the facts of all recordings, in their order."""
         rows = self._reading().execute(
             "SELECT id, place, substr(name, 1, ?), substr(words, 1, ?), begun_s, length_s, complete "
             "FROM recording ORDER BY place, id LIMIT 100000",
@@ -159,7 +159,7 @@ class RecordingTable:
         return read_recording(io.StringIO(self.text(recording_id)), Path(f"recording {recording_id} of {self._path}"))
 
     def change(self, recording_id: int, *, name: str | None, words: str | None) -> None:
-        """Call or describe it otherwise."""
+        """Change the name or the description of a recording."""
         sql = "UPDATE recording SET name = coalesce(?, name), words = coalesce(?, words) WHERE id = ?"
         name = None if name is None else shortened(name, MAX_NAME_CHARS)
         words = None if words is None else shortened(words, MAX_MESSAGE_CHARS)
@@ -180,9 +180,9 @@ class RecordingTable:
             connection.executemany("UPDATE recording SET place = ? WHERE id = ?", rows)
 
     def become(self, wanted: Sequence[RecordingFacts], removed: Collection[int]) -> None:
-        """Have those that are there called, described and ordered as these, without the removed ones.
+        """Set the names, the descriptions and the order of the stored recordings, and delete the removed ones.
 
-        Nothing is written where that is so already, and what is in neither stays.
+        The file is not written if it has this content already. A recording in neither argument stays unchanged.
         """
         with self._lock, told(self._path):
             connection = self._writing()
@@ -315,7 +315,7 @@ class RecordingWriter(io.TextIOBase):
             return self._num_kept, "".join(line for lines in self._chunks for line in lines)
 
     def close(self) -> None:
-        """The end: what is left goes into the case file, at once or with the next :meth:`keep`.
+        """End the recording: write the remaining lines to the case file, now or with the next :meth:`keep`.
 
         Raises
         ------
@@ -332,7 +332,7 @@ class RecordingWriter(io.TextIOBase):
 
 
 def _facts_of(row: tuple[object, ...]) -> RecordingFacts:
-    """Check the columns of a recording, which have no digest."""
+    """Return the facts of a recording, after a check of its columns, which have no digest."""
     number, place, name, words, begun_s, length_s, complete = row
     where = f"recording {number}"
     bounded_whole(place, where, -MAX_WHOLE, MAX_WHOLE)
@@ -347,7 +347,7 @@ def _facts_of(row: tuple[object, ...]) -> RecordingFacts:
 
 
 def _seconds(value: float) -> float:
-    """Return a time that can be read back: of a clock that was wrong the nearest bound."""
+    """Return a time that can be read back: the nearest bound for the time of a wrong clock."""
     return min(max(float(value), 0.0), MAX_S) if math.isfinite(value) else 0.0
 
 

@@ -1,4 +1,4 @@
-"""What is whole of a damaged case file, as a new file, with a list of what was lost; the original stays as it is."""
+"""Rescue of a damaged case file: its intact content as a new file, and a list of the losses."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TROUBLE: Final = (CaseFileError, sqlite3.Error)
 
 
 def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
-    """Write what is whole of a damaged case into a new file.
+    """Write the intact content of a damaged case to a new file; the original stays unchanged.
 
     A step of which a part is lost stays, without that part: a target keeps its place where its path is gone.
 
@@ -120,7 +120,7 @@ class _Rescue:
         return found | {table: {row[0]: row[1:] for row in self._rows(table, "*")} for table in tables}
 
     def _rows(self, table: str, columns: str, key: str = "id") -> Iterator[tuple[Any, ...]]:
-        """The rows of a table that can be read: all in turn, and where that stops each by its number."""
+        """Yield the readable rows of a table: all in turn, and after the first failure each by its number."""
         seen = 0
         last: int | None = None
         try:
@@ -182,7 +182,7 @@ class _Rescue:
         )
 
     def _measures(self, documents: Sequence[tuple[tuple[Any, ...], Document]]) -> tuple[tuple[Any, Any], ...]:
-        """What is whole of the measures of the airways that are."""
+        """Return the intact measurements of the intact airways."""
         found: dict[int, tuple[Any, Any]] = {}
         lost: set[int] = set()
         for (n, label, _, _, row), document in documents:
@@ -250,7 +250,7 @@ class _Rescue:
         return self._whole[row]
 
     def _without(self, row: int, what: str) -> Document:
-        """A document with what is whole of it."""
+        """Return the intact parts of a document."""
         reader = self._reader
         airways, route, transfer, look, targets, keys, threshold = reader.columns("document", row)
 
@@ -288,7 +288,7 @@ class _Rescue:
         return tuple(found)
 
     def _part_of_target(self, said: TargetFacts, what: str) -> Target:
-        """A target without what of it is lost: its boundary, or its path."""
+        """Return a target without its lost part: its boundary, or its path."""
         if said.lesion is not None:
             try:
                 with no_surprise():
@@ -343,9 +343,9 @@ class _Rescue:
 
 
 def _seconds(value: object) -> float:
-    """Return the time of a step or recording, 0 where it is lost."""
+    """Return the time of a step or recording; 0 where the time is lost."""
     return value if isinstance(value, float) and 0.0 <= value <= MAX_S else 0.0
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
-    """The new file knows nothing of the old one's rows."""
+    """Ignore a read row: the new file has no references to rows of the old one."""

@@ -1,4 +1,4 @@
-"""The mark that each save under a name leaves in the case file."""
+"""Marks that identify the saves of a named case file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from carina.value import FrozenValue
 __all__ = ["SaveMark", "read_save_mark", "write_save_mark"]
 
 KIND = "save"
-"""The ``kind`` of the row in the table ``extra``."""
+"""Value of the column ``kind`` of the mark in the table ``extra``."""
 SaveId = Annotated[str, Meta(pattern=r"\A[0-9a-f]{16}\Z")]
 
 
@@ -25,20 +25,20 @@ class SaveMark(FrozenValue, frozen=True):
     """
 
     save_id: SaveId
-    """Random; no two saves have the same."""
+    """Random id; no two saves have the same id."""
     generation: Annotated[int, Meta(ge=1, le=2**53)]
-    """1 for the first save of a file; each later save of any window adds 1 to the save that it replaces."""
+    """1 for the first save of a file; each later save, by any window, has the replaced save's generation plus 1."""
     parent_id: SaveId | None = None
     """``save_id`` of the content that this save replaced; None for a new file."""
 
     @classmethod
     def after(cls, parent_id: str | None, generation: int) -> SaveMark:
-        """Return a new mark for the save that follows another one; generation 0 begins a file."""
+        """Return a new mark for a save after the save with this id and generation; generation 0 begins a file."""
         return cls(secrets.token_hex(8), generation + 1, parent_id)
 
 
 def write_save_mark(connection: sqlite3.Connection, mark: SaveMark | None) -> None:
-    """Store the mark of a copy that is about to be saved under a name; None stores none."""
+    """Store the mark in a copy before the copy is saved under a name; None removes any mark."""
     connection.execute("DELETE FROM extra WHERE kind = ?", (KIND,))
     if mark is not None:
         row = (KIND, 0, msgspec.json.encode(mark).decode())
@@ -46,7 +46,7 @@ def write_save_mark(connection: sqlite3.Connection, mark: SaveMark | None) -> No
 
 
 def read_save_mark(connection: sqlite3.Connection) -> SaveMark | None:
-    """Return the mark of the last save; None where there is none, or none that can be read."""
+    """Return the mark of the last save; None without a readable mark."""
     found = connection.execute("SELECT json FROM extra WHERE kind = ? AND length(json) < 1000", (KIND,)).fetchone()
     if found is None:
         return None

@@ -190,7 +190,7 @@ def migrated(connection: sqlite3.Connection, target: Path) -> None:
 
 
 def _tables_of(schema: int) -> set[tuple[str, str, str, str | None]]:
-    """What a file of a schema holds, as SQLite lists it."""
+    """Return the tables and indexes that a file of a schema contains, as SQLite lists them."""
     with contextlib.closing(sqlite3.connect(":memory:")) as empty:
         for name, sql in TABLES.items():
             if SINCE.get(name, 1) <= schema:

@@ -1,4 +1,4 @@
-"""The CT that a case is of, as the file knows it: nothing of the patient."""
+"""Facts about the CT of a case, as the case file stores them, without patient data."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
 
 
 def _is_path(path: object) -> bool:
-    # A file name may have any character but this one; the terminal shows it without control characters.
+    # NUL is the only character that no file name has. The terminal shows a name without control characters.
     return isinstance(path, str) and 0 < len(path) <= MAX_PATH_CHARS and "\x00" not in path
 
 
@@ -123,7 +123,7 @@ class Turn:
         return self.axes == (0, 1, 2) and not any(self.flipped)
 
     def turned(self, array_zyx: NDArray[V]) -> NDArray[V]:
-        """An array of the case as the volume has it; itself where both are the same."""
+        """Return an array of the case in the axes of the volume; the array itself where both have the same axes."""
         if self.is_none:
             return array_zyx
         # Axes of arrays run k, j, i.
@@ -134,7 +134,7 @@ class Turn:
         return turned
 
     def voxel(self, ijk: tuple[int, int, int]) -> tuple[int, int, int]:
-        """A voxel of the case in the volume."""
+        """Return the index in the volume of a voxel of the case."""
         shape = self.shape_zyx[::-1]
         i, j, k = (
             shape[axis] - 1 - ijk[axis] if flip else ijk[axis]

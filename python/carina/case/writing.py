@@ -1,4 +1,4 @@
-"""A moment of a case as rows: what is there already is found by identity, else by digest, and never written twice."""
+"""Writer of a moment as rows: stored values are found by identity or digest, and are not written twice."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class CaseWriter:
             self._of_last[kind, id(value)] = (value, row)
 
     def write(self, moment: Moment) -> None:
-        """Write what is new of a moment."""
+        """Write the rows of a moment that are not stored yet."""
         self._of_this = {}
         entries = [(moment, self._first(moment)), *((step, self._step(step)) for step in moment.steps)]
         self._write_steps(entries)
@@ -114,7 +114,7 @@ class CaseWriter:
         self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
 
     def kept(self) -> None:
-        """The transaction has ended well: what it wrote is known, and only what this moment holds is kept alive."""
+        """Accept the written rows after the transaction has succeeded; keep only the objects of this moment alive."""
         self._of_last = self._of_this
         self._steps, self._first_n = self._pending
 
@@ -131,7 +131,7 @@ class CaseWriter:
             with contextlib.suppress(UsageError):
                 said = as_checked_json(command, self._decoders.command, "a command")
         label = shortened(step.label, MAX_LABEL_CHARS)
-        # A clock that was wrong: no step may make the case unreadable.
+        # A step with the time of a wrong clock must not make the case unreadable.
         at_s = min(max(float(step.at_s), 0.0), MAX_S) if math.isfinite(step.at_s) else 0.0
         return (label, said, at_s, self._document(step.document))
 
@@ -158,7 +158,7 @@ class CaseWriter:
         self._pending = (entries, first_n)
 
     def take_steps(self, entries: list[tuple[object, StepRow]], first_n: int) -> None:
-        """The line of steps that was read."""
+        """Take over the steps that were read from the file."""
         self._steps, self._first_n = entries, first_n
 
     # ------------------------------------------------------------ documents
@@ -391,7 +391,7 @@ class CaseWriter:
     # ------------------------------------------------------------ measures
 
     def _measures(self, airways: int, measures: TreeMeasures | KeptMeasures) -> None:
-        """What airways measure, in the place of what stood there."""
+        """Write the measurements of airways in place of their former ones."""
         if self._found("measures", measures) is not None:
             return
         if isinstance(measures, KeptMeasures) and measures.reader is self.reader:
@@ -461,7 +461,7 @@ class CaseWriter:
         return self._note(kind, value, self._put("value", {"kind": kind, "json": said}))
 
     def _put(self, table: str, values: dict[str, Any]) -> int:
-        """The row of these values: the one that there is, or a new one."""
+        """Return the row with these values; insert a new row where there is none."""
         digest = digest_of(table, *values.values())
         known = self._ids[table].get(digest)
         return self._insert(table, digest, values) if known is None else known

@@ -1,4 +1,4 @@
-"""What Carina leaves on a disk: whole files, drafts and temporary folders that a crash cannot leave for ever."""
+"""Files of Carina on a disk: atomic writes, drafts, temporary folders, and safe opening of files that a user names."""
 
 from __future__ import annotations
 

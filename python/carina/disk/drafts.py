@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, by a draft beside them that no crash leaves for long.
+"""Files that are written whole or not at all, by a draft beside each file; a later start removes drafts of a crash.
 
 A draft is called ``.carina-HEX.draft``, so that a person and the next Carina know it: of what is written nothing stands
 in its name. While it is written its owner holds a lock on it (``locks.py``); the next file that any Carina writes into
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 Placement = Callable[[Path, Path], None]
-"""``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target as it was."""
+"""``placement(draft, target)`` moves a complete draft to its target, or raises and leaves the target unchanged."""
 DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
 SWEEP_AGAIN_S = 60.0
 """A folder is looked through at most so often: a flight keeps thousands of pictures in one."""
@@ -56,30 +56,30 @@ def write_whole(
     lasting: bool = False,
     placement: Placement | None = None,
 ) -> Path:
-    """Write a file so that it is either complete or as it was before.
+    """Write a file so that it is either complete or unchanged.
 
     Parameters
     ----------
     path
-        Where. Its folder must exist.
+        The file, in an existing folder.
     content
-        All of it.
+        The whole content.
     what
-        What it is, for the message: "the tree".
+        Name of the file for messages, such as "the tree".
     private
-        Only this person may read it.
+        Whether only the user may read the file.
     lasting
-        Its name is on the disk, too, when this returns: after a power cut it is there.
+        Flush the folder as well, so that the file survives a power cut after the call.
     placement
-        Moves the complete draft to ``path``; None replaces whatever file is there.
+        Moves the complete draft to ``path``; None replaces any file at ``path``.
 
     Raises
     ------
     DiskError
-        If the folder is missing or not writable, the disk is full, or something is in the way; what was there before
-        stays.
+        If the folder is missing or not writable, the disk is full, or ``path`` is not a regular file; a former file
+        stays unchanged.
     CarinaError
-        As ``placement`` raises; what was there before stays.
+        As ``placement`` raises; a former file stays unchanged.
     """
     with drafted(
         path, what=what, needed_bytes=len(content), private=private, lasting=lasting, placement=placement
@@ -89,17 +89,17 @@ def write_whole(
 
 
 class Draft:
-    """A file that is being written beside its place: :meth:`commit` it or :meth:`discard` it.
+    """A file that is being written beside its target: end it by :meth:`commit` or :meth:`discard`.
 
     Parameters
     ----------
     path, what, private, needed_bytes, lasting, placement
-        As of :func:`drafted`.
+        As the parameters of :func:`drafted`.
 
     Raises
     ------
     DiskError
-        If it cannot be begun.
+        If the draft cannot be created.
     """
 
     def __init__(
@@ -139,9 +139,9 @@ class Draft:
         Raises
         ------
         DiskError
-            If that fails; what was there before stays.
+            If the disk refuses; a former file stays unchanged.
         CarinaError
-            As the placement raises; what was there before stays.
+            As the placement raises; a former file stays unchanged.
         """
         assert self._place is not None
         try:
@@ -179,7 +179,7 @@ class Draft:
                 place.unlink()
 
     def trouble(self, error: OSError) -> CarinaError:
-        """What a person is told of an error while it was written; ours are handed back."""
+        """Return the error for the user after a failed write; Carina's own errors are returned as they are."""
         if isinstance(error, CarinaError):
             return error
         unchanged = ""
@@ -201,19 +201,19 @@ def drafted(
     lasting: bool = False,
     placement: Placement | None = None,
 ) -> Iterator[BinaryIO]:
-    """A file to write to, which takes its place when the block ends; after any error what was there before stays.
+    """Open a file to write to, which takes its place when the block ends; after an error the former file stays.
 
     Parameters
     ----------
     path, what, private, lasting, placement
         As of :func:`write_whole`.
     needed_bytes
-        How much will be written, if known: for the message.
+        Number of bytes that will be written, if known, for the message.
 
     Raises
     ------
     DiskError
-        As :func:`write_whole`; an ``OSError`` of the block counts as the disk's.
+        As :func:`write_whole`; an ``OSError`` of the block counts as an error of the disk.
     """
     draft = Draft(path, what=what, needed_bytes=needed_bytes, private=private, lasting=lasting, placement=placement)
     try:
@@ -228,21 +228,21 @@ def drafted(
 
 
 def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = False, lasting: bool = False) -> Path:
-    """Make a folder, with the missing folders above it; nothing if it is there.
+    """Create a folder, with the missing folders above it; an existing folder stays as it is.
 
     Parameters
     ----------
     path, what
         As of :func:`write_whole`.
     private
-        Give the folder, and every folder above it that is made, mode 0700.
+        Create the folder, and every missing folder above it, with mode 0700.
     lasting
-        Its name and those above that are new are on the disk when this returns.
+        Flush the folders above the new ones, so that all survive a power cut after the call.
 
     Raises
     ------
     DiskError
-        If it cannot be made.
+        If a folder cannot be created.
     """
     folder = Path(path)
     try:
@@ -255,19 +255,19 @@ def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = Fals
 
 
 def create_folders(folder: Path, *, private: bool) -> tuple[Path, ...]:
-    """Create a folder with the missing folders above it, and return those that were missing, the innermost first.
+    """Create a folder with the missing folders above it, and return the missing ones, the innermost first.
 
-    Private ones all have mode 0700: ``Path.mkdir(mode=0o700, parents=True)`` gives that mode to the innermost alone.
+    All private folders get mode 0700. ``Path.mkdir(mode=0o700, parents=True)`` gives that mode to the innermost alone.
 
     Raises
     ------
     OSError
-        If one cannot be made.
+        If a folder cannot be created.
     """
     missing = tuple(one for one in (folder, *folder.parents) if not one.exists())
     for one in reversed(missing):
         one.mkdir(exist_ok=True, mode=0o700 if private else 0o777)
-    # Raises where a file has the place of the folder.
+    # The call raises an error where a file has the name of the folder.
     folder.mkdir(exist_ok=True)
     return missing
 
@@ -293,7 +293,7 @@ def sync_folder(folder: Path | str) -> None:
 
 
 def _former(target: Path) -> os.stat_result | None:
-    """What stands there already.
+    """Return the status of the file that a new file will replace; None where there is none.
 
     Raises
     ------
@@ -312,7 +312,7 @@ def _former(target: Path) -> os.stat_result | None:
 
 
 def _begin(folder: Path, mode: int) -> tuple[BinaryIO, Path]:
-    """A new draft that is ours."""
+    """Create a draft that only this process writes."""
     while True:
         place = folder / f".carina-{secrets.token_hex(8)}.draft"
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)

@@ -15,7 +15,7 @@ __all__ = ["copy_to_new_name", "move_to_new_name"]
 _NO_HARD_LINKS = frozenset(
     {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EXDEV, errno.EINVAL}
 )
-"""What FAT, exFAT and many network shares answer to a request for a hard link."""
+"""Error numbers with which FAT, exFAT and many network shares refuse a hard link."""
 
 
 def move_to_new_name(source: Path, target: Path) -> None:
@@ -27,11 +27,11 @@ def move_to_new_name(source: Path, target: Path) -> None:
     Raises
     ------
     FileExistsError
-        If something has the target's name; both files stay as they were.
+        If a file has the target's name; both files stay unchanged.
     OSError
         If the disk refuses the move.
     """
-    if os.name == "nt":  # pragma: no cover - os.rename fails there if the target exists
+    if os.name == "nt":  # pragma: no cover - os.rename fails on Windows if the target exists
         source.rename(target)
         return
     try:
@@ -58,7 +58,7 @@ def copy_to_new_name(source: Path, target: Path) -> None:
     Raises
     ------
     FileExistsError
-        If something has the target's name; it stays as it was.
+        If a file has the target's name; that file stays unchanged.
     OSError
         If the disk refuses the copy; nothing is left at the target.
     """

@@ -1,4 +1,4 @@
-"""Open files that a user names: regular files alone, without ever waiting for a pipe, a socket or a device."""
+"""Opening of files that a user names: only regular files, without a wait for a pipe, a socket or a device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KINDS: Final = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
-# A pipe without a writer blocks open(2) for ever, and a terminal must not become the controlling one.
+# A pipe without a writer blocks open(2) for ever, and a terminal must not become the controlling terminal.
 _FLAGS: Final = (
     os.O_RDONLY
     | getattr(os, "O_NONBLOCK", 0)
@@ -32,7 +32,7 @@ _FLAGS: Final = (
 
 
 def special_kind(path: AnyPath) -> str | None:
-    """Name what a path leads to if that is a pipe, a socket or a device; None for a file, a folder or nothing."""
+    """Return the kind of a pipe, a socket or a device at a path; None for a file, a folder or a missing path."""
     try:
         mode = Path(path).stat().st_mode
     except (OSError, ValueError):
@@ -41,7 +41,7 @@ def special_kind(path: AnyPath) -> str | None:
 
 
 def check_regular(path: AnyPath) -> None:
-    """Refuse a pipe, a socket or a device, for a library that opens the path itself; nothing is opened.
+    """Refuse a pipe, a socket or a device for a library that opens the path itself; this call opens nothing.
 
     Files, folders and missing paths pass, because the library reports those better.
 
@@ -64,7 +64,7 @@ def open_regular(path: AnyPath, *, buffering: int = -1) -> BinaryIO:
     Raises
     ------
     VolumeImportError
-        ``disk.not-a-file``: if the path leads to a folder, a pipe, a socket or a device.
+        ``disk.not-a-file``: if the path is a folder, a pipe, a socket or a device.
     OSError
         If the file is missing or cannot be read.
     """
@@ -74,7 +74,7 @@ def open_regular(path: AnyPath, *, buffering: int = -1) -> BinaryIO:
     try:
         descriptor = os.open(path, _FLAGS)
     except OSError as error:
-        if error.errno in {errno.ENXIO, errno.ENODEV}:  # a socket or a device took the file's place
+        if error.errno in {errno.ENXIO, errno.ENODEV}:  # a socket or a device replaced the file after the check
             raise _refused(path, "a socket or a device") from error
         raise
     try:
@@ -88,7 +88,7 @@ def open_regular(path: AnyPath, *, buffering: int = -1) -> BinaryIO:
 
 
 def open_regular_text(path: AnyPath, *, encoding: str = "utf-8") -> TextIO:
-    """Open a regular file for reading text, as :func:`open_regular` does."""
+    """Open a regular file for reading text; see :func:`open_regular`."""
     import io
 
     return io.TextIOWrapper(open_regular(path), encoding=encoding)

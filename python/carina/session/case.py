@@ -1,4 +1,4 @@
-"""The open case: what stays while its document changes, and how it is made from a volume."""
+"""The open case: its state beside the document, and its creation from a volume."""
 
 from __future__ import annotations
 
@@ -182,13 +182,13 @@ class OpenCase:
     flights: CaseFlights = field(default_factory=CaseFlights)
 
     def next_number(self, what: str) -> int:
-        """A number that nothing of its kind had; with the session locked."""
+        """Return a number that no object of this kind had before; the caller holds the session's lock."""
         self.numbers[what] = self.numbers.get(what, 0) + 1
         return self.numbers[what]
 
     @property
     def case_id(self) -> str:
-        """Random id of the case: that of the case's record, once there is one."""
+        """Random id of the case, equal to the id of its record once the case is stored."""
         return self.info.case_id
 
     @case_id.setter
@@ -197,7 +197,7 @@ class OpenCase:
 
     @property
     def neutral_title(self) -> str:
-        """Name of the case that tells nothing about its CT or its patient."""
+        """Name of the case without information about its CT or its patient."""
         return neutral_alias(self.case_id)
 
     @property
@@ -262,7 +262,7 @@ def new_case(
     say: Callable[[str], None] = lambda _words: None,
     kept: Moment | None = None,
 ) -> OpenCase:
-    """A case that shows a volume: as it was kept, or before anything was found in it.
+    """Make a case that shows a volume: with its stored content, or before anything was found in it.
 
     ``changed`` is told topics by its jobs, and ``say`` what is worth a line.
     """
@@ -315,7 +315,7 @@ def restore(case: OpenCase, kept: Moment) -> None:
     document = case.document
     case.flown_route = document.route
     case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
-    if kept.tip:  # a rescued case may have lost it
+    if kept.tip:  # a rescued case may have lost its tip
         case.navigator.restore(kept.tip, case.navigator.path)
     status: AirwayStatus = "found" if document.airways is not None else "waiting"
     if document.airways is None and kept.search_status == "failed":

@@ -1,4 +1,4 @@
-"""The real files of a workstation: its cases, and the CTs that it has opened, kept as they are in memory."""
+"""Storage of a workstation on the disk: its cases, and the cache of opened CTs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["case_files"]
 
 
 def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = None) -> KeptFiles:
-    """Case files on the disk; with a cache, CTs that were opened before come from it. Records know where CTs lie."""
+    """Return the storage of case files on the disk; with a cache, earlier CTs come from the cache."""
     from carina.session.parts import default_parts
     from carina.volume import ct_digest
 

@@ -1,4 +1,4 @@
-"""The cases of this person: listed, named, forgotten and brought back, and what is kept to open their CTs faster."""
+"""The list of the user's cases: names, forgotten cases and their return, and the cache of CTs."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class CaseList(Subject):
     # ------------------------------------------------------------ what there is
 
     def listed(self) -> tuple[ListedCase, ...]:
-        """The case used last first; files that cannot be read are moved aside before, with a message."""
+        """Return the cases, the one used last first; move unreadable files aside first, with a message."""
         records = self._saving.records
         self._move_damaged_aside()
         kept = () if records is None else records.all()
@@ -83,7 +83,7 @@ class CaseList(Subject):
         opens = self._opens(kept)
         stored = [_of_record(record, records, opens=opens(record)) for record in kept if records is not None]
         only_opened = [_of_place(case) for case in opened if case.path not in places]
-        # The stored cases keep their order, which no clock changes; the others are placed among them by their day.
+        # Stored cases keep the order of their use numbers, which no clock changes; the other entries follow by date.
         return tuple(heapq.merge(stored, only_opened, key=lambda one: one.used_s, reverse=True))
 
     def _move_damaged_aside(self) -> None:
@@ -103,7 +103,7 @@ class CaseList(Subject):
         return lambda record: record.holds_ct or record.digest in cts
 
     def storage(self) -> StorageInfo:
-        """What is kept beside them."""
+        """Return the sizes of the cached CTs and the forgotten cases."""
         records, cache = self._saving.records, self._saving.cache
         sizes = () if cache is None else cache.sizes()
         gone = () if records is None else records.forgotten()
@@ -124,12 +124,12 @@ class CaseList(Subject):
         return self._saving.open_case
 
     def picture(self, case_id: str) -> bytes | None:
-        """The small picture of a case, a JPEG; None where it has none."""
+        """Return the thumbnail of a case, a JPEG; None where it has none."""
         records = self._saving.records
         return None if records is None else records.picture(case_id)
 
     def unsaved(self) -> tuple[UnsavedWork, ...]:
-        """End a recording, stop all jobs, and return the work that no disk has taken; waits for the disks."""
+        """End a recording, stop all jobs, wait for the disks, and return the work that could not be saved."""
         self._end_recording()
         self.core.jobs.cancel_kinds()
         return self._saving.unsaved()
@@ -140,7 +140,7 @@ class CaseList(Subject):
         Raises
         ------
         CarinaError
-            If it cannot be written there either; ``case.exists``, ``case.no-place``.
+            ``case.exists``, ``case.no-place``, or the error of the disk if the case cannot be written there either.
         """
         return self._saving.save_elsewhere(case_number, path)
 

@@ -1,4 +1,4 @@
-"""Neutral names of cases, and the file names that Carina suggests: without the patient's name and the scan's date."""
+"""Neutral names and suggested file names of cases, without the patient's name and the scan's date."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def new_case_id() -> str:
 
 
 def case_code(case_id: str) -> str:
-    """Return the code that stands for a case in names: 6 digits in Crockford's base32, 2**30 codes.
+    """Return the code of a case for names: 6 digits in Crockford's base32, 2**30 codes.
 
     Parameters
     ----------
     case_id
-        Hexadecimal id of the case. The id is random, so that the code tells nothing about the CT.
+        Hexadecimal id of the case. The id is random, so the code contains no information about the CT.
     """
     number = int.from_bytes(hashlib.sha256(case_id.lower().encode()).digest()[:8], "big")
     return "".join(CROCKFORD[number >> (5 * place) & 31] for place in range(CODE_DIGITS))
@@ -45,7 +45,7 @@ def neutral_alias(case_id: str) -> str:
 def suggested_file_name(alias: str | None, case_id: str) -> str:
     """Return a file name without suffix: the user's name of the case, and its code.
 
-    The code makes the names of two cases different, also where their users gave them one name.
+    The code makes the file names of two cases different, also if both cases have one name.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The ground of a session: listeners, jobs, the open case, undo, and bringing tip and renderer to the document."""
+"""The core of a session: listeners, jobs, the open case, undo, and updates of tip and renderer after a change."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class SessionCore:
             raise UsageError("you are watching; you can change only your own slices, zoom and window", code=WATCHING)
 
     def _seen_by(self, window: int | None) -> OpenCase | None:
-        """The open case; None for a window that was shown another one to watch."""
+        """Return the open case; None for an observer's window that was shown another case."""
         case = self.case
         if case is None or window is None:
             return case
@@ -155,7 +155,7 @@ class SessionCore:
 
     @contextmanager
     def doing(self, command: Command, window: int | None) -> Iterator[None]:
-        """What is changed here, and by the jobs that are started here, was asked for by this command of this window."""
+        """Attribute every change of this block, and of the jobs started in it, to this command of this window."""
         token = _asked.set(_Asked(command, window))
         try:
             yield
@@ -241,13 +241,13 @@ class SessionCore:
         self.changed(*ALL_TOPICS)
 
     def change(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
-        """A change by a person, with the session locked."""
+        """Apply a change by the user; the caller holds the session's lock."""
         self.add_step(case, label, document, gesture=gesture)
         self.follow(case)
         self.changed(*ALL_TOPICS)
 
     def add_step(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
-        """A step of undo that nothing follows yet, with the session locked."""
+        """Add a step of undo without updating the tip and the renderer; the caller holds the session's lock."""
         command = _asked.get().command
         now_s = self.clock()
         case.history.change(
@@ -315,7 +315,7 @@ class SessionCore:
     # ------------------------------------------------------------ moving the tip
 
     def fly(self, move: Move) -> None:
-        """A move of the tip, asked for by a person or a program."""
+        """Move the tip as a user or a program requests."""
         case = self.needed_case()
         with self.lock:
             mode = case.navigator.mode
@@ -329,7 +329,7 @@ class SessionCore:
         return dt_s
 
     def after_move(self, case: OpenCase, mode: str) -> None:
-        """The pose is news; with the session locked."""
+        """Announce a new pose; the caller holds the session's lock."""
         is_recentred = case.sights.change(None, following_tip)
         self.moved()
         case.last_move = LastMove("hand", person_moved=True)
@@ -341,7 +341,7 @@ class SessionCore:
     # ------------------------------------------------------------ what others read
 
     def snapshot(self, window: int | None = None) -> Snapshot:
-        """All but the pose, as a window sees it; unless told, the one that was looked through last."""
+        """Return the state without the pose, as one window shows it; by default, the window that was used last."""
         with self.lock:
             case = self._seen_by(window)
             if case is None:
@@ -370,12 +370,12 @@ class SessionCore:
             )
 
     def pose_info(self) -> PoseInfo | None:
-        """The newest pose and where it is; None without a case."""
+        """Return the newest pose and where it is; None without a case."""
         with self.lock:
             return None if self.case is None else pose_info(self.case, self._pose_id)
 
     def scene(self, window: int | None = None) -> ShownCase | None:
-        """What the views of a window show now, for its render thread; None without a case."""
+        """Return the scene that a window's views show, for its render thread; None without a case."""
         with self.lock:
             case = self._seen_by(window)
             if case is None:

@@ -1,7 +1,7 @@
-"""Where programs of this person join the Carina that has a case open: a private file beside the case's lock.
+"""Connection details with which the user's programs join a case that is open in Carina: a private file.
 
-The file only says where to knock. Who owns the case is told by the lock alone, so one that was left by a crash harms
-nobody. It is no part of the case file, and no file that a person names, packs or exports holds any of it.
+The file is beside the lock of the case and contains an address and a token. The lock alone decides who owns the case,
+so a file that a crash left is harmless. The details are never part of a case file or of an exported file.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Door(FrozenValue, frozen=True):
 
 
 def open_door(folder: Path, door: Door) -> None:
-    """Say in a case's folder where its owner is; where the disk refuses nobody joins, and all else goes on."""
+    """Write the address of a case's owner into the case's folder; if the disk refuses, no program can join."""
     plain = {"format": FORMAT, "version": VERSION, **msgspec.structs.asdict(door)}
     try:
         write_whole(
@@ -58,7 +58,7 @@ def close_door(folder: Path) -> None:
 
 
 def read_door(folder: Path) -> Door | None:
-    """None where there is none; behind one that is there nobody may live any more."""
+    """Return the connection details in a folder; None without a readable file. The owner may have ended."""
     with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
         plain = json.loads(read_regular_text(folder / DOOR, max_bytes=MAX_BYTES))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:

@@ -1,7 +1,7 @@
-"""A case that a running Carina has open, as a program has it: what it asks is done there, and it sees what is done.
+"""A case that a running Carina has open, as a program uses it: the owner runs commands and reports changes.
 
-The owner keeps the case; this process reads what is kept, read only, in a session of its own that follows it. When the
-owner has gone, whoever follows and takes the case's lock first owns it, and goes on where it was left.
+The owner stores the case; this process reads the stored case, read only, in a separate session that follows the owner.
+After the owner has ended, the first follower that takes the case's lock becomes the owner and continues the case.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class JoinedCase:
 
     @classmethod
     def join(cls, source: str | Path, ct: str | Path | None) -> JoinedCase | None:
-        """The case of a file, or of a CT, that a running Carina of this person has open; None where none has.
+        """Join the case of a file or a CT that a running Carina of this user has open; None where none has.
 
         Raises
         ------
@@ -197,7 +197,7 @@ class JoinedCase:
         self._say()
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
-        """The owner writes it, and refreshes it from then on."""
+        """Let the owner write the case to a file, which the owner updates from then on."""
         if self._named is not None:
             if path is None and self._named.note is not None:
                 raise UsageError(self._named.note, code="case.read-only")
@@ -218,14 +218,14 @@ class JoinedCase:
         return found
 
     def close(self) -> None:
-        """Leave the case to its owner; as the owner, write what is not written yet.
+        """Disconnect from the owner; as the owner, write the remaining changes.
 
         Raises
         ------
         UnsavedWorkError
-            If the owner has ended, this program could not take over, and changes made since then are in no file.
+            If the owner has ended, this program could not take over the case, and later changes are in no file.
         CarinaError
-            As the owner: ``case.not-saved`` if the disk does not take the latest changes.
+            ``case.not-saved`` if this program is the owner and the disk refuses the latest changes.
         """
         with self._lock:
             self._closed = True
@@ -344,7 +344,7 @@ class JoinedCase:
 
 
 def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
-    """The cases that a file, or a CT, may stand for; the last used first."""
+    """Return the cases that a file or a CT may belong to; the last used first."""
     place = str(Path(source).expanduser().absolute())
     if is_case_file(place):
         return [one for one in records.all() if place in {one.copy_path, str(records.path_of(one))}]
@@ -367,14 +367,14 @@ def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
 
 
 def _saved(settled: Settled) -> SavingInfo:
-    """What can be read now is what was done until now."""
+    """Return the state of the saving; raise an error where the latest changes cannot be read."""
     if settled.unsaved is not None:
         raise CarinaError(f"the latest changes to this case cannot be read: {settled.unsaved}", code="case.not-saved")
     return settled.saving
 
 
 def _copy_of(saving: SavingInfo) -> Path | None:
-    """The file that a person asked for."""
+    """Return the path of the named file; None where the case has none."""
     if saving.copy_name is None or saving.copy_folder is None:
         return None
     return Path(saving.copy_folder) / saving.copy_name

@@ -1,7 +1,7 @@
-"""One open case on the disk: a thread that writes it, one that lets its copy follow, and what is said of both.
+"""Storage of one open case: a thread that writes the live file, a thread that writes the named file, and their state.
 
-Nobody else waits for a disk: whoever changes something wakes a thread, and whoever needs all of it written asks
-:meth:`Keeper.settle`, which gives up where the disk does not respond.
+No other thread waits for a disk. A change wakes a thread. A caller that needs all changes on the disk calls
+:meth:`Keeper.settle`, which returns after a time limit if the disk does not respond.
 """
 
 from __future__ import annotations
@@ -61,32 +61,32 @@ class SavedAs:
     """Result of a save under a name."""
 
     num_missing: int
-    """How many recorded flights are not in the file: those that a silent or damaged disk did not return."""
+    """Number of recorded flights that are not in the file, because the disk was damaged or did not respond."""
     replaced: Path | None
-    """Where other content, which was replaced, is now; None where nothing was."""
+    """Path of the replaced content; None where no content was replaced."""
 
 
 class Keeper:
-    """Keeps one case, until another takes its place.
+    """Stores one case, until another case replaces it.
 
     Parameters
     ----------
     core
-        Of the session.
+        The session.
     records, files
-        Where the case is kept, and how its file is made.
+        The records of all cases, and the storage that makes case files.
     case, place, digest
-        The open case, where its CT was opened from, and what that is known by.
+        The open case, the path and the digest of its CT.
     is_current
-        Whether no other case has taken its place.
+        Returns whether no other case has replaced this one.
     held, file
-        What was kept of it before.
+        The record and the live file, if the case was stored before.
     named
-        The named file that follows the case, where the case was opened from one.
+        The named file that is updated with the case, if the case was opened from one.
     claim
         The claim on the CT, released with the case.
     info
-        What is said of it first.
+        The initial saving info.
     """
 
     def __init__(
@@ -116,30 +116,30 @@ class Keeper:
         self.file = file
         self.info = info
         self.is_telling = False
-        """What changes now is only what is said about saving."""
+        """Whether the present change concerns the saving info alone."""
         # Guarded by this, which is taken after the session's lock and never held over a disk.
         self._wake = threading.Condition()
         self._changed_s: float | None = None
         self._within_s = MOVED_WITHIN_S
         self._retry_s = float("-inf")
         self._notes: dict[str, Any] = {}
-        """For the record beside the file."""
+        """Changed fields of the record, not written yet."""
         self._is_urgent = False
         self._is_elsewhere = False
-        """All that was done is in a file that a person asked for, since the live one's disk refuses."""
+        """Whether all work is in another file that the user named, because the disk of the live file refuses."""
         self._busy: object = None
-        """What is being written; None: nothing is."""
+        """Identity of the write in progress; None between writes."""
         self._is_slow = False
         self._saved = None if file is None else moment_of(case)
-        """As the live file has the case."""
+        """The moment in the live file."""
         self._num_begun = self._num_kept = self._num_failed = 0
-        """Writes: the last that was begun, the last that is on the disk, and how many failed."""
+        """Numbers of the last begun and the last finished write, and the number of failed writes."""
         self._num_saved = self._num_copied = 0
-        """The last write that saved something, and the one that the copy is of."""
+        """Number of the last write that saved a change, and of the write that the named file has."""
         self._named = named
         self._claim = claim
         self._copy_s: float | None = None
-        """When the named file is to be written again."""
+        """Time of the next write of the named file."""
         self._is_named_checked = named is None or named.is_locked
         """Whether the named file was compared since the case was opened."""
         if held is not None and held.record.copy_path is not None:
@@ -148,16 +148,16 @@ class Keeper:
             if held.record.used_s > (held.record.copied_s or 0.0):
                 self._num_copied = -1
         self._flights_kept: object = None
-        """The flights of the case that its file lists as they are."""
+        """The flights that the live file lists."""
         self._is_ending = self._has_ended = False
         self._pictured = False
         self._is_use_numbered = False
         self._is_told_of = False
-        """Programs know where they join it."""
+        """Whether the connection details for programs are written."""
         self._copier: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the threads; this case is the current one now."""
+        """Start the threads, once this case is the current case."""
         with self._wake:
             self._plan_copy(0.0 if not self._is_named_checked else COPY_EVERY_S)
         threading.Thread(target=self._run, name="carina-saving", daemon=True).start()
@@ -221,7 +221,7 @@ class Keeper:
 
     @property
     def is_elsewhere(self) -> bool:
-        """All that was done is in a file that a person asked for, since the live one's disk refuses."""
+        """Whether all work is in another file that the user named, because the disk of the live file refuses."""
         return self._is_elsewhere
 
     @property
@@ -231,16 +231,16 @@ class Keeper:
 
     @property
     def copy_path(self) -> Path | None:
-        """Path of that file."""
+        """Path of the named file; None where the case has none."""
         return None if self._named is None else self._named.path
 
     @property
     def has_conflict(self) -> bool:
-        """The named file has content that this window did not write."""
+        """Whether the named file has content that this window did not write."""
         return self.info.copy_conflict is not None
 
     def unsaved(self) -> UnsavedWork | None:
-        """Return the work that no disk has taken; None if there is none. Not with ``_wake`` held."""
+        """Return the work that could not be saved; None if all is saved. The caller must not hold ``_wake``."""
         with self._core.lock:
             moment, num_flights = moment_of(self.case), len(self.case.flights.unwritten)
         with self._wake:
@@ -269,30 +269,31 @@ class Keeper:
         self._tell(title=alias, suggested=suggested)
 
     def flight_text(self, number: int) -> str:
-        """The lines of a recorded flight, for whoever may wait for the disk; after :meth:`settle`."""
+        """Return the lines of a recorded flight, after :meth:`settle`; the call may wait for the disk."""
         file = self.file
         if file is None:
             raise CarinaError(self.info.problem or NOT_RESPONDING, code="case.not-saved")
         return file.recording_text(number)
 
     def save_to(self, path: Path, *, replace: bool = False, may_be_missing: bool = True) -> SavedAs:
-        """Write the case as one whole file under a name, and let that file follow the case from now on.
+        """Write the case as one whole file under a name, and update that file with the case from now on.
 
-        The caller must be able to wait for the disk of that file.
+        The call waits for the disk of that file.
 
         Parameters
         ----------
         path
-            Of the file.
+            Path of the file.
         replace
-            Replace other content, which is then kept beside the file.
+            Replace other content; the replaced content is stored beside the file.
         may_be_missing
             Write the file also where it was moved, renamed or deleted since the last save.
 
         Raises
         ------
         NamedFileConflictError
-            If the file has other content than this window last read or wrote, or is open elsewhere. It is unchanged.
+            If the file has other content than this window last read or wrote, or is open elsewhere. The file is
+            unchanged.
         CarinaError, OSError, sqlite3.Error
             If it cannot be written.
         """
@@ -330,7 +331,7 @@ class Keeper:
                 self._is_elsewhere = False
                 raise
 
-        # All that is written then is in the live file, too: the record may say already that this content is ours.
+        # The live file has all of this content, so the record may name the digest before the named file is written.
         before_placing = self._note_next_copy if is_whole and named is before else None
         try:
             replaced = named.write(write, replace=replace, may_be_missing=may_be_missing, before_placing=before_placing)
@@ -366,9 +367,9 @@ class Keeper:
         return SavedAs(num_missing, replaced)
 
     def _note_next_copy(self, mark: FileMark) -> None:
-        """Store the digest of a save before it takes the file's place, so that a crash in between is recognised."""
+        """Store the digest of a save before the save replaces the file, so that a crash in between is recognised."""
         if self.held is not None:
-            # A disk that refuses costs only that: after a crash the file counts as changed elsewhere.
+            # If the disk refuses, the only effect is that the file counts as changed elsewhere after a crash.
             with suppress(OSError, CarinaError):
                 self.held.note(next_copy_digest=mark.digest)
 
@@ -437,7 +438,7 @@ class Keeper:
             self._picture()
 
     def _write(self, notes: dict[str, Any], *, is_changed: bool) -> dict[str, Any]:
-        """What is to be told of it."""
+        """Write the live case and its record, and return the changed fields of the saving info."""
         volume = self.case.info.volume
         if self.held is None:
             self.held = self._records.begin(
@@ -478,7 +479,7 @@ class Keeper:
         return told
 
     def _picture(self) -> None:
-        """The small picture by which a person knows the case again; nothing waits for it, and nothing fails by it."""
+        """Store a thumbnail of the case; a failure is logged and stops nothing."""
         if self.held is None or self._files.picture is None:
             return
         scene = self._core.scene()
@@ -495,10 +496,10 @@ class Keeper:
             self._tell(problem=None)
 
     def _give_back(self) -> None:
-        """All that is left, then the file and the right to it."""
+        """Write the remaining changes, then close the live file and release its lock."""
         if self._changed_s is not None or self._notes:
             self._attempt()
-        # A thumbnail is of no use where the disk takes nothing, and its message would hide the one that matters.
+        # On a disk that refuses, a thumbnail is useless, and its message would replace the message about the case.
         if self.info.problem is None:
             self._picture()
         with self._watched():
@@ -534,7 +535,7 @@ class Keeper:
         return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_elsewhere)
 
     def _plan_copy(self, within_s: float) -> None:
-        """Plan the next look at the named file, if it is behind or was not compared yet; with ``_wake`` held."""
+        """Plan the next check of the named file, if it is behind or was not compared; the caller holds ``_wake``."""
         if self._copy_s is not None or not (self._copy_is_behind() or self._is_named_check_due()):
             return
         self._copy_s = self._core.clock() + within_s
@@ -560,11 +561,11 @@ class Keeper:
             self._refresh(writes=is_behind)
 
     def _is_named_check_due(self) -> bool:
-        """The named file was not compared yet, or was open elsewhere when it was."""
+        """Return whether the named file was not compared yet, or was open elsewhere when it was compared."""
         return self._named is not None and (not self._is_named_checked or self.info.copy_conflict == "open-elsewhere")
 
     def _refresh(self, *, writes: bool = True) -> None:
-        """Write the named file again, or only compare it: once a minute and when the case is closed."""
+        """Write or only compare the named file: once a minute, and when the case is closed."""
         named = self._named
         assert named is not None
         has_ended = threading.Event()
@@ -596,9 +597,9 @@ class Keeper:
             watch.cancel()
 
     def tell_conflict(self, conflict: NamedFileConflictError) -> None:
-        """Show that the named file was not written, and what the user can do.
+        """Show that the named file was not written, and the choices of the user.
 
-        A conflict about another path than that of the named file is not shown: that file stays as it was.
+        A conflict of another path is not shown, because the named file of the case is not affected.
         """
         if self._named is None or conflict.path != self._named.path:
             return
@@ -615,7 +616,7 @@ class Keeper:
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
-        """A disk that is silent is told of, and nobody waits for it."""
+        """Report a disk that does not respond while the block waits for it."""
         this = object()
 
         def slow() -> None:
@@ -660,7 +661,7 @@ class Keeper:
 
 
 def _recorded_file(record: CaseRecord) -> NamedFile:
-    """The named file of a stored case, with the content that the record says is ours."""
+    """Return the named file of a stored case, with the content that the record states as Carina's."""
     assert record.copy_path is not None
     mark = None
     if record.copy_digest is not None:

@@ -1,4 +1,4 @@
-"""How cases and CTs are kept: what the session asks of files, so that tests can keep them in memory."""
+"""Interfaces of the storage of cases and CTs, so that tests can replace disks by memory."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class KeptFile(Protocol):
         """Write what is new."""
 
     def load(self, volume: Volume) -> Moment:
-        """What was written last; CaseFileError ``case.empty`` where nothing was."""
+        """Return the moment that was written last; CaseFileError ``case.empty`` where nothing was."""
 
     def keep_recording(self, recording: RecordingWriter) -> None:
         """Write what was recorded since the last call."""
@@ -41,7 +41,7 @@ class KeptFile(Protocol):
         """Have them called, described and ordered so, without the removed ones."""
 
     def recording_text(self, recording_id: int) -> str:
-        """The lines of one."""
+        """Return the lines of a recording."""
 
     def write_copy(
         self,
@@ -51,7 +51,7 @@ class KeptFile(Protocol):
         save_mark: SaveMark | None = None,
         placement: Placement | None = None,
     ) -> None:
-        """Write one whole file elsewhere, with the relative path from it to its CT."""
+        """Write the case as one whole file at another path, with the relative path from that file to its CT."""
 
     def close(self) -> None:
         """Nothing more is written."""
@@ -81,7 +81,7 @@ class CtCache(Protocol):
         """It may be switched on."""
 
     def sizes(self) -> Sequence[KeptCt]:
-        """What is kept."""
+        """Return the cached CTs with their sizes."""
 
     def forget(self, digest: str) -> int:
         """Remove a CT; returns the bytes removed."""

@@ -1,4 +1,4 @@
-"""A case file that a program has open: the program works on a copy, which is written to the file at each save."""
+"""The case file of a program: the program works on a copy, and each save writes the copy to the file."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ class NamedCase:
     def __init__(self) -> None:
         self.path: Path | None = None
         self.note: str | None = None
-        """Why the case cannot be saved to its file; None where it can."""
+        """Reason why the case cannot be saved to its file; None if the case can be saved."""
         self._scratch: ScratchFolder | None = None
         self._file: CaseFile | None = None
         self._named: NamedFile | None = None
         self._ct_place: str | None = None
         self._saved: Moment | None = None
         self._flights: set[int] = set()
-        """The numbers, as the session has them, of those that were put into the file here."""
+        """The session's numbers of the flights that this program wrote to the file."""
 
     def open(self, path: Path, ct: str | Path | None) -> tuple[Volume, Moment | None]:
-        """Take a case file, and find its CT.
+        """Open a case file, and find its CT.
 
         Raises
         ------
         CaseFileError
             As :meth:`CaseFile.open`, and ``case.no-scan``.
         VolumeImportError
-            If the CT cannot be opened, or is another one.
+            If the CT cannot be opened, or is not the CT of the case.
         """
         self.path = path.absolute()
         original, mark = open_marked(self.path)
@@ -91,9 +91,9 @@ class NamedCase:
         replace: bool,
         flights: Sequence[WholeRecording] = (),
     ) -> Path:
-        """Write one whole file; with a path the case belongs there from now on.
+        """Write the case as one whole file; with a path, that file belongs to the case from now on.
 
-        Beside the flights that the file has come those that are given.
+        The given flights are added to the flights in the file.
 
         Raises
         ------
@@ -101,9 +101,9 @@ class NamedCase:
             ``case.no-place``, ``case.exists`` or ``case.read-only``.
         NamedFileConflictError
             ``case.changed``: if the file has other content than this program last read or wrote; ``case.read-only``: if
-            another window or program has it open. The file is unchanged.
+            another window or program has the file open. The file is unchanged.
         DiskError
-            If it cannot be written; what was there before stays.
+            If the file cannot be written; a former file stays unchanged.
         """
         target = self._target(path, replace)
         if not target.parent.is_dir():
@@ -131,12 +131,12 @@ class NamedCase:
         return target
 
     def save_at_end(self, volume: Volume, moment: Moment, flights: Sequence[WholeRecording]) -> None:
-        """Save when the program ends: where its file has other content, under a new name beside the file.
+        """Save the case when the program ends; if the file has other content, save under a new name beside the file.
 
         Raises
         ------
         NamedFileConflictError
-            If the case was saved under a new name; the message names it.
+            If the case was saved under a new name, which the message states.
         CarinaError
             As :meth:`save`.
         """
@@ -152,7 +152,7 @@ class NamedCase:
             ) from conflict
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the files and release the lock."""
         file, self._file = self._file, None
         scratch, self._scratch = self._scratch, None
         named, self._named = self._named, None
@@ -164,9 +164,9 @@ class NamedCase:
             named.close()
 
     def check_saved(self, moment: Moment, *, kept: Moment | None = None, live: Path | None = None) -> None:
-        """Refuse to close a case whose file cannot be written and does not have the changes of a moment.
+        """Refuse to close a case whose file cannot be written and lacks changes of a moment.
 
-        ``kept`` is the moment in the live file ``live``, where this object has neither read nor written a file.
+        ``kept`` is the moment in the live file ``live``, for an object that has neither read nor written a file.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class NamedCase:
             check_saved(path, self.note, self._saved or kept, moment)
 
     def is_behind(self, moment: Moment) -> bool:
-        """Whether the case has a file that it may write, and the file has an earlier moment."""
+        """Whether the case has a writable file, and this file has an earlier moment."""
         if self.path is None or self._named is None or self.note is not None:
             return False
         saved = self._saved

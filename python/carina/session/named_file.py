@@ -1,4 +1,4 @@
-"""A named case file: what a window last read or wrote there, and how it is replaced without loss."""
+"""Named case files: the content that a window last read or wrote, and a replacement that loses no content."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CopyWriter = Callable[[Path, SaveMark, Placement], None]
 """``write(path, mark, placement)`` writes a whole case with a save mark; the placement moves it to its path."""
 ConflictKind = Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"]
 NOT_A_FILE: Final = "not a regular file"
-"""In the place of a digest; no digest is equal to it."""
+"""Value instead of a digest for a file that is not regular; no digest equals this value."""
 MAX_LABEL = 80
 OPEN_TRIES = 4
 
@@ -43,13 +43,13 @@ class FileMark:
     digest: str
     """BLAKE2b-256 of the whole file, hexadecimal."""
     save_id: str | None = None
-    """Of the save that wrote it; None for a file of an earlier version of Carina."""
+    """Id of the save that wrote the content; None for a file of an earlier version of Carina."""
     generation: int = 0
-    """Of that save; 0 where there is none."""
+    """Generation of the save that wrote the content; 0 without a save mark."""
 
 
 class NamedFileConflictError(CarinaError):
-    """A named file was not written, because its content is not what this window last read or wrote there.
+    """A named file was not written, because its content is not the content that this window last read or wrote.
 
     ``code`` is ``case.changed``, or ``case.read-only`` while another window or program has the file open.
     """
@@ -72,15 +72,15 @@ class NamedFile:
     Parameters
     ----------
     path
-        Of the file. A symbolic link is followed once, so that the link stays.
+        Path of the file. A symbolic link is followed once, so that the link stays.
     mark
-        What this window last read or wrote there; None for a new name.
+        Mark of the content that this window last read or wrote; None for a new name.
     ct_digest
-        Of the CT of the case, to tell the user whether other content belongs to the same CT.
+        Digest of the case's CT. A message states whether other content belongs to the same CT.
     next_digest
-        Digest of a save that a crash may have interrupted: the file may have this content, too.
+        Digest of a save that a crash may have interrupted: the file may have this content instead.
     where_work_is
-        Where the user's changes are while the file cannot be written: a part of the messages.
+        Sentence in messages that states where the user's changes are while the file cannot be written.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class NamedFile:
         return self._lock is not None
 
     def has_path(self, path: Path) -> bool:
-        """Whether a path names this file, also by another spelling or a link."""
+        """Return whether a path names this file, also by another spelling or a link."""
         if path == self.path:
             return True
         with contextlib.suppress(OSError):
@@ -125,7 +125,7 @@ class NamedFile:
         NamedFileConflictError
             If another window has the file open, or the file has other content than this window last read or wrote.
         OSError
-            If the disk refuses.
+            If the disk refuses to read the file.
         """
         with self._exclusively():
             self._take_lock()
@@ -146,17 +146,17 @@ class NamedFile:
         write
             Writes the whole case as a draft, and calls the placement.
         replace
-            Replace other content: it is kept as ``NAME (replaced DATE).carina`` first.
+            Replace other content, after that content was stored as ``NAME (replaced DATE).carina``.
         may_be_missing
-            Write the file also where it was moved, renamed or deleted since.
+            Write the file even if it was moved, renamed or deleted since the last save.
         before_placing
-            Called with the new mark when the draft is complete and about to take its place, for a record that a
-            crash must not separate from the file.
+            Called with the new mark when the draft is complete, before it replaces the file, so that a record can store
+            the mark before a crash.
 
         Returns
         -------
         Path | None
-            Where the replaced content is; None where nothing was replaced.
+            Path of the replaced content; None if no content was replaced.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class NamedFile:
             self._take_lock()
             place = self._place()
             if not replace:
-                # Before the work of writing a draft; the decision is made again when the draft is complete.
+                # This check saves the work of a useless draft; the deciding check follows when the draft is complete.
                 self._refuse_other_content(_digest_of(place), may_be_missing=may_be_missing)
             parent = self._parent(place, replace=replace)
             save = SaveMark.after(
@@ -195,7 +195,7 @@ class NamedFile:
             return kept[0] if kept else None
 
     def close(self) -> None:
-        """Release the lock; a write that waits for a disk releases it at its end."""
+        """Release the lock; if a write waits for a disk, that write releases the lock at its end."""
         self._is_closed = True
         if self._writing.acquire(blocking=False):
             try:
@@ -207,7 +207,7 @@ class NamedFile:
 
     @contextlib.contextmanager
     def _exclusively(self) -> Iterator[None]:
-        """Exclude other threads; release the lock where the file cannot be written.
+        """Exclude other threads; release the lock if the file cannot be written.
 
         A window that waits for the decision of its user must not block the other windows.
         """
@@ -245,7 +245,7 @@ class NamedFile:
             ) from trouble
 
     def _parent(self, place: Path, *, replace: bool) -> FileMark | None:
-        """The content that the next save replaces."""
+        """Return the mark of the content that the next save replaces."""
         if not replace:
             return self.mark
         found = read_mark(place)
@@ -309,7 +309,7 @@ class NamedFile:
 
 
 def read_mark(path: Path) -> FileMark | None:
-    """Return the mark of the content at a path, which may be any file; None where there is no file.
+    """Return the mark of the content of any file; None if there is no file at the path.
 
     Raises
     ------
@@ -332,7 +332,7 @@ def open_marked(path: Path) -> tuple[CaseFile, FileMark]:
     Raises
     ------
     CaseFileError
-        As :meth:`carina.case.CaseFile.open`; ``case.read-only`` where another program keeps replacing the file.
+        As :meth:`carina.case.CaseFile.open`; ``case.read-only`` if another program keeps replacing the file.
     OSError
         If the file cannot be read.
     """
@@ -360,7 +360,7 @@ def path_beside(path: Path) -> Path:
 
 
 def _digest_of(path: Path) -> str | None:
-    """Digest of a regular file; None where there is no file. A pipe or a device is never read."""
+    """Return the digest of a regular file; None if there is no file. A pipe or a device is never read."""
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
@@ -372,10 +372,10 @@ def _digest_of(path: Path) -> str | None:
 
 
 def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Path]:
-    """Replace a file and keep it under a name that no other file has; return where the replaced content is.
+    """Replace a file, store the former file under a free name, and return the paths of the replaced content.
 
-    Under the lock the present file keeps its name until the new file takes it. Without a lock the present file is
-    moved first, so that a file which another window writes in between is found and kept as well.
+    With the lock, the present file keeps its name until the new file replaces it. Without a lock, the present file is
+    moved first, so that a file which another window writes in between is detected and stored as well.
     """
     kept: list[Path] = []
     while True:
@@ -389,7 +389,7 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
             else:
                 move_to_new_name(draft, target)
         except (FileExistsError, FileNotFoundError):
-            # Another program has used a name, or taken the file away, since the look.
+            # Another program has used the name, or removed the file, since the check.
             if not draft.exists():
                 raise
             continue
@@ -397,7 +397,7 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
 
 
 def _put_back(aside: Path, target: Path) -> None:
-    """Give the moved file its name back; where another file has that name by now, keep both."""
+    """Rename the moved file back; if another file has the name by now, keep both files."""
     name = target
     while True:
         try:
@@ -416,7 +416,7 @@ def _free_name(path: Path, note: str) -> Path:
 
 
 def _described(path: Path, ct_digest: str | None) -> tuple[ConflictKind, str]:
-    """Kind and description of the content of a file, for a message."""
+    """Return the kind and a description of the content of a file, for a message."""
     by = _owner_of(path)
     try:
         if not path.is_file():
@@ -438,9 +438,9 @@ def _short(label: str) -> str:
 
 
 def _owner_of(path: Path) -> str:
-    """`` by USER`` where the file belongs to another user of this computer."""
+    """Return ``by USER`` after a space if the file belongs to another user of this computer; else an empty text."""
     with contextlib.suppress(OSError, KeyError, ImportError, AttributeError):
-        import pwd  # POSIX only
+        import pwd  # the module exists on POSIX only
 
         owner = path.stat().st_uid
         if owner != os.geteuid():

@@ -1,4 +1,4 @@
-"""The lock that shows which window or program has a named case file open."""
+"""Locks that show which window or program has a named case file open."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class LockedElsewhereError(Exception):
 
 
 def lock_path(path: Path) -> Path:
-    """Path of the lock file of a named case file: a hidden file in the same folder.
+    """Return the path of the lock file of a named case file: a hidden file in the same folder.
 
-    The case file itself cannot carry the lock, because each save replaces it by a new file.
+    The lock is on a separate file, because each save replaces the case file by a new file.
     """
     return path.with_name(f".{path.name}.lock")
 
 
 class NamedLock:
-    """An operating-system lock on the lock file of a named case file; it ends with its process."""
+    """An operating-system lock on the lock file of a named case file; the lock ends with its process."""
 
     def __init__(self, path: Path, descriptor: int) -> None:
         self._path = path
@@ -41,17 +41,17 @@ class NamedLock:
 
     @classmethod
     def take(cls, path: Path) -> NamedLock | None:
-        """Take the lock of a named case file; never waits.
+        """Take the lock of a named case file, without waiting.
 
         Returns
         -------
         NamedLock | None
-            None where locks do not work: a network share without locks, or a folder that is not writable.
+            None if locks do not work, as on a network share without locks or in a folder that is not writable.
 
         Raises
         ------
         LockedElsewhereError
-            If another window, program or user holds it.
+            If another window, program or user has the lock.
         """
         beside = lock_path(path)
         while True:
@@ -69,30 +69,30 @@ class NamedLock:
                 if os.path.samestat(os.fstat(descriptor), beside.stat()):
                     _write_owner(descriptor)
                     return cls(beside, descriptor)
-            # The previous owner has just removed this lock file: its lock excludes nobody any more.
+            # The previous owner has just removed this lock file, so a lock on it excludes no other process.
             os.close(descriptor)
 
     def release(self) -> None:
-        """Release the lock and remove the lock file; nothing if it was released."""
+        """Release the lock and remove the lock file; a second call has no effect."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is None:
             return
-        # Removed while the lock is held, so that nobody can take a lock on a file that then disappears unnoticed.
+        # The file is removed before the lock is released, so that no process locks a file that then disappears.
         with contextlib.suppress(OSError):
             self._path.unlink()
         os.close(descriptor)
-        if os.name == "nt":  # pragma: no cover - Windows removes no open file
+        if os.name == "nt":  # pragma: no cover - Windows does not remove an open file
             with contextlib.suppress(OSError):
                 self._path.unlink()
 
 
 def _opened(beside: Path) -> int | None:
-    """Open the lock file, readable by the other users of a shared folder, who must be able to lock it too."""
+    """Open the lock file so that the other users of a shared folder can read and lock it."""
     no_link = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
         return os.open(beside, os.O_RDWR | os.O_CREAT | no_link, 0o666)
     except PermissionError:
-        # The lock file of another user: a local lock needs no right to write.
+        # The lock file may belong to another user; a local lock needs no write permission.
         with contextlib.suppress(OSError):
             return os.open(beside, os.O_RDONLY | no_link)
     except OSError:
@@ -101,7 +101,7 @@ def _opened(beside: Path) -> int | None:
 
 
 def _write_owner(descriptor: int) -> None:
-    """Store who holds the lock, for the message that another user gets; failure costs only the name."""
+    """Store the owner's name for the message to another user; after a failure the message has no name."""
     with contextlib.suppress(OSError, KeyError, AttributeError):
         text = json.dumps({"user": getpass.getuser()[:80], "computer": socket.gethostname()[:80]})
         os.ftruncate(descriptor, 0)

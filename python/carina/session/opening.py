@@ -112,16 +112,16 @@ class Opening(Subject):
 
     @does(c.OpenCaseFile)
     def open_case_file(self, command: c.OpenCaseFile) -> str:
-        """A CT that is named is compared with the case's; another one is refused."""
+        """Open a case file; a CT that the command names is compared with the case's, and another CT is refused."""
         scans = self._saving.scans
         if scans is None:
             raise UsageError("this session cannot open case files", code="case.not-kept")
         return self._open_case_file(Path(command.path), scans, command.ct)
 
     def _open_case_file(self, path: Path, scans: CaseScans, ct: Path | None = None, *, dropped: bool = False) -> str:
-        """Its CT, and what was done in it; from now on it is kept here like any other case.
+        """Open a case file with its CT, and store the case on this machine from now on.
 
-        A file that was dropped has no place of its own: what is kept is a copy, which waits where its CT is not found.
+        A dropped file has no path, so a copy of the file is stored; the copy waits until its CT is found.
         """
         found = _Found()
 
@@ -155,7 +155,7 @@ class Opening(Subject):
         return self._open("opening the case", read, None if dropped else str(path), found=found, ended=close)
 
     def _asked_for_ct(self, file: CaseFile) -> UsageError:
-        """The case waits for its CT, among those that are kept: nobody has to drop it again."""
+        """Store the case until its CT is opened, and return the error that asks for the CT."""
         waits = file.note is None and self._saving.waits(file)
         if waits:
             with self.core.lock:
@@ -292,9 +292,9 @@ class Opening(Subject):
         ended: Callable[[], None] = lambda: None,
         dropped: _Dropped | None = None,
     ) -> str:
-        """``case_id`` is the kept case that is meant; else the one of this CT that was used last, or none.
+        """Open a CT with the stored case ``case_id``; without an id, with the case of this CT that was used last.
 
-        What goes on from a ``given`` moment is kept by whoever gave it.
+        The caller that passes a ``given`` moment stores the case that continues from this moment.
         """
         if path is not None and found is None:
             place = str(Path(path).absolute())
@@ -368,7 +368,7 @@ class Opening(Subject):
         self.core.moved()
 
     def _go_on(self, case: OpenCase, kept: Moment | None, finds: bool) -> None:
-        """What a person would wait for: the airways, or what was kept of them, and a scope that was held in them."""
+        """Start the search for the airways, or continue the stored case, and restore a scope that was in the lumen."""
         if kept is not None:
             with self.core.lock:
                 self.core.follow(case)

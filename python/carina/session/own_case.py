@@ -1,4 +1,4 @@
-"""The case of a program: its own, or the one that a running Carina has open."""
+"""The case of a program: opened by the program, or joined in a running Carina."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ProgramCase(Protocol):
         Raises
         ------
         DiskError, UnsavedWorkError
-            If the file cannot be written; everything is released then, too.
+            If the file cannot be written; everything is released nevertheless.
         """
 
 
@@ -79,11 +79,11 @@ class OwnCase:
         return self._named.note
 
     def do(self, command: Command) -> None:
-        """Here."""
+        """Run a command in this process, and wait for its end."""
         do_and_wait(self._session, command)
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
-        """By the way of a copy."""
+        """Write the case to its file, or to ``path``."""
         moment, case = self._session.ask(MomentToKeep()), self._session.snapshot().case
         assert case is not None
         flights = self._session.ask(FlightsToKeep())
@@ -104,7 +104,7 @@ class OwnCase:
 
 
 def program_session(**options: object) -> Session:
-    """A session whose pictures this process makes."""
+    """Create a session whose pictures this process makes."""
     from carina.render import Renderer
 
     return Session(lambda volume, transfer: Renderer(volume, transfer=transfer), **options)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The public door to a case: open it, do commands, undo them, look at it."""
+"""The public interface of a case: open a case, run and undo commands, render images."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Case:
         snapshot = self._session.snapshot()
         if snapshot.case is None:
             return "Case(closed)"
-        # Without the CT's file name or series text: notebooks are handed on with their output.
+        # The text has no file name or series text of the CT, because notebooks are shared with their output.
         return f"Case(airways {snapshot.airways}, {len(self.history())} changes)"
 
     # ------------------------------------------------------------ doing
@@ -150,7 +150,7 @@ class Case:
         self._case.do(Redo())
 
     def history(self) -> tuple[str, ...]:
-        """What can be taken back, in words, the oldest first."""
+        """Return the labels of the changes that can be undone, the oldest first."""
         return self._session.history()
 
     @check_arguments(path=file_path(optional=True), replace=flag)
@@ -179,14 +179,14 @@ class Case:
         return self._case.save(path, replace=replace)
 
     def close(self) -> None:
-        """Save the case to its file, if it has one; stop what runs and release the memory.
+        """Save the case to its file, if it has one, stop all jobs, and release the memory.
 
         Raises
         ------
         DiskError
-            If the file cannot be written; all is closed then, too.
+            If the file cannot be written; the case is closed nevertheless.
         UnsavedWorkError
-            If another program has the file open, so that changes made here are in no file; all is closed then, too.
+            If another program has the file open, so that the changes are in no file; the case is closed nevertheless.
         """
         self._case.close()
 
@@ -235,7 +235,7 @@ class Case:
 
     @check_arguments(view=text_of(80), width=pixels(), height=pixels())
     def render(self, view: str = LEAD_VIEW, *, width: int = 512, height: int = 512) -> Picture:
-        """A picture of a view as the window shows it.
+        """Render a picture of a view as the window shows it.
 
         Parameters
         ----------

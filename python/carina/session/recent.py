@@ -1,6 +1,6 @@
-"""Places of CTs opened before, and whether the safety notice was read: small private files in the user's config folder.
+"""Private settings files: the paths of CTs opened before, and whether the user accepted the safety notice.
 
-A place is needed to open the CT again. It stays in these files: the wire carries an id, a date and a neutral alias.
+The path is needed to open a CT again and is never sent to a client: the wire has an id, a date and a neutral alias.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ logger = logging.getLogger(__name__)
 MAX_RECENT = 12
 MAX_BYTES = 4 << 20
 CHARS = {"recent_id": 64, "date": 64, "path": 4096}
-"""The texts of an entry, and how long each may be."""
+"""Largest length of each text of an entry."""
 
 
 @one_line
@@ -43,11 +43,11 @@ class RecentCase:
 
 
 class LocalStore:
-    """The files; a folder that cannot be written costs the memory of them, not the session."""
+    """The settings files; if the folder is not writable, the settings are lost when Carina is closed."""
 
     def __init__(self, folder: Path) -> None:
         self._unwritten: dict[Path, dict[str, Any]] = {}
-        """What the disk did not take: it holds until Carina is closed."""
+        """Content that could not be written; it is used until Carina is closed."""
         self._messages: list[str] = []
         self._recent_file = folder / "recent.json"
         self._notice_file = folder / "notice.json"
@@ -57,7 +57,7 @@ class LocalStore:
         return f"LocalStore({as_words(str(self._recent_file.parent))})"
 
     def recent(self) -> tuple[RecentCase, ...]:
-        """Newest first; entries that do not read are left out."""
+        """Return the CTs opened before, the newest first, without unreadable entries."""
         found = []
         entries = self._read(self._recent_file).get("cases", [])
         for entry in entries if isinstance(entries, list) else ():
@@ -72,27 +72,27 @@ class LocalStore:
         return tuple(found[:MAX_RECENT])
 
     def moved_aside(self) -> tuple[str, ...]:
-        """Messages about files that could not be read and were moved aside; each is returned once."""
+        """Return the messages about unreadable files that were moved aside; each message is returned once."""
         for path in (self._recent_file, self._notice_file, self._storage_file):
             self._read(path)
         messages, self._messages = tuple(self._messages), []
         return messages
 
     def remember(self, path: str, date: str) -> None:
-        """Put the place of a CT first in the list."""
+        """Put the path of a CT first in the list."""
         place = str(Path(path).absolute())
         cases = self.recent()
         known = next((one for one in cases if one.path == place), None)
-        # A random id: a digest of the path could be compared with guessed names.
+        # The id is random, because a digest of the path could be compared with guessed names.
         recent_id = new_case_id() if known is None else known.recent_id
         self._write_cases([RecentCase(recent_id, date, place), *(c for c in cases if c.path != place)])
 
     def remove_titles(self) -> bool:
-        """Rewrite a list of an earlier version without file names and series texts; return whether it was rewritten."""
+        """Rewrite a list of an earlier version without file names and series texts; return whether the list changed."""
         entries = self._read(self._recent_file).get("cases", [])
         old = isinstance(entries, list) and any(isinstance(one, dict) and "title" in one for one in entries)
         if old:
-            # New ids, too: those of earlier versions were digests of the paths.
+            # The entries get new ids, because the ids of earlier versions were digests of the paths.
             self._write_cases([RecentCase(new_case_id(), one.date, one.path) for one in self.recent()])
         return old
 
@@ -147,7 +147,7 @@ class LocalStore:
         return value
 
     def _move_aside(self, path: Path) -> None:
-        """Keep a file that cannot be read under another name, which no start reads."""
+        """Rename an unreadable file to a name that Carina does not read."""
         number = 1
         while (target := path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")).exists():
             number += 1

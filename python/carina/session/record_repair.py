@@ -1,4 +1,4 @@
-"""Repair of records that cannot be read: they are moved aside, and the case stays in the list."""
+"""Repair of unreadable records: each record is moved aside, and its case stays in the list."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["ASIDE", "repair_records"]
 logger = logging.getLogger(__name__)
 
 ASIDE: Final = ".damaged"
-"""The folder, among those of the cases, of case folders from which nothing can be listed; a start ignores it."""
+"""Name of the folder of damaged cases, beside the folders of the other cases; Carina does not list its content."""
 
 
 def repair_records(records: CaseRecords) -> tuple[str, ...]:
-    """Move unreadable records aside and list their cases again; nothing is deleted.
+    """Move unreadable records aside and make new records of their cases; no file is deleted.
 
-    The record is made anew from the live case file, which stays where it is. Where that cannot be read either, the
-    whole folder of the case is moved to :data:`ASIDE`. A case that a process has open is left alone.
+    The new record is made from the live case file, which is not moved. If that file is unreadable too, the whole folder
+    of the case is moved to :data:`ASIDE`. A case that another process has open is not changed.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def repair_records(records: CaseRecords) -> tuple[str, ...]:
             try:
                 message = _repaired(records, path.parent)
             except (OSError, CarinaError) as trouble:
-                # The disk takes nothing: the case is missing from the list, and the start goes on.
+                # If the disk refuses, the case is missing from the list, and Carina starts.
                 logger.warning("an unreadable record could not be moved aside (%s)", type(trouble).__name__)
                 continue
             if message is not None:
@@ -50,7 +50,7 @@ def repair_records(records: CaseRecords) -> tuple[str, ...]:
 def _repaired(records: CaseRecords, folder: Path) -> str | None:
     descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
     try:
-        # Its owner knows the record and writes it again; a second process repairs nothing at the same time.
+        # The owner of an open case writes its record again. The lock also excludes a repair by a second process.
         if try_lock(descriptor) is False or not is_damaged_record(folder / RECORD):
             return None
         made = _record_of(folder)
@@ -75,7 +75,7 @@ def _repaired(records: CaseRecords, folder: Path) -> str | None:
 
 
 def _record_of(folder: Path) -> CaseRecord | None:
-    """Return a record with what the live case file tells; None where it cannot be read."""
+    """Return a record made from the live case file; None if that file is unreadable."""
     path = folder / FILE
     try:
         used_s = path.stat().st_mtime
@@ -99,7 +99,7 @@ def _record_of(folder: Path) -> CaseRecord | None:
 
 
 def _move(path: Path, folder: Path, stem: str, suffix: str) -> Path:
-    """Move a file or folder into a folder, under a name that nothing there has."""
+    """Move a file or folder into another folder, under a free name."""
     number = 1
     while (target := folder / f"{stem}-{number}{suffix}").exists():
         number += 1

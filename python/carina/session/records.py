@@ -1,7 +1,7 @@
-"""The cases of a person on this machine: a private folder each, with the live case file and what leads back to its CT.
+"""Records of the user's cases on this machine: a private folder for each case, with its live file and its record.
 
-Paths and dates stay in these folders; the case file itself holds none, so that it can be handed on. The name of the
-CT's file and the text of its series are not stored: a case without a name of its user's is shown by a neutral alias.
+Paths and dates are stored in the record and not in the case file, so that the case file can be shared. The name of the
+CT's file and the text of its series are not stored: a case without a user's name is shown by a neutral alias.
 """
 
 from __future__ import annotations
@@ -38,66 +38,66 @@ logger = logging.getLogger(__name__)
 
 FORMAT, VERSION = "carina-record", 2
 READ_VERSIONS = (1, 2)
-"""Version 1 also held ``title``: the name of the CT's file, or the text of its series."""
+"""Version 1 also contained ``title``: the name of the CT's file, or the text of its series."""
 RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg"
 FORGOTTEN = ".forgotten"
-"""The folder, among those of the cases, of what was forgotten: it can be brought back for a while."""
+"""Name of the folder of forgotten cases, beside the other cases; a forgotten case can be restored for a day."""
 MAX_RECORD_BYTES: Final = 1 << 20
 MAX_S: Final = 1e11
-"""Until the year 5138, which every clock and calendar can show."""
+"""Largest time, in the year 5138, which every clock and calendar can show."""
 MAX_TITLE_CHARS: Final = 1000
 MAX_PLACE_CHARS: Final = 4096
 FORGOTTEN_FOR_S = 24 * 3600.0
 CLAIMS = ".open-cts"
-"""The folder with a lock file for each CT that a window has open."""
+"""Name of the folder with a lock file for each CT that a window has open."""
 
 
 Seconds = Annotated[float, Meta(ge=0.0, le=MAX_S)]
-"""Since 1970."""
+"""Seconds since 1970."""
 ShortText = Annotated[str, Meta(max_length=64, pattern=TEXT)]
 TitleText = Annotated[str, Meta(max_length=MAX_TITLE_CHARS, pattern=TEXT)]
 PlaceText = Annotated[str, Meta(max_length=MAX_PLACE_CHARS)]
 
 
 class CaseRecord(FrozenValue, frozen=True):
-    """What this machine knows of a case beside its file."""
+    """Facts about a case that are stored on this machine and not in the case file."""
 
     case_id: ShortText
     digest: Annotated[str, Meta(max_length=128, pattern=TEXT)]
-    """Of the CT (:func:`carina.volume.ct_digest`): it is known again by it, wherever its files lie."""
+    """Digest of the CT (:func:`carina.volume.ct_digest`), which identifies the CT wherever its files are."""
     place: PlaceText | None
-    """Where its CT was opened from last: an absolute path, or ``demo:NAME``; None where nobody could find it again."""
+    """Last path of the CT: an absolute path, or ``demo:NAME``; None if the CT cannot be found again."""
     begun_s: Seconds
-    """When it was begun and last used, seconds since 1970."""
+    """Time when the case was begun; ``used_s`` is the time of its last use."""
     used_s: Seconds
     copy_path: PlaceText | None = None
-    """Where the copy lies that a person asked for."""
+    """Path of the named file; None without a named file."""
     copied_s: Seconds | None = None
     copy_digest: ShortText | None = None
-    """Digest of the named file as this case last read or wrote it; None: an earlier version of Carina wrote it."""
+    """Digest of the named file as this case last read or wrote it; None in records of earlier versions."""
     copy_save_id: ShortText | None = None
     copy_generation: Count = 0
-    """Of the save mark in that file (:class:`carina.case.save_mark.SaveMark`)."""
+    """Generation of the save mark in the named file (:class:`carina.case.save_mark.SaveMark`)."""
     next_copy_digest: ShortText | None = None
-    """Digest of a save that was about to take the file's place: after a crash the file may have it."""
+    """Digest of a save that was about to replace the named file: after a crash the file may have this digest."""
     use_number: Count = 0
-    """Number of the last use: each use of any case gets the next one. Clocks can be set back; this number cannot."""
+    """Number of the last use: each use of any case gets the next number, which a clock cannot set back."""
     num_changes: Count = 0
-    """Steps that hold."""
+    """Number of steps that are not undone."""
     alias: TitleText | None = None
-    """What its person calls it."""
+    """Name that the user gave; None without such a name."""
     scanned_on: ShortText | None = None
-    """ISO date of the scan; None where its files say none."""
+    """ISO date of the scan; None if its files state no date."""
     holds_ct: bool = False
-    """Its CT is packed in the file."""
+    """Whether the CT is packed in the case file."""
     pictured_s: Seconds | None = None
-    """When its small picture was made; None where it has none."""
+    """Time of the thumbnail; None without a thumbnail."""
     forgotten_s: Seconds | None = None
-    """When it was forgotten; None while it is in the list."""
+    """Time when the case was forgotten; None while the case is in the list."""
 
     @property
     def shown_title(self) -> str:
-        """Name of the case in lists: its user's, else the neutral alias."""
+        """Name of the case in lists: the name that the user gave, else the neutral alias."""
         return neutral_alias(self.case_id) if self.alias is None else self.alias
 
 
@@ -174,7 +174,7 @@ class CaseRecords:
         return self._folder
 
     def all(self) -> tuple[CaseRecord, ...]:
-        """Records of all cases that have a file, the last used first.
+        """Return the records of all cases that have a file, the last used first.
 
         The order is that of the use numbers, since a clock can be set back. Records of an earlier version, which have
         none, follow by their times.
@@ -189,12 +189,12 @@ class CaseRecords:
     def claim(self, digest: str) -> NamedLock | None:
         """Claim the CT that a window opens, until the lock is released.
 
-        A case is stored only after its first change. The claim shows already before then that a window has the CT open.
+        A case is stored after its first change. The claim shows before that change that a window has the CT open.
 
         Returns
         -------
         NamedLock | None
-            None where locks do not work.
+            None if locks do not work.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class CaseRecords:
         return NamedLock.take(folder / digest[:32])
 
     def newest_of(self, digest: str) -> CaseRecord | None:
-        """The case of a CT that was used last."""
+        """Return the case of a CT that was used last."""
         return next((one for one in self.all() if one.digest == digest), None)
 
     def begin(
@@ -220,17 +220,17 @@ class CaseRecords:
         Parameters
         ----------
         digest, place
-            As of :class:`CaseRecord`.
+            As in :class:`CaseRecord`.
         begun_s
             When the case was begun, in seconds since 1970; None is now.
         case_id
-            Of :func:`new_case_id`, where the case was shown before its record; the record has another one if a case
-            of this machine is shown by the same name.
+            Id from :func:`new_case_id` of a case that was shown before it had a record. The record gets another id if a
+            case of this machine has the same neutral alias.
 
         Raises
         ------
         OSError
-            If the disk does not take it.
+            If the disk refuses.
         """
         now_s = self.now_s()
         record = CaseRecord(
@@ -251,7 +251,7 @@ class CaseRecords:
         return held
 
     def _unused_id(self, case_id: str | None) -> str:
-        """Return an id whose neutral alias no other case of this machine is shown by."""
+        """Return an id whose neutral alias differs from those of all other cases of this machine."""
         shown = {one.shown_title.casefold() for one in (*self.all(), *self.forgotten())}
         chosen = case_id or new_case_id()
         while neutral_alias(chosen).casefold() in shown:
@@ -293,7 +293,7 @@ class CaseRecords:
             os.close(descriptor)
 
     def open_elsewhere(self, path: Path) -> CaseRecord | None:
-        """The case whose copy lies there, where a process has it open: its live file is newer than the copy."""
+        """Return the case whose named file is at a path, if a process has the case open: its live file is newer."""
         for record in self.all():
             if record.copy_path == str(path):
                 held = self.hold(record)
@@ -303,15 +303,15 @@ class CaseRecords:
         return None
 
     def find(self, case_id: str) -> CaseRecord | None:
-        """A case of the list."""
+        """Return a case of the list; None where it has no such case."""
         return next((one for one in self.all() if one.case_id == case_id), None)
 
     def live_path(self, case_id: str) -> Path:
-        """Return where the live file of a case in the list is, whether its record can be read or not."""
+        """Return the path of a listed case's live file, even if the record is unreadable."""
         return self._folder / case_id / FILE
 
     def path_of(self, record: CaseRecord) -> Path:
-        """The live case file; another process may be writing it."""
+        """Return the path of the live case file; another process may be writing it."""
         return self._place(record) / FILE
 
     def door_of(self, record: CaseRecord) -> Door | None:
@@ -319,7 +319,7 @@ class CaseRecords:
         return read_door(self._place(record))
 
     def num_bytes(self, record: CaseRecord) -> int:
-        """What a case takes on the disk."""
+        """Return the number of bytes of a case on the disk."""
         total = 0
         for path in self._place(record).glob("*"):
             with contextlib.suppress(OSError):
@@ -327,7 +327,7 @@ class CaseRecords:
         return total
 
     def picture(self, case_id: str) -> bytes | None:
-        """The small picture of a case, also of a forgotten one; None where it has none."""
+        """Return the thumbnail of a case, also of a forgotten one; None where it has none."""
         for record in (*self.all(), *self.forgotten()):
             if record.case_id == case_id:
                 with contextlib.suppress(OSError):
@@ -344,9 +344,9 @@ class CaseRecords:
         return True
 
     def remove_titles(self) -> int:
-        """Rewrite the records of earlier versions without file names and series texts; return how many were rewritten.
+        """Rewrite the records of earlier versions without file names and series texts; return their number.
 
-        A case that another process has open is left: its record is rewritten at a later start.
+        The record of a case that another process has open is rewritten at a later start.
         """
         rewritten = 0
         for path in (*self._folder.glob(f"*/{RECORD}"), *(self._folder / FORGOTTEN).glob(f"*/{RECORD}")):
@@ -357,7 +357,7 @@ class CaseRecords:
                 if held is None:
                     continue
                 try:
-                    # Its owner may have written it between the look and the lock.
+                    # The owner may have written the record between the check and the lock.
                     if _holds_title(path) and (newest := _read(path)) is not None:
                         write_record(path.parent, newest)
                         rewritten += 1
@@ -368,19 +368,19 @@ class CaseRecords:
     # ------------------------------------------------------------ forgetting
 
     def forgotten(self) -> tuple[CaseRecord, ...]:
-        """What can be brought back, the last forgotten first."""
+        """Return the forgotten cases that can be restored, the last forgotten first."""
         found = [_read(path) for path in (self._folder / FORGOTTEN).glob(f"*/{RECORD}")]
         # Where Carina was killed between moving and noting.
         dated = [msgspec.structs.replace(one, forgotten_s=one.forgotten_s or self.now_s()) for one in found if one]
         return tuple(sorted(dated, key=lambda one: one.forgotten_s or 0.0, reverse=True))
 
     def forget(self, record: CaseRecord) -> bool:
-        """Take a case out of the list, for a while to be brought back; False where a process has it open.
+        """Remove a case from the list; for a day it can be restored. Return False if a process has the case open.
 
         Raises
         ------
         OSError
-            If the disk does not take it.
+            If the disk refuses.
         """
         held = self.hold(record)
         if held is None:
@@ -397,7 +397,7 @@ class CaseRecords:
         return True
 
     def restore(self, case_id: str) -> CaseRecord | None:
-        """Bring a forgotten case back; None where it is gone."""
+        """Restore a forgotten case; return None if the case no longer exists."""
         record = next((one for one in self.forgotten() if one.case_id == case_id), None)
         if record is None:
             return None
@@ -429,12 +429,12 @@ class CaseRecords:
 
 
 def write_record(folder: Path, record: CaseRecord) -> None:
-    """Write the record of a case; a value that could not be read back is brought within its bounds.
+    """Write the record of a case, with each value changed to the nearest value that can be read back.
 
     Raises
     ------
     DiskError
-        If it cannot be written.
+        If the record cannot be written.
     """
     plain = {name: _within_bounds(name, value) for name, value in msgspec.structs.asdict(record).items()}
     text = json.dumps({"format": FORMAT, "version": VERSION, **plain}, indent=1, allow_nan=False)
@@ -448,7 +448,7 @@ def _within_bounds(name: str, value: Any) -> Any:
 
 
 def is_damaged_record(path: Path) -> bool:
-    """Return whether a record can be read from the disk, is not of a newer Carina, and makes no sense."""
+    """Return whether the content of a record is damaged; a read error and a newer version are not damage."""
     try:
         return _decoded(path) is None
     except OSError:
@@ -456,7 +456,7 @@ def is_damaged_record(path: Path) -> bool:
 
 
 def _decoded(path: Path) -> CaseRecord | None:
-    """Return the record in a file; None where the content is damaged.
+    """Return the record in a file; None if the content is damaged.
 
     Raises
     ------
@@ -483,7 +483,7 @@ def _decoded(path: Path) -> CaseRecord | None:
     if record.case_id != path.parent.name:
         other = path.parent.with_name(record.case_id) if re.fullmatch(r"[\w-]+", record.case_id) else None
         if other is not None and other.exists():
-            # Its folder is found by its id: a copy of the folder of another case is not Carina's to touch.
+            # A folder with the record of another case is a user's copy, which Carina must not change.
             raise OSError("the record belongs to another folder")
         return None
     return record
@@ -503,7 +503,7 @@ def _read(path: Path) -> CaseRecord | None:
 
 
 def _holds_title(path: Path) -> bool:
-    """Return whether a record that can be read holds a title, as those of earlier versions do."""
+    """Return whether a readable record contains a title, as records of earlier versions do."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
         plain = json.loads(read_regular_text(path, max_bytes=MAX_RECORD_BYTES))
         return isinstance(plain, dict) and "title" in plain

@@ -1,4 +1,4 @@
-"""Keeping the open case on the disk: at most two seconds behind, and at once before anything risky."""
+"""Storage of the open case: the live file is at most two seconds behind, and up to date before risky steps."""
 
 from __future__ import annotations
 
@@ -47,29 +47,29 @@ logger = logging.getLogger(__name__)
 
 OPEN_ELSEWHERE = "this CT is already open in another window; changes made here are saved as a separate case"
 HELD_TRIES, HELD_EVERY_S = 4, 0.05
-"""A program that looks whether a case is open has it for a moment."""
+"""Retries of a lock, because a program that checks whether a case is open takes the lock for a moment."""
 CLOSING_S = 60.0
-"""So long Carina waits at its end for a disk that does not respond."""
+"""Time that Carina waits at its end for a disk that does not respond."""
 
 
 @one_line
 @dataclass(slots=True)
 class Reopened:
-    """A case that was kept, while its CT is read."""
+    """A stored case while its CT is read."""
 
     held: HeldCase
     file: KeptFile
     flights: tuple[RecordingFacts, ...] = ()
 
     def note_ct(self, volume: Volume) -> None:
-        """Note the date of the CT, where the case was begun without the CT or by an earlier Carina."""
+        """Store the date of the CT in a record without a date."""
         scanned_on = self.held.record.scanned_on or volume.source.acquired_on
         if scanned_on != self.held.record.scanned_on:
             self.held.note(scanned_on=scanned_on)
 
 
 class Between:
-    """One case has been given back; the next one is found, and attached or given back."""
+    """The change from one case to the next: the next case is found, and then attached or released."""
 
     def __init__(self, saving: Saving) -> None:
         self._saving = saving
@@ -81,12 +81,12 @@ class Between:
         """It was copied here just now: what is not shown after all leaves nothing behind."""
 
     def begin(self, volume: Volume) -> None:
-        """Begin a new case of a CT; the stored cases of the CT stay as they are."""
+        """Begin a new case of a CT; the stored cases of the CT are not changed."""
         self._digest = self._saving.digest_of(volume)
         self._claim_ct(is_new=False)
 
     def _claim_ct(self, *, is_new: bool) -> None:
-        """Claim the CT, and tell the user of a new case where another window has the CT open."""
+        """Claim the CT, and notify the user of a new case if another window has the CT open."""
         records = self._saving.records
         if records is None or self._digest is None:
             return
@@ -97,7 +97,7 @@ class Between:
                 self._saving.core.emit(Said(OPEN_ELSEWHERE))
 
     def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
-        """Own what was kept of a CT: the case that is meant, or the one that was used last."""
+        """Own the stored case of a CT: the selected case, or the case that was used last."""
         self._digest = digest
         records = self._saving.records
         if records is None or digest is None:
@@ -117,7 +117,7 @@ class Between:
         return self._reopened
 
     def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
-        """What was kept of this CT, wherever its files lie now; None where nothing was, or nothing can be read."""
+        """Return the stored moment of a CT, wherever its files are now; None where nothing is stored or readable."""
         reopened = self.take(self._saving.digest_of(volume), case_id)
         self._saving.say_still_waits(self._digest)
         if reopened is None:
@@ -135,19 +135,20 @@ class Between:
         return None
 
     def imported(self, volume: Volume, case: CaseFile, mark: FileMark | None) -> Moment | None:
-        """Continue from a case file: from the stored case that wrote it, else from a copy.
+        """Continue from a case file: from the stored case that wrote the file, else from a copy.
 
         A file of a newer version of Carina is shown and not stored.
 
         Parameters
         ----------
         mark
-            Mark of the opened file, which Carina updates from now on; None for a dropped file, which has no path.
+            Mark of the opened file, which is updated with the case from now on; None for a dropped file, which has no
+            path.
 
         Returns
         -------
         Moment | None
-            None where nothing was saved in the file.
+            None if no moment was saved in the file.
         """
         digest = self._saving.digest_of(volume)
         if digest is None or case.note is not None:
@@ -169,7 +170,7 @@ class Between:
             return None
 
     def attach(self, case: OpenCase, place: str | None) -> None:
-        """From now on this case is kept; with the session locked."""
+        """Store this case from now on; the caller holds the session's lock."""
         reopened, self._reopened = self._reopened, None
         if reopened is not None and not case.flights.listed:
             # Else it is the case that was open before: its file may be behind.
@@ -180,7 +181,7 @@ class Between:
             self._saving.attach(case, place, self._digest, reopened=reopened, named=named, claim=claim)
 
     def give_back(self) -> None:
-        """Release everything: the case is not shown after all."""
+        """Release the stored case, the named file and the claim, because the case is not shown after all."""
         reopened, self._reopened = self._reopened, None
         named, self._named = self._named, None
         claim, self._claim = self._claim, None
@@ -196,16 +197,16 @@ class Between:
 
 
 class Saving(Subject):
-    """Which case is kept, and what is asked of whom keeps it (:class:`Keeper`).
+    """The stored case of a session and the commands about it; :class:`Keeper` writes the case.
 
     Parameters
     ----------
     core
-        Of the session.
+        The session.
     records
-        The cases of this person; None keeps nothing.
+        The records of the user's cases; None stores no case.
     files
-        How case files are made and opened.
+        The storage that makes and opens case files.
     """
 
     def __init__(self, core: SessionCore, records: CaseRecords | None, files: KeptFiles | None) -> None:
@@ -214,9 +215,9 @@ class Saving(Subject):
         self._files = files
         self._kept: Keeper | None = None
         self._ending: list[Keeper] = []
-        """Those whose disk did not respond when their case was closed."""
+        """Keepers whose disk did not respond when their case was closed."""
         self._awaited: str | None = None
-        """The digest of the CT that was asked for last."""
+        """Digest of the CT that a dropped case waits for."""
         if records is not None:
             core.subscribe(self._hear)
 
@@ -224,7 +225,7 @@ class Saving(Subject):
 
     @contextmanager
     def between(self) -> Iterator[Between]:
-        """While another case takes the place of this one; where that fails, this one is kept on."""
+        """Release the open case while another case is opened; after a failure, store the open case again."""
         before = self._kept
         self.refuse_to_lose()
         self.let_go()
@@ -241,7 +242,7 @@ class Saving(Subject):
             raise
 
     def opened(self, record: CaseRecord) -> Reopened | None:
-        """A case that was kept, owned from now on; None, said, where it is not to be had."""
+        """Open a stored case and own it from now on; None where that is not possible, with a message to the user."""
         assert self.records is not None
         assert self._files is not None
         for keeper in self._ending:
@@ -266,18 +267,18 @@ class Saving(Subject):
         return None
 
     def named_file(self, case: CaseFile, mark: FileMark) -> NamedFile:
-        """The file that a case is opened from; warns at once where another window or program has it open."""
+        """Return the named file that a case is opened from; warn at once if another window or program has it open."""
         named = NamedFile(case.path.absolute(), mark, ct_digest=case.digest)
         try:
             named.check()
         except NamedFileConflictError as conflict:
             self.core.emit(Said(str(conflict)))
         except OSError:
-            pass  # told when the file is to be written
+            pass  # the error is reported when the file is written
         return named
 
     def reopened_file(self, case: CaseFile, mark: FileMark | None) -> Reopened | None:
-        """The stored case that wrote a case file, owned from now on; None where there is none."""
+        """Own the stored case that wrote a case file, and return it; None where there is none."""
         record = self._record_of(case, mark)
         reopened = None if record is None else self.opened(record)
         if reopened is not None and mark is not None and reopened.held.record.copy_path != str(case.path.absolute()):
@@ -285,10 +286,10 @@ class Saving(Subject):
         return reopened
 
     def _record_of(self, case: CaseFile, mark: FileMark | None) -> CaseRecord | None:
-        """The stored case that a case file is a copy of.
+        """Return the record of the stored case that a case file is a copy of.
 
-        A named file is known by its content alone: by the digest that the case recorded when it wrote the file. A
-        dropped file may be older: all its steps must be steps of the stored case.
+        A named file is identified by its content alone: by the digest that the case recorded when it wrote the file. A
+        dropped file may be older, so all its steps must be steps of the stored case.
         """
         assert self.records is not None
         records = [one for one in self.records.all() if one.digest == case.digest]
@@ -319,7 +320,7 @@ class Saving(Subject):
             return ()
 
     def taken_over(self, case: CaseFile, mark: FileMark | None) -> Reopened:
-        """Store a copy of a case file as a new case; the file follows the case, unless it was dropped (no mark)."""
+        """Store a copy of a case file as a new case; a file with a mark is updated with the case from now on."""
         assert self.records is not None
         assert self._files is not None
         held = self.records.begin(case.digest, None)
@@ -358,13 +359,13 @@ class Saving(Subject):
             return ()
 
     def remove(self, held: HeldCase) -> None:
-        """A case that was taken over and is not shown after all; with the right to it given back."""
+        """Remove a stored case that is not shown after all, and release its lock."""
         assert self.records is not None
         if self.records.forget(held.record):
             self.records.remove(held.record.case_id)
 
     def waits(self, case: CaseFile) -> bool:
-        """Keep a dropped case until its CT is opened; False where nothing is kept."""
+        """Store a dropped case until its CT is opened; return False if no case is stored."""
         if self.records is None or self._files is None:
             return False
         if self._record_of(case, None) is None:
@@ -375,7 +376,7 @@ class Saving(Subject):
         return True
 
     def say_still_waits(self, digest: str | None) -> None:
-        """A CT was opened: is it the one that was asked for?"""
+        """Tell the user where the opened CT is not the one that a dropped case waits for."""
         awaited, self._awaited = self._awaited, None
         if awaited is not None and digest != awaited:
             self.core.emit(
@@ -383,7 +384,7 @@ class Saving(Subject):
             )
 
     def open_ct_of(self, case: CaseFile) -> FoundScan | None:
-        """The CT of the case on screen, where it is this case's, too."""
+        """Return the CT of the open case, if it is also the CT of this case file."""
         kept = self._kept
         if kept is None or kept.digest != case.digest or self.core.case is not kept.case:
             return None
@@ -391,7 +392,7 @@ class Saving(Subject):
         return FoundScan(volume, kept.place) if same_geometry(volume, case.source) else None
 
     def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
-        """Nothing of it is lost, but nothing is shown."""
+        """Report that a stored case is unreadable and unchanged, and that a new case was begun."""
         self.core.emit(
             Trouble(
                 "case.unreadable",
@@ -407,7 +408,7 @@ class Saving(Subject):
         return self.core.parts.open_volume if kept is None else kept
 
     def digest_of(self, volume: Volume) -> str | None:
-        """What a CT is known by; None where nothing is kept."""
+        """Return the digest that identifies a CT; None where no case is stored."""
         return None if self._files is None or self.records is None else self._files.digest(volume)
 
     def attach(
@@ -464,7 +465,7 @@ class Saving(Subject):
         kept.start()
 
     def _suggested(self, alias: str | None, case_id: str) -> str | None:
-        """The path that is suggested for the named file of a case."""
+        """Return the suggested path for the named file of a case."""
         documents = None if self.records is None else self.records.documents
         return None if documents is None else str(documents / f"{suggested_file_name(alias, case_id)}{CASE_SUFFIX}")
 
@@ -486,9 +487,9 @@ class Saving(Subject):
         )
 
     def let_go(self, within_s: float | None = None) -> None:
-        """Write what is not written yet, and give the case back; another is opened, or none.
+        """Write the remaining changes and release the case.
 
-        A disk that does not respond is waited for in the background, unless ``within_s`` is given.
+        The wait for a disk that does not respond is in the background, unless ``within_s`` is given.
         """
         kept = self._kept
         if kept is None:
@@ -503,9 +504,9 @@ class Saving(Subject):
             self._kept = None
 
     def unsaved(self) -> tuple[UnsavedWork, ...]:
-        """Return the work that no disk has taken, of the open case and of those closed before.
+        """Return the work that could not be saved, of the open case and of cases closed before.
 
-        Waits for each disk until the disk takes the work, refuses it or is silent. Not with the session locked.
+        The call waits for each disk, up to a time limit. The caller must not hold the session's lock.
         """
         if self._kept is not None:
             self._kept.settle()
@@ -519,16 +520,16 @@ class Saving(Subject):
         Parameters
         ----------
         case_number
-            Of :class:`UnsavedWork`.
+            ``case_number`` of the :class:`UnsavedWork`.
         path
-            A new file, or a folder: the file there is named by the neutral alias.
+            A new file, or a folder, in which the file gets the neutral alias as its name.
 
         Raises
         ------
         UsageError
             ``case.exists``, ``case.no-place``: if the file exists, or its folder does not.
         CarinaError
-            If the case cannot be written there either.
+            If the case cannot be written to that path either.
         """
         keeper = next(one for one in self._keepers() if one.case.number == case_number)
         target = path.expanduser().absolute()
@@ -551,7 +552,7 @@ class Saving(Subject):
         return (*self._ending, *(() if self._kept is None else (self._kept,)))
 
     def close(self, within_s: float = CLOSING_S) -> None:
-        """Write the rest, and end the threads; a disk that does not respond is waited for ``within_s``."""
+        """Write the remaining changes and end the threads; wait up to ``within_s`` for a disk that does not respond."""
         self.let_go(within_s)
         if self._files is not None:
             self._files.close()
@@ -569,9 +570,9 @@ class Saving(Subject):
             kept.changed(event.topics)
 
     def write_now(self) -> bool:
-        """Write what is not written yet, before anything risky; whether all is on the disk then.
+        """Write the remaining changes before a risky step, and return whether all changes are on the disk.
 
-        Not with the session locked.
+        The caller must not hold the session's lock.
         """
         kept = self._kept
         return kept is None or kept.settle()
@@ -579,7 +580,7 @@ class Saving(Subject):
     # ------------------------------------------------------------ what is asked
 
     def rename(self, case_id: str, alias: str | None) -> bool:
-        """Call the open case by a name of its person's; False where it is another case."""
+        """Rename the open case; return False if another case is open."""
         kept = self._kept
         if kept is None or kept.held is None or kept.held.record.case_id != case_id:
             return False
@@ -623,11 +624,11 @@ class Saving(Subject):
 
     @answers(c.FlightToTakeAway)
     def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
-        """Waits for the disk, so not with the session locked."""
+        """Return the lines of a recorded flight; the call waits for the disk, so without the session's lock."""
         return self.flight_text(question.number)
 
     def flight_text(self, number: int) -> str:
-        """The same by its number."""
+        """Return the lines of a recorded flight by its number; the call waits for the disk."""
         case, kept = self.core.needed_case(), self._kept
         with self.core.lock:
             needed_flight(case, number)
@@ -648,7 +649,7 @@ class Saving(Subject):
 
     @does(c.SaveCase)
     def save_case(self, command: c.SaveCase) -> str:
-        """Give the case a name and a place, as a job; without a path, refresh the copy that has one."""
+        """Save the case to a named file, as a job; without a path, update the named file of the case."""
         self.core.needed_case()
         kept = self._kept
         if kept is None:
@@ -687,7 +688,7 @@ class Saving(Subject):
 
 
 def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
-    """What was done in a case and when: no two cases have the same."""
+    """Return the labels and times of a case's steps, which no other case has."""
     return tuple((step.label, step.at_s) for step in case.history())
 
 

@@ -1,4 +1,4 @@
-"""The one owner of a case's state: commands that can be undone, jobs, and the pose.
+"""The session, which owns the state of a case: commands that can be undone, jobs, and the pose.
 
 The window, the command line, notebooks and tests drive the same session. It knows neither a server nor Ray: the
 renderer comes by argument, and whoever wants to know about changes subscribes.
@@ -178,7 +178,7 @@ class Session:
         self._core.redo()
 
     def history(self) -> tuple[str, ...]:
-        """What can be taken back, in words, the oldest first."""
+        """Return the labels of the changes that can be undone, the oldest first."""
         return self._core.history()
 
     # ------------------------------------------------------------ what others read
@@ -188,15 +188,15 @@ class Session:
         return self._core.snapshot(window)
 
     def pose_info(self) -> PoseInfo | None:
-        """The newest pose and where it is; None without a case."""
+        """Return the newest pose and where it is; None without a case."""
         return self._core.pose_info()
 
     def key_frames_info(self) -> KeyFramesInfo:
-        """The key frames as they are shown."""
+        """Return the key frames as the windows show them."""
         return self._keys.info()
 
     def scene(self, window: int | None = None) -> ShownCase | None:
-        """What the views of a window show now, for its render thread; None without a case."""
+        """Return the scene that a window's views show, for its render thread; None without a case."""
         return self._core.scene(window)
 
     @property
@@ -233,9 +233,9 @@ class Session:
         return self._core.store
 
     def close(self, within_s: float = CLOSING_S) -> None:
-        """End a recording, stop all jobs and give the threads back.
+        """End a recording, stop all jobs and end the threads.
 
-        A disk that does not respond is waited for ``within_s``; :meth:`unsaved` says afterwards what is lost.
+        The call waits up to ``within_s`` for a disk that does not respond; :meth:`unsaved` then returns the lost work.
         """
         self._recording.stop()
         self._saving.close(within_s)

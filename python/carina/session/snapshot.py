@@ -1,4 +1,4 @@
-"""What a session tells about itself: frozen values, without a lock to hold."""
+"""Snapshots of a session's state: frozen values that are read without a lock."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CaseSnapshot:
     scale: GreyScale
     value_range: tuple[int, int]
     case_id: str = ""
-    """Random id of the case: that of the case's record, once there is one."""
+    """Random id of the case, equal to the id of its record once the case is stored."""
 
     @property
     def off(self) -> tuple[FeatureOff, ...]:
@@ -149,9 +149,9 @@ class SavingInfo(FrozenValue, frozen=True):
     copy_problem: Words | None = None
     """Why the named file was not written at the last attempt."""
     copy_conflict: Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"] | None = None
-    """The named file has content that this window did not write: the user decides which content it gets."""
+    """Kind of the conflict if the named file has content that this window did not write; the user decides."""
     beside: Words | None = None
-    """A free path beside the named file, while there is a conflict."""
+    """Free path beside the named file during a conflict; None without a conflict."""
     suggested: Words | None = None
     """A place for the copy, where it has none."""
     title: Words | None = None
@@ -162,12 +162,12 @@ class SavingInfo(FrozenValue, frozen=True):
     """How many changes it had then."""
 
     def with_(self, **values: Any) -> SavingInfo:
-        """The same with other fields."""
+        """Return a copy with other values in some fields."""
         return msgspec.structs.replace(self, **values)
 
     @property
     def shown(self) -> tuple[Any, ...]:
-        """What a window shows of it, where times are minutes."""
+        """The values that a window shows, with times in minutes."""
         minutes = [None if s is None else int(s // 60.0) for s in (self.saved_s, self.copied_s)]
         named = (self.copy_name, self.copy_folder, self.copy_problem, self.copy_conflict)
         return (*minutes, self.keeps, self.title, self.problem, *named)
@@ -198,7 +198,7 @@ class Snapshot:
     case_number: int = 0
     """Grows with each case opened."""
     neutral_title: str = ""
-    """Name of the case that tells nothing about its CT or patient; ``saving.title`` is the one that its user gave."""
+    """Neutral alias of the case; ``saving.title`` is the name that the user gave."""
     stage: Stage = "empty"
     airways: AirwayStatus = "none"
     airways_words: str | None = None

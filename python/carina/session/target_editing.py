@@ -1,4 +1,4 @@
-"""Targets with a size that a person changes: their boundary, what is aimed at, and targets from files."""
+"""Edits of targets with a size: their boundary, their aims, and targets from files."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class TargetEditing(Subject):
 
     @does(c.AimTarget)
     def aim(self, command: c.AimTarget) -> None:
-        """The middle comes first."""
+        """Propose the aims of a target: its middle first, and its periphery on request."""
         case = self.core.needed_case()
         with self.core.lock:
             target, lesion = self._lesion(case, command.target_id)
@@ -75,7 +75,7 @@ class TargetEditing(Subject):
 
     @does(c.TakeTarget)
     def take_target(self, command: c.TakeTarget) -> str:
-        """Read in the background; it fails in words where the file is no target of this scan."""
+        """Read a target from a file in the background; refuse a file that is not a target of this scan."""
         case = self.core.needed_case()
         with self.core.lock:
             number = case.next_number("target")

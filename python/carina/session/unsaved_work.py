@@ -1,4 +1,4 @@
-"""Work on a case that no disk has taken: what it is, and where the last saved state of the case is."""
+"""Work on a case that could not be saved: its description, and the path of the last saved state."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from carina.errors import UnsavedWorkError
 __all__ = ["UnsavedWork", "check_saved", "unsaved_error", "unsaved_labels"]
 
 SHOWN_LABELS = 3
-"""The last changes that a message names."""
+"""Number of the latest changes that a message names."""
 MAX_LABEL_CHARS = 80
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class UnsavedWork:
-    """Work on one case that is not on a disk."""
+    """Work on one case that could not be saved."""
 
     case_number: int
-    """By which the session knows the case."""
+    """Number of the case in the session."""
     title: str
-    """Name that the user gave, else the neutral alias."""
+    """Name of the case that the user gave, else the neutral alias."""
     labels: tuple[str, ...]
-    """Labels of the changes, the oldest first."""
+    """Labels of the unsaved changes, the oldest first."""
     num_flights: int
-    """Recorded flights that are not saved to their end."""
+    """Number of recorded flights that are not saved completely."""
     problem: str
-    """Why the disk did not take the work."""
+    """Reason why the work could not be saved."""
     saved_path: Path | None
-    """The live case file with the last saved state; None if nothing of the case was saved."""
+    """Path of the live case file with the last saved state; None if no state was saved."""
     num_saved: int
-    """Changes in that file."""
+    """Number of changes in the live case file."""
     copy_path: Path | None = None
-    """The file that the user saved the case to, with a state that may be older."""
+    """Path of the named file of the case, whose state may be older; None without a named file."""
 
     @property
     def amount(self) -> str:
@@ -60,7 +60,7 @@ class UnsavedWork:
 
     @property
     def saved_state(self) -> str:
-        """Where the last saved state of the case is, for a message."""
+        """Description of the last saved state and its path, for a message."""
         if self.saved_path is None:
             return "nothing of this case has been saved yet"
         copy = "" if self.copy_path is None else f", and an earlier state in {self.copy_path}"
@@ -68,16 +68,16 @@ class UnsavedWork:
 
 
 def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = False) -> tuple[str, ...]:
-    """Return the labels of what was done to a case since a saved moment, the oldest first.
+    """Return the labels of the changes to a case since a saved moment, the oldest first.
 
     Parameters
     ----------
     saved
-        As the case was saved last; None if it never was.
+        The moment that was saved last; None if no moment was saved.
     moment
-        As the case is.
+        The present moment of the case.
     renamed
-        Whether the name of the case is not saved either.
+        Whether the name of the case is unsaved as well.
     """
     known = Counter[tuple[str, float]]() if saved is None else Counter(_keys(saved.steps[: saved.position]))
     done = []
@@ -92,7 +92,7 @@ def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = Fals
 
 
 def unsaved_error(lost: Sequence[UnsavedWork]) -> UnsavedWorkError:
-    """Return the error that says which work is lost, why, and where the last saved state is."""
+    """Return the error that states the lost work, the reason, and the path of the last saved state."""
     sentences = [
         f"{one.amount} of {_printable(one.title)} could not be saved"
         f"{f' ({one.shown_labels})' if one.labels else ''}: {one.problem}; {one.saved_state}"
@@ -102,16 +102,16 @@ def unsaved_error(lost: Sequence[UnsavedWork]) -> UnsavedWorkError:
 
 
 def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> None:
-    """Refuse to close a case whose file does not have the changes made here.
+    """Refuse to close a case whose file lacks changes of this window or program.
 
     Parameters
     ----------
     path
         The file of the case.
     why
-        Why the file cannot be written.
+        Reason why the file cannot be written.
     saved, moment
-        As the file has the case, and as the case is.
+        The moment in the file, and the present moment of the case.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> N
 
 
 def _keys(steps: Sequence[Step[Document]]) -> list[tuple[str, float]]:
-    """Return what tells steps apart; a step that a later change of the same gesture replaced has another time."""
+    """Return a key of each step: its label and time. A later change of the same gesture has another time."""
     return [(step.label, step.at_s) for step in steps]
 
 
