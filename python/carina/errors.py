@@ -168,12 +168,12 @@ class ProtocolError(CarinaError, ValueError):
 
 
 def kind_of(error: CarinaError) -> str:
-    """The class of this module that an error is of, or that its own class is below, by its name."""
+    """Return the name of the class of this module that an error is of, or that its class derives from."""
     return next(cls.__name__ for cls in type(error).__mro__ if cls.__module__ == __name__)
 
 
 def error_of(kind: str, message: str, *, code: str) -> CarinaError:
-    """An error of another process as it was raised there, from :func:`kind_of`, its words and its code.
+    """Rebuild an error of another process from the name of its class (:func:`kind_of`), its message and its code.
 
     One that has more than words, and one that this Carina does not know, is the nearest that has words alone.
     """

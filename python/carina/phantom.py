@@ -243,7 +243,7 @@ def generate_phantom(
 def lumen_distance_at(
     points_lps: ArrayLike, *, seed: int = 0, generations: int = 6, stenosis: bool = False, neck: bool = False
 ) -> NDArray[np.float64]:
-    """The exact lumen of a phantom at any points: what its voxels are made from, without voxels.
+    """Return the exact distance to the lumen of a phantom at any points, without voxels.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def demo_phantom(
     progress: Progress | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Phantom:
-    """The demo case: a chest with a nodule, made once and then read from the cache.
+    """Return the demo case: a chest with a nodule, made once and then read from the cache.
 
     Parameters
     ----------
@@ -403,7 +403,7 @@ def _write_cached(phantom: Phantom, folder: Path) -> None:
 
 
 def _sweep_drafts(root: Path) -> None:
-    """What a Carina that was killed while it wrote has left; nobody writes a phantom for an hour."""
+    """Remove drafts of Carina processes that were killed; no draft is written for an hour."""
     for draft in root.glob(".phantom-*"):
         with contextlib.suppress(OSError):
             if time.time() - draft.lstat().st_mtime > ABANDONED_S:
@@ -411,7 +411,7 @@ def _sweep_drafts(root: Path) -> None:
 
 
 def _read_cached(folder: Path) -> Phantom | None:
-    """The cached phantom, or None where there is none or it is not what was written."""
+    """Return the cached phantom; None where there is none or its content was changed."""
     try:
         sums = json.loads((folder / "sums.json").read_text(encoding="utf-8"))
         for name in ("ct.npy", "lumen.npy", "truth.json"):

@@ -130,7 +130,7 @@ def _absence_row(absence: Absence) -> dict[str, Any]:
 
 
 def print_formats() -> None:
-    """What ``carina export`` writes, and who reads it."""
+    """Print the formats that ``carina export`` writes, and the programs that read them."""
     for kind, title in EXPORT_TITLES.items():
         show(title)
         for row in EXPORT_FORMATS:

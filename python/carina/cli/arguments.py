@@ -116,7 +116,7 @@ def check_window_path(path: Path | None) -> None:
 
 
 def check_output_folder(path: Path) -> None:
-    """The same for a folder of results, which is made when it is missing."""
+    """Check a folder for results before the work; a missing folder is created later."""
     if path.exists() and not path.is_dir():
         raise UsageError(f"-o: expected a folder; {path} is a file")
     above = path

@@ -38,7 +38,7 @@ SHORT_ID = 6
 
 
 def case_json(path: Path) -> dict[str, Any]:
-    """What a case file holds, for ``--json``; its CT is not needed."""
+    """Return the contents of a case file for ``--json``; its CT is not needed."""
     with CaseFile.open(newest_state(path), read_only=True) as case:
         source, steps, holds = case.source, case.history(), case.summary()
         recordings = case.recordings()
@@ -69,7 +69,7 @@ def case_json(path: Path) -> dict[str, Any]:
 
 
 def case_lines(path: Path) -> list[str]:
-    """The same in words."""
+    """Return the contents of a case file as lines of text."""
     found = case_json(path)
     source = found["source"]
     nz, ny, nx = source["shape_zyx"]
@@ -226,7 +226,7 @@ def recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
 
 
 def recording_in(case: CaseFile, wanted: str) -> RecordingFacts:
-    """A recording of a case by its name, else by its number.
+    """Return a recording of a case by its name, else by its number.
 
     Raises
     ------

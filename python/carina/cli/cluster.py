@@ -177,7 +177,7 @@ class OpenCluster:
 
 @contextmanager
 def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> Iterator[OpenCluster | None]:
-    """The cluster of ``carina open --cluster``, until the workstation is closed; None without an address."""
+    """Provide the cluster of ``carina open --cluster`` until the workstation is closed; None without an address."""
     if address is None:
         for option, is_given in (("--mixed", mixed), ("--token-file", token is not None)):
             if is_given:

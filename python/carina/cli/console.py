@@ -79,7 +79,7 @@ def print_json(payload: dict[str, Any]) -> None:
 
 
 def progress_printer() -> ProgressCallback:
-    """A callback that shows what is done and the time left: a live line on a terminal, else a line per task."""
+    """Return a callback that shows progress and time left: a live line on a terminal, else a line per task."""
     live = sys.stderr.isatty()
     state: dict[str, Any] = {"what": None, "start": 0.0, "shown": 0.0, "open": False}
 
@@ -184,5 +184,5 @@ def fail(as_json: bool, code: str, message: str, exit_code: int) -> NoReturn:
 
 
 def _drop_stdout() -> None:
-    """What is left in the buffer would fail once more when Python ends."""
+    """Redirect stdout to the null device: Python would fail again on the buffered rest when it exits."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -176,7 +176,7 @@ def report(
 
 
 def _recording(path: Path, wanted: Path) -> Recording:
-    """A file, or a recording of the case by its name or number."""
+    """Return the recording in a file, or a recording of the case by its name or number."""
     if wanted.is_file() or not is_case_file(path):
         return open_recording(wanted)
     with CaseFile.open(newest_state(path), read_only=True) as case:
@@ -202,7 +202,7 @@ def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[
 
 
 def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallField]:
-    """Makes walls from what a recording keeps of the airways: searched for as then, and edited as then."""
+    """Return a function that makes a wall from a recording's facts about the airways, by the same search and edits."""
     known: dict[str, WallField] = {}
 
     def wall(kept: dict[str, Any]) -> WallField:
@@ -250,7 +250,7 @@ def _own_view(source: Opened, keys: KeyFrameFile | None) -> dict[str, Any]:
 
 
 def _chosen_view(own: dict[str, Any], shown: _Shown, *, chosen: bool) -> dict[str, Any]:
-    """An instrument that the command names comes with its own picture."""
+    """Return the view of a recording; an instrument that the command names replaces the picture of the recorded one."""
     view = dict(own)
     if chosen and view:
         view = {name: value for name, value in view.items() if name not in {"mask", "fov_deg"}} | {"scope": shown.scope}
@@ -296,7 +296,7 @@ class _Shot:
 
 
 def _shots(frames: list[ReplayedPose], shown: _Shown) -> tuple[list[_Shot], list[int]]:
-    """The pictures of a flight, and for how many frames each is shown: while it stands still, none is made twice."""
+    """Return the distinct pictures of a flight, and for how many frames each is shown."""
     shots: list[_Shot] = []
     times_shown: list[int] = []
     last: tuple[int, int] | None = None

@@ -52,7 +52,7 @@ class KeptFrames:
 
     @staticmethod
     def _found(folder: Path) -> str | None:
-        """The job whose pictures are there; None where there is nothing."""
+        """Return the job whose pictures are in a folder; None for an empty or missing folder."""
         if not folder.exists() or (folder.is_dir() and next(folder.iterdir(), None) is None):
             return None
         try:

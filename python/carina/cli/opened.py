@@ -72,7 +72,7 @@ class Opened:
         return self._airways
 
     def key_frames(self, wanted: str) -> Document:
-        """The document with the key frames that are named: ``all``, or some in the order of the flight.
+        """Return the document with the selected key frames: ``all``, or some in the order of the flight.
 
         Raises
         ------
@@ -101,7 +101,7 @@ def _chosen(keys: KeyFrames, wanted: str) -> KeyFrames:
 
 
 def case_scans() -> CaseScans:
-    """Looks for the scans of cases on this machine."""
+    """Return an object that finds the scans of cases on this machine."""
     from carina.session import default_parts
 
     settings = load_settings()
@@ -114,7 +114,7 @@ def case_scans() -> CaseScans:
 
 
 def newest_state(path: Path) -> Path:
-    """A case file, or the live one of this machine that is newer: where a window has the case open, which is said."""
+    """Return a case file, or its newer live file (with a note on stderr) where a window has the case open."""
     settings = load_settings()
     records = CaseRecords(settings.cases_dir, lambda: 0.0)
     record = records.open_elsewhere(path.expanduser().absolute())

@@ -171,7 +171,7 @@ def report(
 
 
 def _peer(words: str) -> tuple[str, int]:
-    """host:port"""
+    """Return the host and the port of a text ``host:port``."""
     host, _, port = words.rpartition(":")
     if not host or not port.isdecimal() or len(port) > 5 or not 1 <= int(port) <= 65535:
         raise UsageError(f"--send: expected HOST:PORT, such as 127.0.0.1:18944; found {words!r}")
@@ -179,7 +179,7 @@ def _peer(words: str) -> tuple[str, int]:
 
 
 def lines(plan: Plan) -> list[str]:
-    """A plan in words, a line for each route and each doubt."""
+    """Return a plan as text, a line for each route and each doubt."""
     sign = SIGNS[plan.bronchus_sign] + ("" if plan.sign_branch is None else f" ({plan.sign_branch})")
     said = [f"bronchus sign: {sign}"]
     for number, route in enumerate(plan.routes, 1):

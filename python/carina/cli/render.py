@@ -49,7 +49,7 @@ _ANY_PATH = PathFrames(np.array([0.0, 1.0]), np.stack([np.eye(4)] * 2))
 
 
 def chosen_transfer(text: str | None) -> TransferFunction | None:
-    """The preset or the JSON file that ``--transfer`` names; None where it was not given."""
+    """Return the preset or the JSON file that ``--transfer`` names; None without that option."""
     if text is None:
         return None
     if not text.endswith(".json"):

@@ -138,7 +138,7 @@ def _airways_of_case(
 
 
 def _search_row(search: GraphSearch) -> dict[str, Any]:
-    """The graph, for people who compare; what each target took is in its row."""
+    """Return the facts of the graph, for comparisons; the times of each target are in the row of that target."""
     return {
         "labels": search.labels,
         "num_nodes": search.num_nodes,

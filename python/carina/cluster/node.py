@@ -68,7 +68,7 @@ def token_file(config_dir: Path) -> Path:
 
 
 def make_token(path: Path) -> Path:
-    """The token's file; made with a fresh token where there is none, readable by its owner alone."""
+    """Return the token file; create it with a fresh token, readable by its owner alone, where it is missing."""
     if not path.exists():
         make_folder(path.parent, what="the token", private=True)
         write_whole(path, secrets.token_hex(32).encode(), what="the token", private=True)
@@ -76,7 +76,7 @@ def make_token(path: Path) -> Path:
 
 
 def check_token(path: Path) -> Path:
-    """A token's file that can be used.
+    """Check that a token file can be used, and return its path.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def check_token(path: Path) -> Path:
 
 
 def ray_environment(token: Path, *, dedicated: bool = False) -> dict[str, str]:
-    """What Ray must find in the environment of the head, of every machine and of the console, before it is imported.
+    """Return the variables that Ray needs in the environment of each process before it is imported.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def ray_environment(token: Path, *, dedicated: bool = False) -> dict[str, str]:
 
 
 def own_address(towards: str | None = None) -> str:
-    """This machine's address on the network, as the one it would use towards another."""
+    """Return the address of this machine on the network, as another machine would reach it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             # Nothing is sent: the kernel chooses the address.
@@ -318,7 +318,7 @@ def _parents() -> dict[int, tuple[int, str]]:
 
 
 def descendants(pid: int) -> dict[int, str]:
-    """Processes that a process has started, and theirs, with their start times: a number may be used again."""
+    """Return the child processes of a process, and their children, with start times, because process ids are reused."""
     parents = _parents()
     tree: dict[int, str] = {}
     level = {pid}

@@ -81,7 +81,7 @@ class NotebookBar:
 
 
 def bar_here() -> Callable[[], Bar] | None:
-    """The bar that fits where this runs; None where nobody looks, or where several threads would draw over another."""
+    """Return the bar that fits the terminal or notebook; None without a viewer and outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         return None
     shell = sys.modules.get("IPython")
@@ -122,7 +122,7 @@ class Watched:
 
 
 def heard(progress: ProgressChoice) -> Progress | None:
-    """The callback of a choice, if it is one; inside functions that `shows_progress` wraps."""
+    """Return the callback of a choice, if there is one; for functions that `shows_progress` wraps."""
     return progress if callable(progress) else None
 
 

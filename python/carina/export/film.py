@@ -51,7 +51,7 @@ class Film:
         return self.num_frames / self.rate_hz
 
     def _repr_html_(self) -> str:
-        """The film itself, in a notebook."""
+        """Return a player for the film in a notebook."""
         width, height = self.size_px
         words = [
             f"{self.num_frames} frames of {width} × {height}, {self.duration_s:.1f} s at {self.rate_hz:g} frames/s",

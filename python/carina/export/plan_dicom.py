@@ -109,7 +109,7 @@ class CtImages:
 def ct_images(
     path: Path | str, volume: Volume, *, series: str | None = None, cancel: Callable[[], bool] | None = None
 ) -> CtImages:
-    """The DICOM images of a CT: those with the volume's geometry and, where looked at, its very pixels.
+    """Return the DICOM images of a CT: those with the volume's geometry and, where compared, its exact pixels.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def new_object(
     series_words: str,
     now: datetime.datetime | None = None,
 ) -> Dataset:
-    """A DICOM object with all that does not depend on its kind.
+    """Return a DICOM object with all attributes that do not depend on its kind.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def decimals(values: Sequence[float] | NDArray[np.float64]) -> list[DSfloat]:
 
 
 def check_text(text: str, what: str) -> str:
-    """A text for an element of 64 characters.
+    """Check a text for an element of 64 characters, and return it.
 
     Raises
     ------
@@ -333,7 +333,7 @@ def named_nodules(targets: Nodule | Mapping[str, Nodule], doing: str) -> dict[st
 
 
 def packed(data: Dataset) -> bytes:
-    """The whole file, explicit little endian."""
+    """Return the whole DICOM file as bytes, explicit little endian."""
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = data.SOPClassUID, data.SOPInstanceUID
     meta.TransferSyntaxUID = ExplicitVRLittleEndian

@@ -70,7 +70,7 @@ def read_tree(path: Path | str) -> AirwayTree:
 
 
 def read_badges(path: Path | str) -> tuple[Note, ...]:
-    """The lasting notes that a tree was written with; empty where there were none.
+    """Return the lasting notes in a tree file; empty where it has none.
 
     Raises
     ------

@@ -76,17 +76,17 @@ class AutoFlight:
 
     @check_arguments(time_s=number_from(-1e9, 1e9, unit="s"))
     def path_mm(self, time_s: float) -> float:
-        """The place at a time; clamped to the ends."""
+        """Return the place on the path at a time; clamped to the ends."""
         return float(np.interp(time_s, self._times, self._places))
 
     @check_arguments(time_s=number_from(-1e9, 1e9, unit="s"))
     def pose_at(self, time_s: float) -> Pose:
-        """The pose at a time."""
+        """Return the pose at a time."""
         return self._path.pose_at(self.path_mm(time_s))
 
 
 def frame_times_s(duration_s: float, rate_hz: float) -> NDArray[np.float64]:
-    """Times of a video's frames: the first at 0, so many that they last as long as the flight, one at least.
+    """Return the times of a video's frames: the first at 0, together as long as the flight, and at least one.
 
     Raises
     ------

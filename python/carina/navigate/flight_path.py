@@ -120,7 +120,7 @@ class FlightPath:
         lookouts_mm: tuple[float, ...],
         max_deviation_mm: float,
     ) -> FlightPath:
-        """A path from :meth:`made_from` of another one, which was checked then; its curve is made when it is needed.
+        """Make a path from the :meth:`made_from` of a checked one; its curve is computed when it is needed.
 
         A case has hundreds of routes in its history, and shows one.
 
@@ -173,7 +173,7 @@ class FlightPath:
         return self._source_lps
 
     def made_from(self) -> dict[str, Any]:
-        """The arguments that make this path again, to the last bit."""
+        """Return the arguments that make this path again, to the last bit."""
         return {
             "points_lps": tuple(map(tuple, self._source_lps.tolist())),
             "up_lps": self._up_lps,
@@ -184,11 +184,11 @@ class FlightPath:
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def pose_at(self, path_mm: float) -> Pose:
-        """The camera at a place, looking along the path ahead; clamped to the ends."""
+        """Return the camera at a place, looking along the path ahead; clamped to the ends."""
         return Pose(self._curve.pose_at(float(path_mm)))
 
     def frames(self) -> PathFrames:
-        """The plane across the path at each knot: +z is the path's own direction, not the gaze."""
+        """Return the plane across the path at each knot: +z is the path's own direction, not the gaze."""
         found = self._frames
         if found is None:
             # Two threads may both find them: they find the same.
@@ -198,12 +198,12 @@ class FlightPath:
 
     @check_arguments(point_lps=numbers_within())
     def nearest_mm(self, point_lps: ArrayLike) -> float:
-        """The place nearest to a point (LPS mm)."""
+        """Return the place nearest to a point (LPS mm)."""
         return self.nearest(point_lps)[0]
 
     @check_arguments(point_lps=numbers_within())
     def nearest(self, point_lps: ArrayLike) -> tuple[float, float]:
-        """The place nearest to a point (LPS mm), and the distance to it in mm."""
+        """Return the place nearest to a point (LPS mm), and the distance to it in mm."""
         point = np.asarray(point_lps, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
             raise UsageError("a point needs three finite numbers")
@@ -211,13 +211,13 @@ class FlightPath:
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def next_fork_mm(self, path_mm: float) -> float:
-        """The first look-out beyond a place, or the end of the path."""
+        """Return the first look-out beyond a place, or the end of the path."""
         # 0.01 mm: a person at a fork means the one after it, whatever the rounding of the way here.
         return next((f for f in self._lookouts_mm if f > path_mm + 0.01), self.length_mm)
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def previous_fork_mm(self, path_mm: float) -> float:
-        """The last look-out before a place, or the start of the path."""
+        """Return the last look-out before a place, or the start of the path."""
         return next((f for f in reversed(self._lookouts_mm) if f < path_mm - 0.01), 0.0)
 
     def _on_path(self, what: str, places_mm: Sequence[float]) -> tuple[float, ...]:

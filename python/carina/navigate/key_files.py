@@ -54,7 +54,7 @@ class KeyFrameFile:
     view: dict[str, Any] = field(default_factory=dict)
 
     def flight(self) -> KeyFrameFlight:
-        """The flight through them.
+        """Return the flight through the key frames.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class KeyFrameFile:
                 )
 
     def to_json(self) -> dict[str, Any]:
-        """The document ``carina-keys`` 2; floats keep every bit."""
+        """Return the document ``carina-keys`` 2; floats keep every bit."""
         return {
             "format": FORMAT,
             "version": VERSION,

@@ -500,7 +500,7 @@ class Navigator:
         return rotation_from_vector(np.array([0.0, 0.0, self._base_roll_rad]))
 
     def _follow(self) -> None:
-        """The pose from the place on the path and the offsets."""
+        """Set the pose from the place on the path and the offsets."""
         on_path = self._needed_path().pose_at(self._path_mm).lps_from_camera
         rotation = orthonormal(on_path[:3, :3] @ self._base() @ self._entry @ self._look)
         self._set_pose(rotation, on_path[:3, 3] + self._shift_lps)
@@ -517,7 +517,7 @@ class Navigator:
         self._set_pose(rotation, at)
 
     def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """The volume's box in voxel coordinates, a hair smaller so that rounding does not put the tip outside."""
+        """Return the volume's box in voxel coordinates, a little smaller: rounding must not put the tip outside."""
         if self._volume is None:
             return None
         nz, ny, nx = self._volume.shape_zyx
@@ -525,7 +525,7 @@ class Navigator:
         return np.full(3, -0.5 + hair), np.array([nx, ny, nz]) - 0.5 - hair
 
     def _clamped(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The point, or the nearest voxel coordinate in the box."""
+        """Return the point, or the nearest voxel coordinate in the box."""
         box = self._box()
         if box is None or self._volume is None:
             return point_lps
@@ -536,7 +536,7 @@ class Navigator:
     def _held_inside(
         self, start_lps: NDArray[np.float64], end_lps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], bool]:
-        """The end of a move, cut where it leaves the box: the tip stops there and does not slide along the face."""
+        """Return the end of a move, cut where it leaves the box: the tip does not slide along the face."""
         box = self._box()
         if box is None or self._volume is None:
             return end_lps, False
@@ -553,7 +553,7 @@ class Navigator:
 
 
 def eased(amount: float, moved_mm: float, rate_per_mm: float) -> float:
-    """The share of an offset that is left after an advance.
+    """Return the share of an offset that is left after an advance.
 
     It shrinks by ``rate_per_mm``, and exponentially once that is slower. A closed form, so that ten steps of 1 mm do
     the same as one of 10 mm.

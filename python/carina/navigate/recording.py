@@ -38,7 +38,7 @@ MAX_LENGTH_S = 1e7
 
 
 def case_key(volume: Volume) -> dict[str, Any]:
-    """What tells one volume from another: its grid and a digest of its numbers. Nothing about the patient."""
+    """Return what identifies a volume: its grid and a digest of its numbers; nothing about the patient."""
     digest = hashlib.blake2b(digest_size=16)
     digest.update(np.ascontiguousarray(volume.lps_from_ijk, dtype="<f8").tobytes())
     for slab in volume.hu_zyx:
@@ -127,13 +127,13 @@ class Recorder:
         return self._at_s - self._began_s
 
     def note_view(self, view: dict[str, Any], now_s: float) -> None:
-        """The airway view is shown otherwise; nothing where it is not."""
+        """Record a change of the airway view; an unchanged view is not recorded."""
         if view != self._view:
             self._view = view
             self._write({"t": self._time(now_s), "view": view})
 
     def tick(self, now_s: float) -> None:
-        """The present time: what follows happened then. Moves of devices bring their own."""
+        """Set the present time for the next records; moves of devices have their own times."""
         self._at_s = max(self._at_s, now_s)
 
     def close(self) -> None:
@@ -390,7 +390,7 @@ def _refused(place: Path, why: str) -> VolumeImportError:
 
 
 def sampled(moments: list[ReplayedPose], times_s: NDArray[np.float64]) -> list[ReplayedPose]:
-    """The moment that was shown at each time: the newest that is not later."""
+    """Return the moment that was shown at each time: the newest that is not later."""
     known = np.array([moment.time_s for moment in moments])
     places = np.maximum(np.searchsorted(known, times_s, side="right") - 1, 0)
     return [moments[int(n)] for n in places]

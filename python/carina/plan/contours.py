@@ -140,7 +140,7 @@ def _planes(heights: NDArray[np.float64], outlines: Sequence[SliceOutline]) -> l
 def _on_slices(
     stack: OutlineStack, shape: tuple[int, int], num_slices: int, *, is_between: bool
 ) -> tuple[int, NDArray[np.float32]]:
-    """The first slice and the shares of the voxels of all slices that a stack of outlines touches."""
+    """Return the first slice, and the shares of the voxels of all slices that a stack of outlines touches."""
     start = max(int(np.floor(stack.heights[0] - stack.reach + 0.5)), 0)
     end = min(int(np.ceil(stack.heights[-1] + stack.reach - 0.5)), num_slices - 1)
     share = np.zeros((end - start + 1, *shape), dtype=np.float32)

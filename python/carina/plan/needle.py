@@ -54,7 +54,7 @@ def hit_share(
     *,
     moved_mm: float = 0.0,
 ) -> float:
-    """The share of needle positions that go through the nodule within their reach.
+    """Return the share of needle positions that go through the nodule within their reach.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def grow_nodule(
     wall: WallField | None = None,
     progress: Callable[[str, float | None], None] | None = None,
 ) -> Nodule:
-    """The nodule at a place in the lung, or the lesion at a place in an airway.
+    """Segment the nodule at a place in the lung, or the lesion at a place in an airway.
 
     Parameters
     ----------

@@ -130,7 +130,7 @@ class Nodule:
 
     @property
     def words(self) -> str:
-        """solid nodule, 12.3 x 10.1 mm, 0.74 ml"""
+        """Kind and size of the nodule as text: ``solid nodule, 12.3 x 10.1 mm, 0.74 ml``."""
         ml = self.volume_mm3 / 1000.0
         return f"{self.kind} nodule, {self.long_mm:.1f} x {self.short_mm:.1f} mm, {ml:.{2 if ml >= 0.1 else 3}f} ml"
 
@@ -167,7 +167,7 @@ class Nodule:
     @classmethod
     @check_arguments(record=instance(Mapping, "take one from Nodule.to_record"))
     def from_record(cls, record: Mapping[str, Any]) -> Nodule:
-        """The nodule that `to_record` wrote.
+        """Return the nodule that `to_record` wrote.
 
         Raises
         ------
@@ -228,7 +228,7 @@ class Nodule:
 
 
 def _unpacked(text: str, shape: Any) -> Mask:
-    """The bits of a record as a mask; ``ValueError`` where they are not as many as its shape says."""
+    """Return the bits of a record as a mask; ``ValueError`` where their number does not fit the shape."""
     nz, ny, nx = (int(n) for n in shape)
     num = nz * ny * nx
     if min(nz, ny, nx) < 1 or num > MOST_VOXELS:

@@ -27,7 +27,7 @@ class OwnFile:
 
     @classmethod
     def read(cls, path: str | Path) -> OwnFile:
-        """The document in a file.
+        """Read the document in a file.
 
         Raises
         ------
@@ -50,7 +50,7 @@ class OwnFile:
         return UsageError(f"{self.where}: {what}: expected {expected}; found {found!r}", code="plan.own-file")
 
     def check(self, form: str, version: int, names: Iterable[str]) -> None:
-        """That it is an object of this format with no other names."""
+        """Check that the document is an object of this format without unknown names."""
         if not isinstance(self.document, dict):
             raise self.refusal("the whole", "an object in braces", self.document)
         found = (self.document.get("format"), self.document.get("version"))
@@ -73,21 +73,21 @@ class OwnFile:
         return None if self.document.get(name) is None else self.text(name)
 
     def flag(self, name: str, expected: str) -> bool:
-        """True or false."""
+        """Return the field ``name``, which must be true or false."""
         found = self.document.get(name)
         if not isinstance(found, bool):
             raise self.refusal(name, expected, found)
         return found
 
     def size(self, name: str, most: float) -> float:
-        """A number above 0."""
+        """Return the field ``name``, a number above 0."""
         found = self.document.get(name)
         if not _is_number(found) or not 0.0 < found <= most:
             raise self.refusal(name, f"a number above 0 up to {most:g} {_unit(name)}", found)
         return float(found)
 
     def number_or_none(self, name: str, most: float) -> float | None:
-        """A number from 0 up, or nothing."""
+        """Return the field ``name``, a number from 0 up, or None."""
         found = self.document.get(name)
         if found is None:
             return None

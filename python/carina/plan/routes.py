@@ -416,7 +416,7 @@ class _Search:
         return found
 
     def best(self, drafts: Sequence[PlannedRoute], found: PlannedRoute | None = None) -> PlannedRoute:
-        """The best of drafts with the needle's errors, or ``found`` if that is better.
+        """Return the best of drafts with the needle's errors, or ``found`` if that is better.
 
         What cannot be the best even if no needle missed is not looked at.
         """
@@ -456,7 +456,7 @@ def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
 
 
 def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> PlannedRoute:
-    """A place with its last leg, judged."""
+    """Return the judged route to a place with its last leg."""
     branch = places.of_branch(n)
     asked = places.asks(n, bending_mm(judge.scope))
     parts = judge.parts(leg, asked.room_mm.value, places.nodule)
@@ -505,7 +505,7 @@ class _Steps:
 
 
 def standing_apart(routes: Sequence[PlannedRoute]) -> tuple[PlannedRoute, ...]:
-    """The best of a ranked list, without those that stand where a better one to the same aim does.
+    """Return the best of a ranked list, without routes whose place is near that of a better one to the same aim.
 
     The best to each aim is among them.
     """

@@ -172,7 +172,7 @@ def bending_mm(scope: ScopePreset) -> float | None:
 
 
 def order(route: Any) -> tuple[Any, ...]:
-    """The better of two comes first: what the scope gets to, then the score; where it *may*, times how likely."""
+    """Return the sort key of a route: what the scope reaches, then the score; for *may reach*, times its chance."""
     score = route.score * route.chance if route.outlook == "may reach" else route.score
     return RANK[route.outlook], -score, route.branch_id, route.aim
 

@@ -53,7 +53,7 @@ def target_from_file(
     progress: Callable[[str, float | None], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanTarget:
-    """A target from a mask (NIfTI, NRRD, MetaImage), a DICOM SEG or an RTSTRUCT.
+    """Read a target from a mask (NIfTI, NRRD, MetaImage), a DICOM SEG or an RTSTRUCT.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def target_from_file(
 
 
 def _label(file: Path, volume: Volume, structure: int | str | None, *, resample: bool) -> tuple[int | None, str]:
-    """The number and the name of the label that is meant; the name is empty where the file has none."""
+    """Return the number and the name of the selected label; the name is empty where the file has none."""
     try:
         # No file has this label: the refusal lists those that it has.
         open_mask(file, volume, label=-1, resample=resample)
@@ -167,7 +167,7 @@ def _from_structures(
     ours: References | None,
     watch: Watch,
 ) -> tuple[Nodule, str]:
-    """The nodule of a structure set, and the structure's name."""
+    """Return the nodule of a structure set, and the structure's name."""
     chosen = _chosen(file, read_structures(file, watch).structures, wanted, volume)
     if not chosen.contours:
         problem = f"the structure {_told(chosen)} is empty"
@@ -191,7 +191,7 @@ def _from_structures(
 
 
 def _chosen(file: Path, structures: tuple[Structure, ...], wanted: int | str | None, volume: Volume) -> Structure:
-    """The one that was asked for, or the only one that is drawn."""
+    """Return the selected structure, or the only one that is drawn."""
     labels = tuple(MaskLabel(one.number, one.name or None, _about_ml(one, volume)) for one in structures)
     if wanted is None:
         drawn = [one for one in structures if one.contours]
@@ -214,7 +214,7 @@ def _about_ml(structure: Structure, volume: Volume) -> float:
 
 
 def _belonging(file: Path, theirs: References, ours: References | None) -> tuple[str, ...]:
-    """Notes on which CT a file belongs to; what belongs to another one is refused."""
+    """Return notes on which CT a file belongs to; refuse a file that belongs to another one."""
     if not (theirs.frames or theirs.series or theirs.images):
         return (UNCHECKED,)
     if ours is None:

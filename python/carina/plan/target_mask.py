@@ -24,7 +24,7 @@ PIECE_MM = 5.0
 
 
 def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: ArrayLike | None = None) -> Nodule:
-    """The nodule of a mask on a CT's own grid.
+    """Return the nodule of a mask on a CT's own grid.
 
     Its volume is what the mask holds; the error is that of a drawn boundary, half a voxel on all sides (k).
 
@@ -87,7 +87,7 @@ def target_from_mask(
     at_lps: ArrayLike | None = None,
     wall: WallField | None = None,
 ) -> PlanTarget:
-    """A target from a mask on a CT's own grid; see `nodule_from_mask`.
+    """Return a target from a mask on a CT's own grid; see `nodule_from_mask`.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def target_from_mask(
 def target_of(
     volume: Volume, nodule: Nodule, source: TargetSource, *, target_id: str, name: str, wall: WallField | None
 ) -> PlanTarget:
-    """A nodule that comes from a file as a target."""
+    """Return a target with a nodule that was read from a file."""
     return PlanTarget(
         target_id=target_id,
         name=name,

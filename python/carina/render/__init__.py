@@ -118,5 +118,5 @@ __all__ = [
 
 
 def build_info() -> dict[str, Any]:
-    """What the compiled module is: ``version``, ``profile``, ``simd`` (kernels used), ``threads``, ``target``."""
+    """Return facts on the compiled module: ``version``, ``profile``, ``simd`` (kernels), ``threads``, ``target``."""
     return {**_core.build_info(), "simd": _core.best_instruction_set()}

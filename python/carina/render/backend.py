@@ -52,7 +52,7 @@ class Adapter:
 
 
 def find_adapters() -> tuple[Adapter, ...] | None:
-    """The adapters of this machine, the likely fastest first; None in a build without GPU support.
+    """Return the adapters of this machine, the likely fastest first; None in a build without GPU support.
 
     Loads the graphics drivers on the first call.
     """
@@ -137,7 +137,7 @@ class Backend:
         return usable if self.mode == "gpu" else tuple(a for a in usable if not a.is_software)
 
     def open(self, adapter: Adapter) -> _core.Gpu:
-        """The adapter's device; opened once per process."""
+        """Return the adapter's device; it is opened once per process."""
         with self._lock:
             device = self._opened.get(adapter.index)
             if device is None:
@@ -160,7 +160,7 @@ class Backend:
         return tuple(self._verdicts.values())
 
     def verdict(self, adapter: Adapter, shape_zyx: tuple[int, int, int]) -> Verdict | None:
-        """What was measured of an adapter with this driver, on volumes of this size."""
+        """Return the measurement of an adapter with this driver, on volumes of this size."""
         return self._verdicts.get((adapter.name, adapter.driver, shape_zyx))
 
     def remember(self, verdict: Verdict) -> None:
@@ -181,7 +181,7 @@ def _carina() -> str:
 
 
 def _read(path: Path) -> list[Verdict]:
-    """The record, or nothing where it is missing or not ours: it can be measured again."""
+    """Return the recorded measurements; empty where the file is missing or of another Carina."""
     try:
         data = json.loads(read_regular_text(path, max_bytes=1 << 20))
         # Another Carina has other casters on either side.

@@ -57,7 +57,7 @@ class MapName:
         return hashlib.blake2b(text.encode(), digest_size=10).hexdigest()
 
     def full(self) -> str:
-        """The whole name. Reads every voxel."""
+        """Return the whole name of the map; this reads every voxel."""
         return self.stem + _core.content_digest(np.ascontiguousarray(self.values_zyx))[:40]
 
 
@@ -82,7 +82,7 @@ class MapCache:
         self._storing: list[threading.Thread] = []
 
     def get_or_build(self, name: MapName, build: Callable[[], CachedMap]) -> CachedMap:
-        """The map of this name from disk, else from ``build``; then kept on disk, if it was slow to build."""
+        """Return the map of this name from disk, else from ``build``; a map that was slow to build is then stored."""
         # Naming reads the whole volume; where no file can be meant, that is left for later.
         if any(self._folder.glob(f"{name.stem}*.isoregion")):
             found = self._load(name)
@@ -164,7 +164,7 @@ class MapCache:
 
 
 def _read(file: Any, shape_zyx: tuple[int, ...]) -> CachedMap:
-    """The map in an open file.
+    """Read the map in an open file.
 
     Raises
     ------

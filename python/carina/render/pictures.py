@@ -413,7 +413,7 @@ def view_spec(
     vignette: float | None = None,
     depth_of_field: DepthOfField | None = None,
 ) -> View:
-    """The view that :func:`render_view` renders, checked without a volume; parameters and errors are the same."""
+    """Return the view that :func:`render_view` renders, checked without a volume, with the same parameters."""
     _needed_pose("view_spec", pose)
     x, y, z = (float(v) for v in pose.position_lps)
     if orbit is not None and len(orbit) not in {2, 3}:
@@ -466,7 +466,7 @@ def _field(scope: ScopePreset | str | None, outline: Outline | None, vignette: f
 
 
 def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> Picture:
-    """A copy of a picture with a small cross-hair where a point appears; unmarked if it is out of the picture.
+    """Return a copy of a picture with a cross-hair where a point appears; unmarked if it is out of the picture.
 
     Raises
     ------

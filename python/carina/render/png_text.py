@@ -21,7 +21,7 @@ _MAX_TEXT = 1 << 16
 
 
 def read_png_pose(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """What a picture that Carina saved says about its view and pose; None where it says nothing.
+    """Return the view and the pose that Carina stored in a saved picture; None where there is none.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def read_png_pose(path: str | os.PathLike[str]) -> dict[str, Any] | None:
 
 
 def read_png_badges(path: str | os.PathLike[str]) -> tuple[Note, ...]:
-    """What a picture that Carina saved says about doubts in its case; empty where there were none.
+    """Return the lasting notes that Carina stored in a saved picture; empty where there are none.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def read_png_badges(path: str | os.PathLike[str]) -> tuple[Note, ...]:
 
 
 def _text(path: str | os.PathLike[str], wanted: str) -> Any:
-    """The JSON of a text chunk, or None."""
+    """Return the JSON of a text chunk, or None."""
     with open_regular(path) as file:
         data = file.read()
     if not data.startswith(SIGNATURE):

@@ -148,7 +148,7 @@ class Renderer:
 
     @check_arguments(lumen_zyx=mask_array(optional=True), tree=A_TREE)
     def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
-        """The airway lumen ``(nz, ny, nx)`` on the volume's grid, for the wall and the tree view; None for none known.
+        """Set the airway lumen ``(nz, ny, nx)`` on the volume's grid, for the wall and the tree view; None clears it.
 
         With the lumen's ``tree`` (:class:`carina.track.AirwayTree`) the *endoscopic* look draws what is fixed to
         anatomy: rings, the membranous wall, colour by region, ridges of forks.
@@ -285,8 +285,9 @@ class Renderer:
 
     @check_arguments(view=AN_AIRWAY_VIEW, column=whole_from(0, 8191), row=whole_from(0, 8191))
     def pick(self, view: AirwayView, column: int, row: int) -> Hit | None:
-        """The first wall at one pixel of an airway view, or None where the ray meets none: one ray, the numbers of
-        :meth:`surface`.
+        """Return the first wall at one pixel of an airway view; None where the ray meets none.
+
+        One ray is cast; the numbers are those of :meth:`surface`.
 
         Raises
         ------
@@ -305,8 +306,11 @@ class Renderer:
 
 
 def _between(first_s: float | None, last_s: float | None, seconds: float) -> float | None:
-    """Processor time between two readings. None where one is missing, and where they cannot be of the same threads: a
-    force device took or gave back one meanwhile."""
+    """Return the processor time between two readings.
+
+    The result is None where a reading is missing, and where the readings cannot be of the same threads, because a force
+    device started or ended one in between.
+    """
     if first_s is None or last_s is None or not 0.0 <= last_s - first_s <= 1.1 * seconds:
         return None
     return last_s - first_s

@@ -125,7 +125,7 @@ class Sight(FrozenValue, frozen=True):
         return self.zoom.get(view, FITS)
 
     def centred(self, views: Collection[str]) -> Sight:
-        """The same with these views round the point that is shown again, at their scales; itself where they are."""
+        """Return a sight with these views centred on the shown point again, at their scales; itself if they are."""
         panned = [view for view in views if self.place(view).centre_lps is not None]
         if not panned:
             return self

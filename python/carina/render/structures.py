@@ -54,7 +54,7 @@ def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
     transfer=instance(TransferFunction, "get one from carina.transfer_preset", optional=True),
 )
 def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> NDArray[np.uint8]:
-    """The IsoRegion map of a volume: for every voxel the largest cube of equal voxels centred on it.
+    """Return the IsoRegion map of a volume: for every voxel the largest cube of equal voxels centred on it.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def project_maximum(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.int16
 def sample_plane(
     volume: Volume, lps_from_pixel: NDArray[np.float64], *, width: int, height: int, window_hu: tuple[float, float]
 ) -> NDArray[np.uint8]:
-    """A plane anywhere in the volume, trilinear, as grey levels.
+    """Return a plane anywhere in the volume, trilinear, as grey levels.
 
     Parameters
     ----------

@@ -309,7 +309,7 @@ PRESETS = {t.name: t for t in (ENDOSCOPIC, CT_GREY, SEE_THROUGH, PAPER)}
 
 @check_arguments(name=text_of(200, least=0))
 def transfer_preset(name: str) -> TransferFunction:
-    """A preset: ``endoscopic``, ``ct-grey``, ``see-through`` or ``paper``.
+    """Return a preset: ``endoscopic``, ``ct-grey``, ``see-through`` or ``paper``.
 
     Raises
     ------
@@ -329,7 +329,7 @@ def transfer_preset(name: str) -> TransferFunction:
 
 
 def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
-    """A transfer function for a volume that is not in HU, from its own histogram.
+    """Return a transfer function for a volume that is not in HU, from its own histogram.
 
     Otsu's threshold parts dark (air) from bright (tissue); the ramp of the endoscopic preset is laid round it in
     proportion to the distance between the means of the two parts, as it lies round the half-maximum in HU.

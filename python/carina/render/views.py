@@ -184,7 +184,7 @@ class AirwayView:
         picture_turned: bool = False,
         **settings: Any,
     ) -> AirwayView:
-        """What an instrument shows when its shaft ends at ``tip``: its lens, field of view, outline and direction.
+        """Return the view of an instrument whose shaft ends at ``tip``: its lens, field of view, outline and direction.
 
         Any of them can be overridden, and all other settings given, by name. Depth of field stays off unless told.
         ``picture_turned`` is as in `ScopePreset.camera_pose`.
@@ -416,8 +416,9 @@ class PathView(GreyView):
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class SliceView(GreyView):
-    """A slice along patient axes, in radiological display: patient right on screen left, sagittal with anterior on the
-    left.
+    """A slice along patient axes, in radiological display.
+
+    The patient's right is on the left of the screen; a sagittal slice has anterior on the left.
 
     The plane passes through ``centre_lps``. With ``mm_per_px`` the picture is centred on that point; without, the whole
     volume fits.
@@ -488,7 +489,7 @@ class PictureLines:
     mm_per_px: float
 
     def lps_of(self, column: float, row: float) -> NDArray[np.float64]:
-        """The point at a place of the picture, rows clamped to it."""
+        """Return the point at a place of the picture, rows clamped to it."""
         middles = np.arange(len(self.start_lps)) + 0.5
         start, step = (
             np.array([np.interp(row, middles, values[:, axis]) for axis in range(3)])
@@ -497,7 +498,7 @@ class PictureLines:
         return np.asarray(start + column * step)
 
     def pixel_of(self, point_lps: NDArray[np.float64]) -> tuple[float, float]:
-        """The place (column, row) whose point is nearest."""
+        """Return the place (column, row) whose point is nearest."""
         offset = point_lps - self.start_lps
         columns = np.einsum("ij,ij->i", offset, self.step_lps) / np.einsum("ij,ij->i", self.step_lps, self.step_lps)
         columns = np.clip(columns, 0.0, None)
@@ -541,7 +542,7 @@ class Picture:
         return f"Picture({self.view!r}, {width}x{height}, {self.stats.method}, {self.stats.seconds:.3g} s)"
 
     def _repr_png_(self) -> bytes:
-        """The picture in a notebook."""
+        """Return the picture for a notebook."""
         return png_bytes(np.ascontiguousarray(self.rgb))
 
     def pixel_of(self, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> tuple[float, float] | None:

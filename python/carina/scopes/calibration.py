@@ -84,7 +84,7 @@ def lens_from_file(path: str | os.PathLike[str]) -> Lens:
 
 
 def lens_from_text(text: str) -> Lens:
-    """The lens of a calibration's text; see :func:`lens_from_file`."""
+    """Return the lens in a calibration's text; see :func:`lens_from_file`."""
     start = text.lstrip()[:1]
     try:
         if start == "<":
@@ -172,7 +172,7 @@ def _read_yaml(text: str) -> Entries:
 
 
 def _numbers(what: str, value: Any) -> list[float]:
-    """The numbers of a matrix entry in any of the three forms, row by row."""
+    """Return the numbers of a matrix entry in any of the three forms, row by row."""
     if isinstance(value, dict):
         data = {key.lower(): entry for key, entry in value.items()}
         if "data" not in data:

@@ -327,7 +327,7 @@ class ScopeDrive:
         return other
 
     def shaft_lps(self) -> NDArray[np.float64]:
-        """The scope's axis from the entry to the tip's face, (n, 3) LPS mm, a point every 2 mm."""
+        """Return the scope's axis from the entry to the tip's face, (n, 3) LPS mm, a point every 2 mm."""
         return self._core.shaft_lps()
 
     def wall_depths_mm(self) -> tuple[float, float]:
@@ -336,7 +336,7 @@ class ScopeDrive:
 
 
 def lever_flexion(lever: float, flexion_range_rad: tuple[float, float], *, invert: bool = False) -> float:
-    """The flexion of a lever's place.
+    """Return the flexion for a position of the lever.
 
     Parameters
     ----------

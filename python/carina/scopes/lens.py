@@ -110,7 +110,7 @@ class Lens:
 
     @classmethod
     def equidistant(cls) -> Lens:
-        """The distance from the middle grows with the angle."""
+        """Return a lens whose distance from the middle of the picture grows with the angle."""
         return cls("equidistant")
 
     @classmethod
@@ -122,12 +122,12 @@ class Lens:
     @classmethod
     @check_arguments(**dict.fromkeys(("k1", "k2", "k3", "k4"), number_from(-1e6, 1e6)))
     def fisheye(cls, k1: float, k2: float = 0.0, k3: float = 0.0, k4: float = 0.0) -> Lens:
-        """An equidistant lens with a polynomial of the angle (Kannala and Brandt 2006)."""
+        """Return an equidistant lens with a polynomial of the angle (Kannala and Brandt 2006)."""
         return cls("fisheye", (k1, k2, k3, k4))
 
     @check_arguments(width=pixels(), height=pixels(), fov_deg=number_from(1.0, 170.0, optional=True, unit="degrees"))
     def optics(self, width: int, height: int, fov_deg: float | None = None) -> Optics:
-        """This lens in front of a picture.
+        """Return the optics of this lens in front of a picture.
 
         Parameters
         ----------
@@ -253,7 +253,7 @@ class Optics:
         return self._core.centre_px
 
     def directions_of(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit directions (n, 3) in camera space of points of the picture (n, 2); NaN where the lens has none."""
+        """Return unit directions (n, 3) in camera space of picture points (n, 2); NaN where the lens has none."""
         return self._core.directions(np.ascontiguousarray(pixels, dtype=np.float64))
 
     def pixels_of(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -261,7 +261,7 @@ class Optics:
         return self._core.pixels(np.ascontiguousarray(directions, dtype=np.float64))
 
     def rays(self, field: ImageField) -> _core.LensRays:
-        """The rays of all pixels, for the casters; the last used are kept."""
+        """Return the rays of all pixels, for the ray casters; the last used ones are cached."""
         return _RAYS.of(self, field)
 
     def _build_rays(self, field: ImageField) -> _core.LensRays:

@@ -20,7 +20,7 @@ FAR_MM = 1e40
 
 
 def upright(forward_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What is up for an operator at the patient's head: anterior, or superior where the view is antero-posterior.
+    """Return the up direction for an operator at the patient's head: anterior, or superior in an AP view.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Pose:
         at_lps=numbers_within(FAR_MM), look_lps=numbers_within(FAR_MM), up_lps=numbers_within(FAR_MM, optional=True)
     )
     def looking(cls, at_lps: ArrayLike, look_lps: ArrayLike, up_lps: ArrayLike | None = None) -> Pose:
-        """The pose at a point, looking along a direction, with ``up`` as near the top of the picture as it can be.
+        """Return the pose at a point, looking along a direction, with ``up`` as near the picture's top as possible.
 
         Parameters
         ----------

@@ -125,7 +125,7 @@ class WallField:
         return self.core.num_bytes
 
     def digest(self) -> str:
-        """What tells one field from another: equal for equal samples, to the last bit."""
+        """Return what identifies a field: equal for equal samples, to the last bit."""
         return self.core.digest()
 
     @check_arguments(points_lps=coordinates(COORDINATE_MM))

@@ -48,7 +48,7 @@ def _not_authorised() -> JSONResponse:
 
 
 def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = None) -> Starlette:
-    """The ASGI application.
+    """Create the ASGI application.
 
     Parameters
     ----------

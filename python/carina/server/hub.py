@@ -154,7 +154,7 @@ class Hub:
         return window
 
     def detach(self, window: Window) -> None:
-        """A window is gone; from the event loop, which waits for nothing."""
+        """Remove a window that has gone; call it from the event loop, which waits for nothing."""
         del self._windows[window.number]
         window.end()
         if not window.watches:
@@ -171,7 +171,7 @@ class Hub:
         return tuple(window for window in self._windows.values() if not window.watches)
 
     def restored(self, text: str) -> str:
-        """A message in which dropped files have the names by which the person knows them."""
+        """Return a message in which dropped files have the names that the user knows."""
         return self._uploads.names.restored(text)
 
     def _push(self, message: Any) -> None:
@@ -180,7 +180,7 @@ class Hub:
             window.outbox.push(message)
 
     def _tell(self, message: Any) -> None:
-        """The same from any thread."""
+        """Send a message to all windows but those of observers; from any thread."""
         self.in_loop(self._push, message)
 
     def _mark(self, *topics: str) -> None:
@@ -223,7 +223,7 @@ class Hub:
     # ------------------------------------------------------------ in
 
     def do(self, message: Any, window: Window) -> None:
-        """A command is the session's; the rest is about what the windows share."""
+        """Pass a command to the session, and handle the other messages, which concern what the windows share."""
         match message:
             case Command():
                 self.session.do(message, window=window.number)
@@ -281,13 +281,13 @@ class Hub:
         await self._watch_page.stop(words)
 
     def _keep_for(self, command: Command, upload_id: str, window: Window) -> None:
-        """The dropped files stay until the job that reads them has ended."""
+        """Run a command that reads dropped files, and keep these files until its job has ended."""
         job_id = self.session.do(command, window=window.number)
         assert job_id is not None
         self._upload_of_job[job_id] = upload_id
 
     def _import_mask(self, upload_id: str, window: Window) -> None:
-        """The file is kept until the mask is read, which may take an answer."""
+        """Import a dropped mask, and keep its file until the mask is read, which may need an answer of the user."""
         place = self._uploads.place(upload_id)
         before, self._mask_upload = self._mask_upload, None
         try:

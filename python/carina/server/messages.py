@@ -135,7 +135,7 @@ def parse_picture(data: bytes) -> tuple[PictureHeader, bytes]:
 
 
 def split_outline(header: PictureHeader, payload: bytes) -> tuple[bytes, tuple[tuple[tuple[float, float], ...], ...]]:
-    """A payload's picture, and the lines of the outline behind it: columns and rows in pixels of the picture.
+    """Split a payload into the picture and the lines of the outline: columns and rows in pixels of the picture.
 
     Raises
     ------
@@ -168,5 +168,5 @@ def _line_places(payload: bytes, end: int, num_bytes: int) -> list[tuple[int, in
 
 
 def encode_message(message: Any) -> str:
-    """A message as JSON text."""
+    """Encode a message as JSON text."""
     return encode(message)

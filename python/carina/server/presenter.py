@@ -41,7 +41,7 @@ __all__ = [
 
 
 def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
-    """The bundled cases."""
+    """Return the bundled cases."""
     return (
         wire.Demo("phantom", "Phantom", "A synthetic chest CT with known airways, generated on this machine.", None),
         wire.Demo(
@@ -57,7 +57,7 @@ def start_message(
     patient_citation: Citation | None,
     storage: StorageInfo | None = None,
 ) -> wire.Start:
-    """What the start page shows; paths stay on the server's side."""
+    """Return the contents of the start page; paths stay on the server's side."""
     cases = tuple(_listed(case) for case in recent)
     beside = None
     if storage is not None:
@@ -96,7 +96,7 @@ MAX_ROWS_NAMED = 130
 
 
 def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
-    """The lines of a curved picture, thinned out."""
+    """Return the lines of a curved picture, thinned out."""
     if lines is None:
         return None
     height = len(lines.path_mm)
@@ -215,7 +215,7 @@ def _target(target: Any) -> wire.Target:
 
 
 def _threshold(document: Document | None) -> float | None:
-    """What the airways were found with; while there are none, what they are looked for with."""
+    """Return the threshold with which the airways were found, or will be searched for."""
     if document is None:
         return None
     if document.airways is None:
@@ -226,7 +226,7 @@ def _threshold(document: Document | None) -> float | None:
 
 
 def route_message(route: ChosenRoute | None) -> wire.Route:
-    """The route with its parallel lists."""
+    """Return the route with its parallel lists."""
     if route is None:
         return wire.Route(None)
     info = wire.RouteInfo(
@@ -255,7 +255,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
 
 
 def pose_message(info: PoseInfo) -> wire.Pose:
-    """The newest pose."""
+    """Return the newest pose."""
     return wire.Pose(
         pose_id=info.pose_id,
         lps_from_camera=_flat(info.pose.lps_from_camera),
@@ -293,18 +293,18 @@ def _held(info: PoseInfo) -> wire.HeldScope | None:
 
 
 def key_frames_message(info: KeyFramesInfo) -> wire.KeyFrames:
-    """The key frames and the flight through them."""
+    """Return the key frames and the flight through them."""
     return wire.KeyFrames(**msgspec.structs.asdict(info))
 
 
 def history_message(snapshot: Snapshot) -> wire.History:
-    """What was done."""
+    """Return the changes that can be undone and redone."""
     steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in snapshot.steps)
     return wire.History(steps, snapshot.position)
 
 
 def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None) -> wire.Picked:
-    """What was found under a click in the airway view."""
+    """Return the wall under a click in the airway view."""
     if wall is None:
         return wire.Picked(pick_id, None, None, None, None, None, None)
     return wire.Picked(

@@ -22,7 +22,7 @@ MAX_COOKIE_BYTES = 8192
 
 
 def is_loopback(host: str) -> bool:
-    """True for an address that only this machine reaches."""
+    """Return whether only this machine can reach an address."""
     if host == "localhost":
         return True
     try:
@@ -131,14 +131,14 @@ class Gate:
         return f"{self.cookie_name}={self._cookie_value}; Path=/; HttpOnly; SameSite=Strict"
 
     def new_token(self) -> str:
-        """A token that works once, for a start URL."""
+        """Return a new token for a start URL; the token works once."""
         token = secrets.token_urlsafe(32)
         with self._lock:
             self._tokens.add(token)
         return token
 
     def redeem(self, token: str) -> bool:
-        """True once for each token."""
+        """Return True once for each token, and use it up."""
         if not token.isascii():
             return False
         with self._lock:

@@ -40,7 +40,7 @@ GRACE_S = 3
 
 
 def start_url(gate: Gate) -> str:
-    """A link with a fresh token; it works once."""
+    """Return a start link with a fresh token; the link works once."""
     host = gate.host
     if host in {"0.0.0.0", "::", ""}:
         host = socket.gethostname()
@@ -280,7 +280,7 @@ def serve(
 
 
 def _leave_no_core(log_level: str) -> None:
-    """A core file would hold the patient's images; who looks for a fault (DEBUG) wants one."""
+    """Disable core files, which would contain the patient's images; DEBUG leaves them on for fault analysis."""
     if sys.platform == "win32" or log_level in {"DEBUG", "TRACE"}:
         return
     import resource

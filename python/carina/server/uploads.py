@@ -38,7 +38,7 @@ class Limits:
 
 
 def safe_relative_path(name: str) -> Path:
-    """A relative path made of harmless parts of the name that a browser sent; never empty, never upwards.
+    """Return a relative path made of harmless parts of the name that a browser sent; never empty, never upwards.
 
     Every part keeps letters, digits, ``._-`` and spaces; leading dots go, so that neither ``..`` nor hidden files
     remain.
@@ -80,7 +80,7 @@ class Uploads:
         """What the dropped files are called, for messages."""
 
     def begin(self) -> str:
-        """A new, empty upload; returns its id.
+        """Begin an empty upload, and return its id.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class Uploads:
             raise
 
     def place(self, upload_id: str) -> Path:
-        """What to open: the only file, a header file with its data beside it, or the folder."""
+        """Return what to open: the only file, a header file with its data beside it, or the folder."""
         upload = self._needed(upload_id)
         files = sorted(p for p in upload.folder.rglob("*") if p.is_file())
         if not files:
@@ -196,7 +196,7 @@ def _open_new(path: Path) -> BinaryIO:
 
 
 def _joined(upload: _Upload, header: Path) -> Path:
-    """A header that finds its data: by the neutral name of its one file, else with the names that they came with.
+    """Return a header that finds its data: by the neutral name of its one file, else by the original names.
 
     Raises
     ------

@@ -123,7 +123,7 @@ class WatchPage:
         return self._open is not None
 
     def info(self) -> wire.WatchPage | None:
-        """What is shown of it; None while it is closed."""
+        """Return what the windows show of the page; None while it is closed."""
         return None if self._open is None else self._open.info()
 
     async def start(self) -> None:

@@ -57,13 +57,13 @@ class Host(Protocol):
         """Do what a window asks."""
 
     def detach(self, window: Window) -> None:
-        """A window is gone."""
+        """Remove a window that has gone."""
 
     def watching_text(self) -> str:
         """Who may watch, and who does."""
 
     def restored(self, text: str) -> str:
-        """A message in which dropped files have the names by which the person knows them."""
+        """Return a message in which dropped files have the names that the user knows."""
 
 
 class Window:
@@ -163,11 +163,11 @@ class Window:
             self._host.in_loop(self.outbox.push, message)
 
     def restored(self, text: str) -> str:
-        """A message as this window may read it."""
+        """Return a message as this window may read it."""
         return self._host.restored(text)
 
     def topic_text(self, topic: str) -> str | None:
-        """The newest message of a topic, or None where there is none."""
+        """Return the newest message of a topic; None where there is none."""
         match topic:
             case "start":
                 return self._host.texts.start()
@@ -238,7 +238,7 @@ class Window:
     # ------------------------------------------------------------ in
 
     async def admit(self) -> None:
-        """Called before each message is parsed; raises ProtocolError where the client sent too many."""
+        """Prepare for the next message, before it is parsed; raise ProtocolError where the client sent too many."""
 
     def handle(self, message: Any) -> None:
         """Do what the window asks; trouble is answered with an ``error`` message."""
@@ -294,7 +294,7 @@ class Window:
                 self._host.do(message, self)
 
     def _pick(self, message: wire.Pick) -> None:
-        """The wall under a click, in the picture that was clicked in and not in a newer one."""
+        """Send the wall under a click, in the picture that was clicked and not in a newer one."""
         shown = self.pump.shown(message.frame_id)
         if shown is None:
             raise UsageError("the view has changed since you clicked; click again", code="session.pick")

@@ -116,13 +116,16 @@ class CachedCt:
 
     @property
     def state(self) -> State:
-        """How the source's files are now: with ``changed`` open them and compare digests. ``missing``: one of them
-        cannot be reached."""
+        """State of the source's files.
+
+        If the state is ``changed``, the caller opens the files and compares digests. The state is ``missing`` if a file
+        cannot be reached.
+        """
         now = self.source.now()
         return "missing" if now is None else "unchanged" if now == self.source.files else "changed"
 
     def load(self, *, progress: Progress | None = None, cancel: Cancel | None = None) -> Volume | None:
-        """The volume, as it was opened; None where the cached file is gone or damaged (it is removed, then).
+        """Read the volume as it was opened; None where the cached file is gone or damaged (it is removed, then).
 
         Raises
         ------
@@ -275,7 +278,7 @@ class VolumeCache:
         self.wait_kept()
 
     def find(self, path: str | Path, *, series: str | None = None) -> CachedCt | None:
-        """What the cache holds of a path and series, without asking whether the files are as they were."""
+        """Return the cached CT of a path and series, without a check whether the files are unchanged."""
         if not self.is_on:
             return None
         place = absolute(path)
@@ -285,7 +288,7 @@ class VolumeCache:
         return self._cached(record)
 
     def find_digest(self, digest: str) -> CachedCt | None:
-        """What the cache holds of a CT, the source used last first; wherever its files are now."""
+        """Return the cached CT with a digest, the source used last first, wherever its files are now."""
         if not self.is_on:
             return None
         newest_first = sorted(self._sources(), key=lambda one: -one[1].st_mtime)
@@ -301,7 +304,7 @@ class VolumeCache:
         progress: Progress | None = None,
         cancel: Cancel | None = None,
     ) -> Volume | None:
-        """The volume of a path and series if its files are as they were; else None.
+        """Return the volume of a path and series if its files are unchanged; else None.
 
         Raises
         ------
@@ -373,7 +376,7 @@ class VolumeCache:
         return True
 
     def sizes(self) -> tuple[CachedSize, ...]:
-        """What is kept, the CT used last first."""
+        """Return the cached CTs with their sizes, the CT used last first."""
         found: dict[str, list[tuple[int, float]]] = {}
         for _, name, seen in self._voxels():
             found.setdefault(name.digest, []).append((seen.st_size, seen.st_mtime))
@@ -548,7 +551,7 @@ class VolumeCache:
 
 @functools.cache
 def _made_by() -> str:
-    """Of everything that has a say in what an opened volume holds: what another Carina made is not used."""
+    """Return a digest of the code and libraries that make a volume: a volume made by other code is not used."""
     import importlib.metadata  # slow to load, and asked once
 
     found = hashlib.blake2b(VERSION.encode(), digest_size=16)
@@ -609,13 +612,13 @@ def _decode(kind: type, value: Any) -> Any:
 
 
 def _packed(record: _Record) -> bytes:
-    """A digest of what follows, and JSON: a place that a disk has altered must not pass for one."""
+    """Return a record as JSON after its digest, so that a record that a disk has altered is recognised."""
     body = msgspec.json.encode(record, enc_hook=_encode)
     return hashlib.blake2b(body, digest_size=16).hexdigest().encode() + b"\n" + body
 
 
 def _unpacked(content: bytes) -> _Record:
-    """The record in a file.
+    """Return the record in a file.
 
     Raises
     ------

@@ -194,7 +194,7 @@ def _notes_of_files(
 
 
 def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> VolumeImportError:
-    """A refusal that also names the files that could not be used: they are its likely cause."""
+    """Return the refusal with the names of the files that could not be used, because they are its likely cause."""
     if not missing:
         return error
     shown = ", ".join(f"{bounded_name(file.path.name)} ({file.reason})" for file in missing[:4])

@@ -99,7 +99,7 @@ class Clipping:
         self._padding: set[float] = set()
 
     def take(self, header: SliceHeader, numbers: NDArray[Any]) -> NDArray[Any]:
-        """The numbers within int16."""
+        """Return the numbers cut to int16, and count the cut ones."""
         low, high = float(numbers.min()), float(numbers.max())
         if low >= -32768 and high <= 32767:
             return numbers

@@ -99,7 +99,7 @@ def _size(path: Path) -> int:
 
 
 def _holds_no_scan(dataset: Dataset) -> bool:
-    """True for reports, plans, segmentations, directory files: DICOM that is no slice by its own word."""
+    """Return whether a DICOM file states that it is not a slice: a report, a plan, a segmentation, a directory."""
     meta = getattr(dataset, "file_meta", None)
     kind = str(dataset.get("SOPClassUID") or getattr(meta, "MediaStorageSOPClassUID", "") or "")
     if kind:
@@ -157,12 +157,12 @@ def read_folder(folder: Path, *, recursive: bool, watch: Watch) -> FolderContent
 
 
 def read_headers(folder: Path, *, recursive: bool, watch: Watch) -> list[SliceHeader]:
-    """The headers alone; everything else is passed over."""
+    """Return the headers of a folder's slices alone; all other files are skipped."""
     return list(read_folder(folder, recursive=recursive, watch=watch).headers)
 
 
 def _shape(name: str) -> str:
-    """A name with its numbers taken out: ``IM003.dcm`` and ``IM104.dcm`` are alike."""
+    """Return a name without its numbers: ``IM003.dcm`` and ``IM104.dcm`` are alike."""
     return _RUNS.sub("#", name).casefold()
 
 
@@ -185,7 +185,7 @@ class LostFiles:
         self._shapes = {_shape(header.path.name) for header in content.headers} if content.unused else set()
 
     def beside(self, slices: Sequence[SliceHeader]) -> list[UnusedFile]:
-        """The files that look like a part of a series, in the order of their names.
+        """Return the files that look like a part of a series, in the order of their names.
 
         They lie in its folder (or, where it lies in several, in one beside these) and begin like DICOM, or are named
         like its slices, or are as large as these. A name like that of another series is that one's.
@@ -223,13 +223,13 @@ class LostFiles:
 
 
 def shown_name(path: Path) -> str:
-    """A file's name as a volume may carry it: of a name made of a UID only the last digits."""
+    """Return a file's name as a volume may have it; a name made of a UID is reduced to its last digits."""
     name = path.name
     return f"...{name[-8:]}" if _UID_NAME.search(name) else bounded_name(name)
 
 
 def name_files(files: Sequence[tuple[Path, str]], *, at_most: int = 4) -> str:
-    """The first few files with a word each: "IM012 (empty), IM013 (not DICOM) and 7 more"."""
+    """Return the first few files with a word each: "IM012 (empty), IM013 (not DICOM) and 7 more"."""
     shown = [f"{shown_name(path)} ({word})" if word else shown_name(path) for path, word in files[:at_most]]
     more = len(files) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")

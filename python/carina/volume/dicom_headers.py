@@ -186,7 +186,7 @@ def read_dataset(path: Path, *, pixels: bool) -> Dataset:
 
 
 def _read(path: Path, *, pixels: bool, tags: Sequence[Any] = _TAGS) -> tuple[Dataset, int | None]:
-    """The data set, and where in the file the element of its pixels begins, if it was left out and can be found."""
+    """Read the data set, and the offset of its pixel element, if that was left out and can be found."""
     try:
         _check_inflated_size(path)
         with warnings.catch_warnings():
@@ -252,7 +252,7 @@ def acquisition_date(path: Path) -> str | None:
 
 
 def read_pixel_bytes(header: SliceHeader) -> bytes:
-    """The value of PixelData as it stands in the file; empty where there is none.
+    """Return the value of PixelData as it is in the file; empty where there is none.
 
     The place that the header's reader passed is taken where it is known, since parsing a file twice costs more than
     all the rest.
@@ -309,7 +309,7 @@ class _Tags:
             return None
 
     def plain(self, tag: BaseTag) -> str:
-        """A value as text that compares: numbers as numbers, letters without case, lists joined.
+        """Return a value as text that can be compared: numbers as numbers, letters without case, lists joined.
 
         Most are compared as they stand in the file, which takes a tenth of the time of converting them.
         """
@@ -410,7 +410,7 @@ def _unit(vector: tuple[float, ...]) -> tuple[float, float, float]:
 
 
 def read_header(path: Path) -> tuple[SliceHeader | None, Dataset]:
-    """The header of one file, None where it holds no image (a report, a structure set, a directory file), and its tags.
+    """Read the header of one file and its tags; None for a file without an image (a report, a structure set).
 
     Raises
     ------

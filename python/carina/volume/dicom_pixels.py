@@ -226,7 +226,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
 
 
 def is_compressed(header: SliceHeader) -> bool:
-    """True where a decoder makes the pixels."""
+    """Return whether a decoder makes the pixels."""
     return header.transfer_syntax not in _PLAIN
 
 
@@ -273,5 +273,5 @@ def _modality_values(
 
 
 def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
-    """The numbers of ``decode_slice`` alone."""
+    """Return the numbers of ``decode_slice`` alone."""
     return decode_slice(header).numbers

@@ -143,7 +143,7 @@ def _read(path: Path, data: Any, volume: Volume | None, watch: Watch) -> Segment
 
 
 def _kind(data: Any) -> str:
-    """The segmentation type; files before 2009 and some writers leave it out."""
+    """Return the segmentation type; files before 2009 and some writers leave it out."""
     default = "LABELMAP" if str(data.get("SOPClassUID", "")) == _LABEL_MAP_STORAGE else "BINARY"
     return str(data.get("SegmentationType") or default).strip().upper()
 
@@ -286,7 +286,7 @@ class _Places:
 
 
 def _slice_mm(volume: Volume | None, normal: NDArray[np.float64]) -> float | None:
-    """The distance of a CT's voxels along the normal of a segmentation's planes; None if no axis is parallel to it."""
+    """Return the CT's voxel spacing along the normal of the segmentation's planes; None if no axis is parallel."""
     if volume is None:
         return None
     for axis in range(3):
@@ -303,7 +303,7 @@ def _first(data: Any, name: str) -> Any:
 
 
 def _item(group: Any, shared: Any, sequence: str, name: str) -> Any:
-    """A value of a frame, from its own group or the shared one."""
+    """Return a value of a frame, from its own group or the shared one."""
     for place in (group, shared):
         holder = None if place is None else _first(place, sequence)
         value = None if holder is None else holder.get(name)
@@ -321,7 +321,7 @@ def _length(group: Any, shared: Any, name: str) -> float | None:
 
 
 def _plain(name: str) -> str:
-    """A segment's name for messages: at most 64 characters, as DICOM allows, all printable."""
+    """Return a segment's name for messages: at most 64 characters, as DICOM allows, all printable."""
     return "".join(c if c.isprintable() else " " for c in name[:64]).strip()
 
 

@@ -59,7 +59,7 @@ class Group:
 def without_copies(
     headers: Sequence[SliceHeader], watch: Watch
 ) -> tuple[list[SliceHeader], dict[Hashable, list[SliceHeader]]]:
-    """The images without byte-identical copies, and the copies by identifier, series and position.
+    """Return the images without byte-identical copies, and the copies by identifier, series and position.
 
     Two files with one identifier and different content both stay: nobody knows which is right.
     """
@@ -346,14 +346,14 @@ def _heights(slices: Sequence[SliceHeader]) -> np.ndarray:
 
 
 def _share_heights(parts: Sequence[Sequence[SliceHeader]]) -> bool:
-    """True where one part begins before another has ended."""
+    """Return whether one part begins before another has ended."""
     spans = sorted((float(h[0]), float(h[-1])) for h in map(_heights, parts))
     # Slices of one position in two parts share a height as well.
     return any(later[0] <= earlier[1] + 0.01 for earlier, later in itertools.pairwise(spans))
 
 
 def _are_combs(whole: Sequence[SliceHeader], parts: Sequence[Sequence[SliceHeader]]) -> bool:
-    """True where parts of a regular stack lie between each other, each regular by itself and coarser than the whole.
+    """Return whether parts of a regular stack interleave, each regular by itself and coarser than the whole.
 
     So two scans look that were interleaved; a block in mid-stack, a stray slice or two outer ones do not.
     """

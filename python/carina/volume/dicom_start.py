@@ -10,7 +10,7 @@ __all__ = ["looks_like_dicom", "starts_like_dicom"]
 
 
 def looks_like_dicom(path: Path) -> bool:
-    """True where the first bytes are a DICOM preamble, or a bare data set as old archives write it."""
+    """Return whether the first bytes are a DICOM preamble, or a bare data set as old archives write it."""
     try:
         with open_regular(path) as file:
             return starts_like_dicom(file.read(132))
@@ -19,7 +19,7 @@ def looks_like_dicom(path: Path) -> bool:
 
 
 def starts_like_dicom(head: bytes) -> bool:
-    """The same for the first 132 bytes of a file."""
+    """Return whether the first 132 bytes of a file begin like DICOM."""
     if head[128:132] == b"DICM":
         return True
     # Without preamble: the first element's group is 0002 or 0008 (little or big endian) and its element is small.

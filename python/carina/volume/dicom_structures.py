@@ -78,7 +78,7 @@ class StructureSet:
 
 
 def read_structures(path: Path, watch: Watch) -> StructureSet:
-    """The regions of an RTSTRUCT file.
+    """Read the regions of an RTSTRUCT file.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def ct_references(path: Path, volume: Volume, watch: Watch) -> References | None
 
 
 def structures_refused(path: Path, problem: str, way_out: str, *, code: str = "import.mask") -> VolumeImportError:
-    """A structure set that is not taken."""
+    """Return the refusal of a structure set."""
     return VolumeImportError(f"reading the structure set {path.name}: {problem}; {way_out}", code=code)
 
 

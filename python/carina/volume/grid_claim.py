@@ -174,7 +174,7 @@ def take_once(path: Path, fields: dict[str, str], name: str, value: str) -> None
 
 
 def beside(path: Path, name: str) -> Path:
-    """The data file that a detached header names; only a plain file in the same folder is followed.
+    """Return the data file that a detached header names; only a plain file in the same folder is accepted.
 
     Raises
     ------

@@ -122,7 +122,7 @@ def read_grid_array(
     *,
     watch: Watch,
 ) -> tuple[NDArray[np.generic], GridHeader, tuple[Note, ...]]:
-    """The numbers of one NIfTI, NRRD or MetaImage file as they are, ``(nz, ny, nx)``, its checked header, and notes.
+    """Read the numbers of one NIfTI, NRRD or MetaImage file unchanged, ``(nz, ny, nx)``, its checked header, and notes.
 
     Raises
     ------

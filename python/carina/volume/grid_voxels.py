@@ -28,7 +28,7 @@ _GZIP_DEFLATE = b"\x1f\x8b\x08"
 
 
 def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.generic], tuple[Note, ...]]:
-    """The values ``(nz, ny, nx)`` of a file in this machine's byte order, scaled where the header says so.
+    """Return the values ``(nz, ny, nx)`` of a file in this machine's byte order, scaled as the header states.
 
     Returns
     -------

@@ -134,7 +134,7 @@ def write_grid_to(
     note: str | None = None,
     level: int = 6,
 ) -> None:
-    """The same into an open file; ``suffix`` of :data:`GRID_SUFFIXES` says how.
+    """Write values on a grid to an open file; ``suffix`` of :data:`GRID_SUFFIXES` selects the format.
 
     Raises
     ------

@@ -171,7 +171,7 @@ def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:
 
 
 def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[Note, ...]:
-    """What the format fills in by itself, and what it says twice in two ways."""
+    """Return notes on values that the format fills in by itself, and on values that contradict each other."""
     notes = []
     if not any(name.lower() in fields for name in _TURNS):
         words = "its header does not state where its axes point; they are assumed to point left, posterior and superior"

@@ -25,7 +25,7 @@ _SMALLEST_OFFSET = 352  # of the values in a single file: 348 bytes of header an
 
 
 def read_nifti_header(path: Path, head: bytes) -> GridHeader:
-    """The header of one file from its first (unpacked) bytes; ValueError and struct.error where it follows no format.
+    """Return the header of one file from its first (unpacked) bytes; ValueError and struct.error if it is malformed.
 
     Raises
     ------

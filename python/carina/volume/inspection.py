@@ -1,5 +1,7 @@
-"""``inspect_path``: what is at a path, from headers alone, so that it answers at once and also for what cannot be "
-"opened."""
+"""``inspect_path``: facts about the file or folder at a path, from headers alone.
+
+The facts come at once, also for a file that cannot be opened as a volume.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +57,10 @@ class Inspection:
 
     @property
     def axes(self) -> str | None:
-        """Where i, j and k point, one letter each: L or R, P or A, S or I; lower case where it is more than 1 "
-        "degree oblique."""
+        """Directions of i, j and k, one letter each: L or R, P or A, S or I.
+
+        A letter is lower case where its axis is more than 1 degree oblique.
+        """
         if self.lps_from_ijk is None:
             return None
         letters = []

@@ -216,14 +216,14 @@ class Volume:
 
     @check_arguments(point_lps=array_of(3, largest=1e45))
     def contains_lps(self, point_lps: NDArray[np.float64]) -> bool:
-        """True where the point lies in the grid, half a voxel beyond the outer centres included."""
+        """Return whether the point is in the grid, which includes half a voxel beyond the outer centres."""
         nz, ny, nx = self.shape_zyx
         ijk = self.to_ijk(point_lps)
         return bool(np.all(ijk >= -0.5) and np.all(ijk <= np.array([nx, ny, nz]) - 0.5))
 
 
 def badges_of(volume: Volume, airways: object | None = None) -> tuple[Note, ...]:
-    """The lasting notes of a case: whatever is made from it repeats them. Empty where nothing is in doubt.
+    """Return the lasting notes of a case, which all its results repeat; empty where nothing is in doubt.
 
     That its numbers are not HU is one of them, with the code ``import.not-hu``.
 

@@ -80,7 +80,7 @@ def open_volume(
 
 
 def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
-    """The DICOM series at a path, best first, or the format of the grid file that it is.
+    """Return the DICOM series at a path, best first, or the format of the grid file at the path.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def _open(path: Path, series: str | None, watch: Watch) -> Volume:
 
 
 def refuse_series(path: Path, kind: str, series: str | None) -> None:
-    """A file that holds one volume has no series to choose; to ignore the choice could show another patient's.
+    """Refuse a series for a file that holds one volume: an ignored choice could show another patient's scan.
 
     Raises
     ------

@@ -64,7 +64,7 @@ class Unpacker:
                 inflater = zlib.decompressobj(self._bits)
 
     def _next_member(self, rest: bytes) -> bytes:
-        """What the next member begins with; empty where there is none."""
+        """Return the first bytes of the next member; empty where there is none."""
         while True:
             if self._many and not self.trailing_bytes:
                 while len(rest.lstrip(b"\0")) < 2:

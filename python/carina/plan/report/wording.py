@@ -39,7 +39,7 @@ def carina_words(mm: float | None) -> str:
 
 
 def per_cent(share: float | None) -> str:
-    """92 %"""
+    """Return a share as text, such as ``92 %``."""
     return "not calculated" if share is None else f"{100.0 * share:.0f} %"
 
 

@@ -81,7 +81,7 @@ def edit_airways(
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> Airways:
-    """The airways after one edit; only what depends on it is computed again.
+    """Return the airways after one edit; only parts that depend on the edit are computed again.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def rebuild_airways(
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> Airways:
-    """The airways after all edits, with everything computed from scratch: the truth for :func:`edit_airways`.
+    """Return the airways after all edits, computed from scratch: the reference for :func:`edit_airways`.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def _edited(
 
 
 def steps_of(volume: Volume, airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None = None) -> EditSteps:
-    """The steps of an edit to these airways, which stay as they are: to make it, or to show what it would make."""
+    """Return the steps of an edit to these airways, to make or to preview the edit; the airways stay unchanged."""
     before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
     return EditSteps(
         before,
@@ -242,7 +242,7 @@ def steps_of(volume: Volume, airways: Airways, *, is_fresh: bool = False, cancel
 
 
 def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tuple[Uncertainty, ...]:
-    """What is uncertain in an edited tree; nothing where nothing was judged (a mask from elsewhere)."""
+    """Return the uncertain places of an edited tree; empty where no tree was judged (an imported mask)."""
     found = (airways.base or airways).uncertain
     if not found:
         return ()
@@ -252,7 +252,7 @@ def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tupl
 
 
 def named_anew(tree: AirwayTree) -> AirwayTree:
-    """The tree with the names that anatomy gives it now; a person's names stay."""
+    """Return the tree with automatic names from its anatomy; names that a user gave stay."""
     return name_tree(tree)
 
 

@@ -135,7 +135,7 @@ def _found(
     given: NDArray[np.uint8] | None,
     stage: Stages,
 ) -> Airways:
-    """What :func:`find_airways` finds, on a volume in canonical order."""
+    """Find the airways in a volume in canonical order, for :func:`find_airways`."""
     was_given_root = root is not None
     found_notes: list[str] = []
     badges: list[Note] = []

@@ -108,7 +108,7 @@ class Airways:
         return f"Airways({self.tree!r}, root_lps={as_words(self.root_lps)}, threshold={self.threshold:g}{edited})"
 
     def _repr_html_(self) -> str:
-        """The tree, drawn and as a table, and what was found, in a notebook."""
+        """Return the tree as a drawing and a table, and the notes of the search, for a notebook."""
         badges = {note.words for note in self.badges}
         more = [note for note in self.notes if note not in badges]
         if self.edits:
@@ -126,8 +126,10 @@ class Airways:
 
     @property
     def badges(self) -> tuple[Note, ...]:
-        """The lasting notes: a search that was stopped, a mask that is doubted. They go with the tree wherever it goes
-        and stay through edits; their words are in ``notes`` too."""
+        """The lasting notes, such as a search that was stopped or a doubtful mask.
+
+        These notes stay with the tree through edits and exports; their texts are in ``notes`` too.
+        """
         return self.tree.notes
 
     @property

@@ -156,7 +156,7 @@ def _kept_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tup
 
 
 def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
-    """The lobe of each branch, by id: RUL, RML, RLL, LUL, LLL; None for trunks of several lobes and the unknown.
+    """Return the lobe of each branch, by id: RUL, RML, RLL, LUL, LLL; None for trunks of several lobes and the unknown.
 
     A lobe's own bronchus belongs to it. Persons' names in the tree hold. In a mirrored chest (see :func:`name_tree`)
     the lobes of the three-lobed lung are LUL, LML and LLL.
@@ -177,7 +177,7 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
 
 
 def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, float, tuple[int, ...]]]]:
-    """What the calibration of names is made from: the fit of a tree, its segments and the shares of their readings.
+    """Return the data for the calibration of names: the fit of a tree, its segments and the shares of their readings.
 
     Returns
     -------
@@ -261,7 +261,7 @@ def _closer_frame(
 def _constraints(
     rules: Grammar, bronchi: list[Bronchus], given: dict[int, str]
 ) -> tuple[dict[int, NDArray[np.float64]], dict[int, tuple[NDArray[np.float64], float]]]:
-    """What persons' names say of the readings of their bronchus and of those before it."""
+    """Return the constraints that names from users put on the readings of their bronchus and of those before it."""
     wishes: dict[int, NDArray[np.float64]] = {}
     held: dict[int, tuple[NDArray[np.float64], float]] = {}
     known = {number: name for number, name in given.items() if name_words(name) is not None}
@@ -426,7 +426,7 @@ def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], r
 
 
 def _told(word: str, *, mirrored: bool) -> str:
-    """A name on the side on which it lies: in a mirrored chest, the model's right is the patient's left."""
+    """Return a name with the patient's side: in a mirrored chest, the model's right is the patient's left."""
     if not mirrored:
         return word
     fixed = {"BI": "BI", "Trachea": "Trachea", "RML": "LML", "Accessory cardiac bronchus": "Accessory cardiac bronchus"}
@@ -449,7 +449,7 @@ def _name_stubs(
     sure: NDArray[np.float64],
     names: dict[int, tuple[str | None, float]],
 ) -> None:
-    """A short piece between two forks that were read as one: the piece goes on with the name before it."""
+    """Name the short piece between two forks that were read as one, with the name of the bronchus before the piece."""
     for number, bronchus in enumerate(read.bronchi):
         word = words[number]
         for stub in bronchus.stubs:
@@ -458,7 +458,7 @@ def _name_stubs(
 
 
 def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], carried: set[int]) -> dict[int, str]:
-    """What is uncommon, at the branch where it is seen."""
+    """Return the anatomical variants, by the branch that shows each."""
     bronchi, readings = read.bronchi, read.solution.readings
     notes: dict[int, str] = {}
 

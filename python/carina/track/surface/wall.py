@@ -28,7 +28,7 @@ def wall_field(
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> WallField:
-    """The signed distance to the airways' sub-voxel wall: the lumen mesh's, exact at samples.
+    """Return the signed distance to the airways' sub-voxel wall: the lumen mesh's, exact at samples.
 
     Parameters
     ----------

@@ -155,7 +155,7 @@ def _airways_at(
     progress: ProgressChoice,
     cancel: Cancel | None,
 ) -> Airways | None:
-    """The airways from a root, to compare paths with; None where there is no lumen. Without a root they are a must.
+    """Find the airways from a root, to compare paths with; None where a given root is not in a lumen.
 
     From a point in a volume whose values are not HU anything may be taken for air, and a path be compared with it: none
     are looked for there.

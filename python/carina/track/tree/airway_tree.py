@@ -106,7 +106,7 @@ class Branch:
         return f"Branch({self.id}, {name}generation {self.generation}, {self.length_mm:.3g} mm long, {width})"
 
     def as_way(self) -> Way:
-        """The branch as a line of a drawing."""
+        """Return the branch as a line of a drawing."""
         colour = DRAWN_COLOUR if self.kind == "manual" else generation_colour(self.generation)
         title = f"{self.name or f'branch {self.id}'}, generation {self.generation}, {self.length_mm:.0f} mm"
         return Way(self.points, 2.0 * float(np.median(self.radius)), colour, title)
@@ -236,12 +236,12 @@ class AirwayTree:
         return f"AirwayTree({len(self.branches)} branches, {len(self.tips())} tips, generations 0 to {last})"
 
     def _repr_html_(self) -> str:
-        """The tree, drawn from the front and as a table, in a notebook."""
+        """Return the tree, drawn from the front and as a table, for a notebook."""
         return self.to_html()
 
     @check_arguments(more=each(text_of(20_000)))
     def to_html(self, more: Sequence[str] = ()) -> str:
-        """The tree drawn from the front, a table of its first branches, and words below: ``more`` stands at the end."""
+        """Return the tree drawn from the front, a table of its first branches, and text below, ``more`` at the end."""
         inner_first = sorted(self.branches, key=lambda branch: (branch.generation, branch.id))
         svg = ways_svg(
             [branch.as_way() for branch in inner_first[::-1]], height_px=320, alt="airway tree, from the front"
@@ -272,7 +272,7 @@ class AirwayTree:
 
     @check_arguments(branch_id=whole_from(0, 2**31))
     def branch(self, branch_id: int) -> Branch:
-        """The branch of that id.
+        """Return the branch with an id.
 
         Raises
         ------
@@ -291,11 +291,11 @@ class AirwayTree:
 
     @check_arguments(name=text_of(80))
     def named(self, name: str) -> Branch | None:
-        """The branch of that name, if any."""
+        """Return the branch with a name; None where no branch has it."""
         return next((branch for branch in self.branches if branch.name == name), None)
 
     def rows(self) -> tuple[TreeRow, ...]:
-        """The branches as rows of a listing, in the order of the tree; each branch is in one row.
+        """Return the branches as rows of a listing, in the order of the tree; each branch is in one row.
 
         A bronchus that goes on past a side branch is several branches, and one row. A branch goes on in its parent's
         row where it has the parent's name from the same source, is of the same kind, and is the only child of which
@@ -330,7 +330,7 @@ class AirwayTree:
 
     @check_arguments(branch_id=whole_from(0, 2**31))
     def lineage(self, branch_id: int) -> list[Branch]:
-        """The branches from the root to this one."""
+        """Return the branches from the root to this one."""
         found = [self.branch(branch_id)]
         while found[-1].parent is not None:
             found.append(self.branch(found[-1].parent))
@@ -338,7 +338,7 @@ class AirwayTree:
 
     @check_arguments(point_lps=lps_point())
     def nearest_branch(self, point_lps: Sequence[float] | Points) -> tuple[Branch, int, float]:
-        """The branch whose centreline is nearest to a point, the index of its nearest point, and the distance in mm."""
+        """Return the branch nearest to a point, the index of its nearest centreline point, and the distance in mm."""
         point = np.asarray(point_lps, dtype=np.float64)
         best: tuple[Branch, int, float] | None = None
         for branch in self.branches:
@@ -351,7 +351,7 @@ class AirwayTree:
 
     @check_arguments(branch_id=whole_from(0, 2**31))
     def route_to(self, branch_id: int) -> Route:
-        """The way from the root to the tip of a branch.
+        """Return the route from the root to the tip of a branch.
 
         Raises
         ------
@@ -369,7 +369,7 @@ class AirwayTree:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The document ``carina-tree`` version 1 (docs/contracts.md)."""
+        """Return the document ``carina-tree`` version 1 (docs/contracts.md)."""
         document = {
             "format": FORMAT,
             "version": VERSION,
@@ -456,7 +456,7 @@ def route_along(
     *,
     smooth: Callable[[Points], tuple[Points, NDArray[np.float64]]] | None,
 ) -> Route:
-    """A route along points whose branches end at ``ends_mm``; smoothed as a whole where a smoother is at hand."""
+    """Return a route along points whose branches end at ``ends_mm``, smoothed as a whole if there is a smoother."""
     along = _cumulative_mm(points)
     total = along[-1]
     if smooth is not None and len(points) > 3 and total > 0.0:

@@ -104,7 +104,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
 
 
 def _filled_words(place: Uncertainty) -> str:
-    """narrowed or filled here over 9 mm: ..."""
+    """Return the text of a place that is narrowed or filled."""
     if place.calibre_mm is None:
         bronchus = "; its calibre from wall to wall cannot be measured here"
     else:
@@ -219,7 +219,7 @@ def find_uncertain(
 
 
 def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
-    """The place, of the branch nearest to it; None where its bronchus was cut away, or an edit leads beyond it."""
+    """Return the place with its nearest branch; None if the bronchus was removed or an edit leads beyond the place."""
     at = np.array(place.lps)
     branch, index, away_mm = tree.nearest_branch(at)
     if place.beyond_lps is not None:
@@ -343,7 +343,7 @@ def _calibre_mm(branch: Branch) -> float:
 
 
 def _leaves_volume(volume: Volume, branch: Branch, calibre_mm: float) -> bool:
-    """The tip is nearer to a face of the volume than its own radius and a voxel."""
+    """Return whether the tip is nearer to a face of the volume than its own radius and a voxel."""
     ijk = volume.to_ijk(branch.tip_lps)
     last = np.array(volume.shape_zyx[::-1]) - 1
     spacing = np.array(volume.spacing_mm)
