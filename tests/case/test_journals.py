@@ -22,7 +22,7 @@ SPARSE_BYTES = 50 << 30
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A case as a window leaves it when it is killed: changes are in the journal alone."""
+    """Return the work on a case, and a folder with the case as closed and as killed (changes in the journal)."""
     folder = tmp_path_factory.mktemp("made")
     doing = Doing()
     with CaseFile.create(folder / "live.carina", source_of(doing.case)) as file:
@@ -35,13 +35,13 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def closed(made, tmp_path):
-    """A closed case, without a journal."""
+    """Return a closed case, without a journal."""
     return Path(shutil.copy(made[1] / "closed.carina", tmp_path / "x.carina"))
 
 
 @pytest.fixture
 def killed(made, tmp_path):
-    """A case with its journal."""
+    """Return a case with its journal."""
     shutil.copy(made[1] / "killed.carina-wal", tmp_path / "x.carina-wal")
     return Path(shutil.copy(made[1] / "killed.carina", tmp_path / "x.carina"))
 
@@ -74,7 +74,7 @@ def openings(path):
 
 
 def refusals(path):
-    """What each way of opening answers; all refuse, and leave all files as they were."""
+    """Return the error of each way to open a case; each refuses and leaves all files as they were."""
     before = {one.name: one.stat() for one in path.parent.iterdir()}
     found = []
     for how, opens in openings(path).items():

@@ -43,7 +43,7 @@ NUM_MUTATIONS, NUM_IN_SOAK = 60, 2000
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A case with a little of everything, and its file."""
+    """Return a case with all kinds of content, and its file."""
     path = tmp_path_factory.mktemp("made") / "one.carina"
     doing = Doing()
     rng = np.random.default_rng(11)
@@ -69,7 +69,7 @@ def made(tmp_path_factory):
 
 
 def mutated(made, path, seed):
-    """A copy with one mutation; what it is."""
+    """Return a copy with one mutation, and the description of the mutation."""
     shutil.copy(made[1], path)
     with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute("PRAGMA foreign_keys=OFF")
@@ -115,7 +115,7 @@ def opened(path, doing, again):
 
 
 def lesions(moment):
-    """The boundaries of the shown targets, as values that can be compared."""
+    """Return the boundaries of the shown targets, as values that can be compared."""
     return [one.lesion and one.lesion.target.to_record() for one in moment.history().current.targets]
 
 
@@ -128,7 +128,7 @@ def without_lesions(moment):
 
 
 def start_page(path, folder):
-    """What the start page shows of a data folder with this case, whose record is unreadable as well."""
+    """Return the contents of the start page for a data folder with this case and an unreadable record."""
     place = folder / "cases" / "0123456789abcdef"
     place.mkdir(parents=True)
     shutil.copy(path, place / "case.carina")
@@ -147,7 +147,7 @@ def start_page(path, folder):
 
 
 def where(trouble):
-    """The last lines of the traceback, for a failing test."""
+    """Return the last lines of the traceback, for a failing test."""
     frames = traceback.extract_tb(trouble.__traceback__)[-3:]
     return "; ".join(f"{frame.filename.rpartition('/')[2]}:{frame.lineno}" for frame in frames)
 

@@ -316,7 +316,7 @@ def test_what_a_window_has_open_is_read_as_it_was_saved_last(carina, case, live_
 
 @pytest.fixture
 def live_case(case, monkeypatch, tmp_path):
-    """The case as a window has it: a step more than its copy."""
+    """Return a case as a window has it: with one step more than its copy."""
     for name, folder in own_folders(tmp_path / "home").items():
         monkeypatch.setenv(name, folder)
     records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)

@@ -28,7 +28,7 @@ ID = "abcd1234ef567890"
 
 @pytest.fixture(scope="session")
 def worked(tmp_path_factory):
-    """A scan, and what was done to it: a target, a key frame and a recording."""
+    """Return a folder with a scan, its volume, and a moment with a target and a key frame."""
     folder = tmp_path_factory.mktemp("worked")
     write_phantom(made_phantom(spacing_mm=3.0, generations=3), folder)
     with package.Case.open(folder / "ct.nii.gz") as case:
@@ -42,7 +42,7 @@ def worked(tmp_path_factory):
 
 @pytest.fixture
 def stored(carina, worked):
-    """The records of this machine, with one case."""
+    """Return the records of this machine, with one case."""
     folder, volume, moment = worked
     records = CaseRecords(load_settings().cases_dir, lambda: 1.7e9)
     with pytest.MonkeyPatch.context() as patch:

@@ -11,7 +11,7 @@ from carina.volume import write_grid
 
 @pytest.fixture
 def long_ct(tmp_path):
-    """A CT with more slices than NIfTI stores."""
+    """Return a CT with more slices than NIfTI stores."""
     values = np.full((32768, 3, 3), -1000, np.int16)
     values[:, 1] = 40
     return write_grid(tmp_path / "long.nrrd", values, np.diag([0.7, 0.7, 0.05, 1.0]), what="the scan", level=1)

@@ -157,7 +157,7 @@ def call_problem(call: Callable[[], Any], *, refuse: bool, after: Callable[[], A
 
 
 def not_finite(value: Any, place: str = "result", depth: int = 0) -> str | None:
-    """The place of the first number in a result that is not finite; None if all are."""
+    """Return the place of the first number in a result that is not finite; None if all are finite."""
     if depth > 6 or value is None or isinstance(value, str | bytes | bool | int):
         return None
     if isinstance(value, float):

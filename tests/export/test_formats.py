@@ -237,7 +237,7 @@ def test_airways_from_the_written_mask_are_the_same_places(case, tmp_path):
 
 
 def leaning(degrees: float, shape=(40, 3, 40)) -> Volume:
-    """A volume of 1 mm whose slices drift sideways."""
+    """Return a volume of 1 mm voxels whose slices drift sideways."""
     matrix = np.eye(4)
     matrix[0, 2], matrix[2, 2] = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
     return Volume(np.zeros(shape, np.int16), matrix)

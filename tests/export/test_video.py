@@ -88,7 +88,7 @@ def facts(path):
 
 
 def picture(width, height, seed):
-    """A smooth picture whose last row and column differ from black, so that padding is seen."""
+    """Return a smooth picture whose last row and column differ from black, so that padding is seen."""
     y, x = np.mgrid[0:height, 0:width]
     return np.stack([100 + 80 * x / width, 100 + 80 * y / height, np.full(x.shape, 60.0 + seed)], -1).astype(np.uint8)
 

@@ -24,7 +24,7 @@ SLICE_MM = 1.0
 
 @functools.cache
 def grid():
-    """An oblique CT with unequal axes; the shapes are off its middle."""
+    """Return an oblique CT with unequal axes; the shapes are off its middle."""
     turn = made.oblique()[:3, :3] / made.SPACING_MM
     matrix = np.eye(4)
     matrix[:3, :3] = turn * (0.7, 0.8, SLICE_MM)
@@ -33,7 +33,7 @@ def grid():
 
 
 def ellipse(height_mm, *, radii=RADII_MM, grow=1.0, shift=(0.0, 0.0), centre=CENTRE_LPS, is_xor=False):
-    """The outline in which a plane at a height above the centre cuts an ellipsoid."""
+    """Return the outline in which a plane at a height above the centre cuts an ellipsoid."""
     volume = grid()
     across, up, normal = (volume.lps_from_ijk[:3, n] / volume.spacing_mm[n] for n in range(3))
     turn = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)[:, None]

@@ -12,7 +12,7 @@ from encrypted_client import connected
 
 
 def insecure():
-    """A browser whose person has compared the fingerprint."""
+    """Return TLS settings without a certificate check, as in a browser whose user compared the fingerprint."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
@@ -38,7 +38,7 @@ def page_of(window, wanted=lambda page: page is not None):
 
 @contextlib.contextmanager
 def sharing(tmp_path, monkeypatch, *, path="case", **replaced):
-    """A window of the user at the workstation, with a case and the page for observers open."""
+    """Provide a window of the user at the workstation, with a case and the page for observers open."""
     # Observers here read why they are disconnected, however busy the machine is.
     monkeypatch.setattr("carina.server.watch_page.FAREWELL_S", 60.0)
     # Both ends are in this process: while a case is opened, its own request may come late.

@@ -25,7 +25,7 @@ pytest.importorskip("cryptography")
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """A workstation whose case is shared; observers here read why they are disconnected, however slow they are."""
+    """Provide a workstation with a shared case; observers read the close reason however slow they are."""
     monkeypatch.setattr(message_limits, "DISCARDS_FOR_S", 60.0)
     monkeypatch.setattr(message_limits, "MAX_DISCARDED_BYTES", 1 << 30)
     monkeypatch.setattr(message_limits, "QUIET_S", 1.0)

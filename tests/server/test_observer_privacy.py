@@ -24,7 +24,7 @@ PARTS = (b"SURNAME", b"FIRSTNAME", b"1951.nii", b"surname")
 
 
 def named_volume(path, *_arguments):
-    """A CT whose file, folder, notes and neighbours are called by the patient's name."""
+    """Return a CT whose file, folder, notes and neighbours have the patient's name in their names."""
     if path.endswith("refused"):
         raise VolumeImportError(f"reading {NAME}: it is damaged; copy it again", code="import.damaged")
     volume = small_volume(title=NAME)
@@ -45,7 +45,7 @@ def no_airways(*_arguments, **_options):
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """A shared case of a CT that has a patient's name, in which nothing is found."""
+    """Provide a shared case, without airways, of a CT with a patient's name."""
     with sharing(
         tmp_path, monkeypatch, path="/scans/SURNAME/case", open_volume=named_volume, find_airways=no_airways
     ) as shared:
@@ -137,7 +137,7 @@ def test_the_name_that_the_user_gave_is_not_sent_to_observers(desk):
 
 
 def replace_saving(live, **values):
-    """What a kept case says of its saving."""
+    """Replace fields of the saving info of a stored case."""
     core = live.session._core
     saving = core.saving().with_(keeps=True, copy_name=NAME, copy_folder="/scans/SURNAME", **values)
     core.saving = lambda: saving

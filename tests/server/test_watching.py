@@ -24,7 +24,7 @@ pytest.importorskip("cryptography")
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """A window of the person at the workstation, with a case and the page for watchers open."""
+    """Provide a window of the user at the workstation, with a case and the page for observers open."""
     with sharing(tmp_path, monkeypatch) as shared:
         yield shared
 

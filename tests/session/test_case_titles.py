@@ -18,7 +18,7 @@ NAME = "SURNAME_FIRSTNAME_1951.nii.gz"
 
 
 def write_old_record(folder, case_id, **values):
-    """A record as versions before this one wrote it."""
+    """Write a record of an earlier version."""
     (folder / case_id).mkdir(parents=True)
     record = {
         "format": "carina-record",

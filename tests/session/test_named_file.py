@@ -35,7 +35,7 @@ def names(folder):
 
 @pytest.fixture(params=["locks", "no locks", "no hard links", "neither"])
 def disk(request, monkeypatch):
-    """A local disk, a network share without locks, and disks without hard links."""
+    """Provide a local disk, a network share without locks, and disks without hard links."""
     if request.param in {"no locks", "neither"}:
         monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
     if request.param in {"no hard links", "neither"}:

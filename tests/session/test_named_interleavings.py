@@ -29,7 +29,7 @@ FAULTS = ("locks", "no locks", "no hard links")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A CT with a case file beside it."""
+    """Return a CT with a case file beside it."""
     folder = tmp_path_factory.mktemp("named")
     write_phantom(carina.generate_phantom(spacing_mm=3.0, generations=3), folder / "scan")
     with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
@@ -105,7 +105,7 @@ class Window(Author):
             self.told += any("carina" in text for text in self.messages[before:]) or bool(self.keeper.info.copy_problem)
 
     def tick(self):
-        """The minute in which the named file follows is over."""
+        """Let the minute pass after which the named file is written again."""
         assert self.session._saving.write_now()
         self.saved |= self.steps()
         if self.keeper.named is not None and self.keeper._copy_is_behind():
@@ -188,7 +188,7 @@ class Notebook(Author):
 
 
 def change(session):
-    """A step that no other author makes: it is known by the moment at which it was made."""
+    """Change the outline, as a step that differs from the steps of other authors by its time."""
     outline = session.snapshot().document.look.outline
     session.do(c.SetOutline("round" if outline == "octagon" else "octagon"))
 
@@ -253,7 +253,7 @@ class Ward:
             author.save()
 
     def disturb(self):
-        """What other programs and shares do to the file: it moves, gets old times, or becomes a letter."""
+        """Change the file as other programs and shares do: move it, set old times, or overwrite it with a letter."""
         what = self.rng.choice(["touch", "copy back", "letter", "move"])
         if not self.path.exists():
             return

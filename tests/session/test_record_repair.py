@@ -47,7 +47,7 @@ def records(tmp_path):
 
 @pytest.fixture
 def case_id(records):
-    """A stored case with two steps, of which one was undone."""
+    """Store a case with two steps, of which one was undone, and return its id."""
     held = records.begin("ab" * 32, "/scans/ct")
     document = Document(transfer=transfer_preset("endoscopic"))
     steps = (Step("one", document, None, 5.0), Step("two", document, None, 60.0))
@@ -64,7 +64,7 @@ def spoil(records, case_id, text):
 
 
 def listed(records, store=None):
-    """What the start page lists, and the messages that it shows."""
+    """Return the cases on the start page, and the messages that it shows."""
     core = SessionCore(lambda *_: None, store=store)
     events = []
     core.subscribe(events.append)

@@ -310,7 +310,7 @@ def test_whether_a_case_is_open_is_seen_without_taking_it(desk):
 
 @pytest.fixture
 def named(desk, tmp_path):
-    """A case that is saved under a name, in which something was done since."""
+    """Return a named case with a change since its last save."""
     desk.start()
     desk.open()
     desk.session.do(c.SetFov(100.0))

@@ -47,7 +47,7 @@ class ScriptedTerminal:
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """A case with three saved changes and five more on a disk that is full."""
+    """Provide a case with three saved changes and five more on a full disk."""
     MemoryFile.kept.clear()
     monkeypatch.setattr(keeping, "SLOW_S", WAIT_S)
     desk = Desk(tmp_path)

@@ -30,7 +30,7 @@ def confidences_of(tree):
 
 @pytest.fixture(scope="module")
 def half():
-    """A phantom at half size, with a trachea of 9 mm, and its airways."""
+    """Return a phantom at half size, with a trachea of 9 mm, and its airways."""
     volume = scaled(made_phantom(**MASKED_CHEST).volume, 0.5)
     return volume, carina.find_airways(volume)
 
@@ -96,7 +96,7 @@ def test_the_limit_falls_without_a_step_outside_the_calibrated_range(trachea_mm,
 
 
 def tree_of(trachea_mm, right_mm, left_mm):
-    """A trachea and two main bronchi with these diameters along them."""
+    """Return a tree of a trachea and two main bronchi with these diameters along them."""
 
     names = ("Trachea", "RMB", "LMB")
     top, fork = [0.0, 0.0, 100.0], [0.0, 0.0, 0.0]

@@ -128,7 +128,7 @@ def _ras(lines: list[str]) -> None:
 
 
 def _skewed(degrees: float) -> np.ndarray:
-    """The grid with its second axis turned towards the first one."""
+    """Return the transform of the grid, with the second axis turned towards the first one."""
     matrix = LPS_FROM_IJK.copy()
     angle = np.radians(degrees)
     first, second = (matrix[:3, axis] / np.linalg.norm(matrix[:3, axis]) for axis in (0, 1))
@@ -137,14 +137,14 @@ def _skewed(degrees: float) -> np.ndarray:
 
 
 def _pixdim(axis: int, value: float) -> Make:
-    """A NIfTI with qform alone, and one number of its pixdim."""
+    """Return the maker of a NIfTI with a qform alone, and one number of its pixdim."""
     return _edited(
         lambda folder: with_qform(folder, LPS_FROM_IJK), lambda data: struct.pack_into("<f", data, 76 + 4 * axis, value)
     )
 
 
 def _packed(make: Make, pack: Callable[[bytes], bytes] = gzip.compress) -> Make:
-    """A file packed as a whole under its plain name."""
+    """Return the maker of a file that gzip packs as a whole under its plain name."""
 
     def again(folder: Path) -> Path:
         path = make(folder)

@@ -14,7 +14,7 @@ _RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def nearest_rotation(lps_from_ijk: np.ndarray) -> np.ndarray:
-    """The transform with orthogonal axes that is nearest, with the same spacing and first voxel."""
+    """Return the nearest transform with orthogonal axes, the same spacing and the same first voxel."""
     spacing = np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
     left, _, right = np.linalg.svd(lps_from_ijk[:3, :3] / spacing)
     out = lps_from_ijk.copy()
@@ -35,7 +35,7 @@ def _quaternion(lps_from_ijk: np.ndarray) -> tuple[float, tuple[float, float, fl
 
 
 def with_qform(folder: Path, lps_from_ijk: np.ndarray, values: np.ndarray | None = None, **options) -> Path:
-    """A file whose only form is its qform."""
+    """Write a file whose only form is its qform."""
     qfac, quaternion = _quaternion(lps_from_ijk)
     values = grids.chest() if values is None else values
     return grids.nifti(
@@ -44,7 +44,7 @@ def with_qform(folder: Path, lps_from_ijk: np.ndarray, values: np.ndarray | None
 
 
 def with_both_forms(folder: Path, sform: np.ndarray, qform: np.ndarray) -> Path:
-    """A file with both forms, each from its own transform (of the same spacing)."""
+    """Write a file with both forms, each from its own transform (of the same spacing)."""
     path = with_qform(folder, qform)
     data = bytearray(path.read_bytes())
     struct.pack_into("<2h", data, 252, 1, 1)

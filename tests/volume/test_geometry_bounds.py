@@ -22,7 +22,7 @@ INSIDE, OUTSIDE = 1 - 1e-6, 1 + 1e-6
 def stack(
     positions: np.ndarray, *, spacing=(0.7, 0.7), side=512, row=(1.0, 0.0, 0.0), column=(0.0, 1.0, 0.0)
 ) -> list[SimpleNamespace]:
-    """Slices at these positions, with what the geometry check reads of a header."""
+    """Return slices at these positions, with the header values that the geometry check reads."""
     return [
         SimpleNamespace(
             path=Path(f"IM{n:03d}"),
@@ -38,7 +38,7 @@ def stack(
 
 
 def heights(*gaps: float) -> np.ndarray:
-    """Positions on a straight stack with these gaps."""
+    """Return the positions on a straight stack with these gaps."""
     z = np.concatenate([[0.0], np.cumsum(gaps)])
     return np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1) + ORIGIN_LPS
 
@@ -52,14 +52,14 @@ def answer(slices: list[SimpleNamespace]) -> str:
 
 
 def one_gap(expected: float, share: float) -> list[SimpleNamespace]:
-    """Twenty even gaps, one of them ``share`` of the limit for a doubled slice."""
+    """Return twenty even gaps, one of them ``share`` of the limit for a doubled slice."""
     gaps = [expected] * 20
     gaps[10] = max(0.01, 0.02 * expected) * share
     return stack(heights(*gaps))
 
 
 def longer_gap(expected: float, share: float, tolerance: float, sign: int = 1) -> list[SimpleNamespace]:
-    """Gaps of which one is off by twice the tolerance, and its neighbour makes up for the difference."""
+    """Return gaps of which one is off by twice the tolerance, and its neighbour makes up for the difference."""
     gaps = np.full(400, expected)
     gaps[200] += sign * 2 * tolerance * share
     gaps[201] -= sign * 2 * tolerance * share
@@ -70,35 +70,35 @@ def longer_gap(expected: float, share: float, tolerance: float, sign: int = 1) -
 
 
 def one_off(expected: float, off_mm: float) -> list[SimpleNamespace]:
-    """One slice away from its place along the normal."""
+    """Return a stack with one slice away from its place along the normal."""
     positions = heights(*[expected] * 20)
     positions[10, 2] += off_mm
     return stack(positions)
 
 
 def sideways(shift_mm: float, spacing: tuple[float, float], axis: int = 0) -> list[SimpleNamespace]:
-    """One slice away from its place across the normal."""
+    """Return a stack with one slice away from its place across the normal."""
     positions = heights(*[1.0] * 20)
     positions[10, axis] += shift_mm
     return stack(positions, spacing=spacing)
 
 
 def tilted(degrees: float, num_slices: int, gap: float = 1.0, axis: int = 0) -> list[SimpleNamespace]:
-    """A stack that leans by an angle."""
+    """Return a stack that leans by an angle."""
     positions = heights(*[gap] * (num_slices - 1))
     positions[:, axis] += (positions[:, 2] - ORIGIN_LPS[2]) * math.tan(math.radians(degrees))
     return stack(positions)
 
 
 def lean(lean_mm: float, height_mm: float = 4.0) -> list[SimpleNamespace]:
-    """Five slices that lean by a distance (more than 0.2 degrees)."""
+    """Return five slices that lean by a distance (more than 0.2 degrees)."""
     positions = heights(*[height_mm / 4] * 4)
     positions[:, 0] += np.linspace(0, lean_mm, 5)
     return stack(positions)
 
 
 def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
-    """A last slice whose far corner moves by a distance, because a direction turns."""
+    """Return a stack whose last slice has a turned direction, so that its far corner moves by a distance."""
     slices = stack(heights(*[1.0] * 5))
     angle = 2 * math.asin(shift_mm / math.hypot(512 * 0.7, 512 * 0.7) / 2)  # a chord
     c, s = math.cos(angle), math.sin(angle)
@@ -110,7 +110,7 @@ def turned(shift_mm: float, which: str) -> list[SimpleNamespace]:
 
 
 def stretched(shift_mm: float, axis: int) -> list[SimpleNamespace]:
-    """A last slice whose far edge moves by a distance, because its pixels are larger or smaller."""
+    """Return a stack whose last slice has larger or smaller pixels, so that its far edge moves by a distance."""
     slices = stack(heights(*[1.0] * 5))
     spacing = [0.7, 0.7]
     spacing[axis] += shift_mm / 512
@@ -119,7 +119,7 @@ def stretched(shift_mm: float, axis: int) -> list[SimpleNamespace]:
 
 
 def resized(rows: int, columns: int) -> list[SimpleNamespace]:
-    """A last slice of another size."""
+    """Return a stack with a last slice of another size."""
     slices = stack(heights(*[1.0] * 5))
     slices[-1].rows, slices[-1].columns = rows, columns
     return slices
@@ -222,7 +222,7 @@ def test_further_irregular_gaps_are_counted():
 
 
 def header(shape=(3, 3, 3), matrix=None, components=1) -> GridHeader:
-    """A header of a grid file."""
+    """Return a header of a grid file."""
     return GridHeader(
         format="nrrd",
         shape_ijk=shape,

@@ -18,7 +18,7 @@ FORMATS = ["nifti", "nrrd", "metaimage"]
 
 
 def skewed(degrees: float, pair: tuple[int, int] = (0, 1)) -> np.ndarray:
-    """The grid of the writers, with the second axis of a pair turned towards the first one."""
+    """Return the grid of the writers, with the second axis of a pair turned towards the first one."""
     matrix = grids.LPS_FROM_IJK.copy()
     directions = grids.DIRECTIONS
     angle = np.radians(degrees)

@@ -26,7 +26,7 @@ SHAPE_ZYX, SPACING_MM = (12, 19, 22), (0.8, 0.7, 1.5)
 
 @functools.cache
 def scene():
-    """An oblique CT, its slices as DICOM, a ball in it, and a large structure round the ball."""
+    """Return an oblique CT, its slices as DICOM, a ball in it, and a large structure round the ball."""
     a = np.radians(8.0)
     matrix = np.eye(4)
     turn = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
