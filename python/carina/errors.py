@@ -1,4 +1,4 @@
-"""Carina's errors: one root, a child per kind of trouble, each with a stable code.
+"""Errors of Carina: one base class, a subclass for each kind of error, and stable codes.
 
 A message says what was being done, what was expected, what was found, and what to try. Codes are shared with the Rust
 crates and with the web client; ``exit_code`` is what the command line returns (docs/contracts.md).
@@ -37,7 +37,7 @@ __all__ = [
 
 
 class CarinaError(Exception):
-    """Root of all errors that Carina raises on purpose.
+    """Base class of all errors that Carina raises on purpose.
 
     The message is one line that every encoder accepts: names of files may contain control characters and bytes that are
     not UTF-8.
@@ -92,9 +92,9 @@ class DiskError(CarinaError, OSError):
 
 
 class UnsavedWorkError(CarinaError):
-    """Carina ended, or a case was closed, with work that no disk has taken.
+    """Carina ended, or a case was closed, with work that could not be saved.
 
-    The message says how many changes are lost, why, and where the last saved state is.
+    The message states the number of lost changes, the reason, and the path of the last saved state.
     """
 
     code = "case.not-saved"
@@ -212,7 +212,7 @@ def check_type(where: str, name: str, value: object, kinds: type | tuple[type, .
 
 
 def without_options(message: str) -> str:
-    """Return a message without the command line's options, for the window, which has none.
+    """Return a message without command-line options, for the window.
 
     Examples
     --------

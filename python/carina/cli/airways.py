@@ -50,7 +50,7 @@ def find(
     even_without_evidence: bool = False,
     ct: Path | None = None,
 ) -> int:
-    """Find the airways of a scan, write tree and mask where asked, and say what was found.
+    """Find the airways of a scan, write the tree and the mask on request, and print the result.
 
     Returns 4 if a branch that was to be added was not; everything else is written all the same.
     """
@@ -151,7 +151,7 @@ def write(
     strict: bool = False,
     ct: Path | None = None,
 ) -> int:
-    """Find the airways, or take a tree from a file, and write them in another format."""
+    """Find the airways, or read a tree from a file, and write them in another format."""
     try:
         tree_alone = is_tree_file(output)
     except UsageError as error:

@@ -1,4 +1,4 @@
-"""The verbs. Each is thin: it parses, calls the public function, prints."""
+"""The commands. Each command is thin: it parses arguments, calls a public function and prints."""
 
 from __future__ import annotations
 

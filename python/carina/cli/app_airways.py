@@ -1,4 +1,4 @@
-"""The verbs about the airway tree: find it, write it, track paths in it, plan the way to a nodule."""
+"""The commands about the airway tree: find, export and track airways, and plan the way to a nodule."""
 
 from __future__ import annotations
 

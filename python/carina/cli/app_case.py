@@ -1,4 +1,4 @@
-"""The verbs below ``carina case``."""
+"""The commands below ``carina case``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verbs below ``carina cluster``."""
+"""The commands below ``carina cluster``."""
 
 from __future__ import annotations
 

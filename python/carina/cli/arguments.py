@@ -1,4 +1,4 @@
-"""Arguments as people type them: points, directions, sizes."""
+"""Parsing and checks of command-line arguments: points, directions, sizes, ranges, paths."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def parse_point(text: str, what: str) -> NDArray[np.float64]:
 
 
 def check_range(option: str, value: float | None, least: float, most: float, unit: str = "") -> None:
-    """Refuse a number outside a range before the work; None is not checked.
+    """Refuse a number outside a range before the work begins; None is not checked.
 
     Raises
     ------
@@ -58,9 +58,9 @@ def check_needs(why: str, **given: object) -> None:
     Parameters
     ----------
     why
-        What the options apply to, as the end of the sentence *--OPTION only applies to*.
+        End of the message *--OPTION only applies to*.
     **given
-        The options, with ``_`` for ``-``; False and None are options that were not given.
+        The options, with ``_`` for ``-``; False and None mean that an option was not given.
 
     Raises
     ------
@@ -81,14 +81,14 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def check_output_file(path: Path, *suffixes: str, what: str = "-o") -> None:
-    """Refuse a result's place before the work and not after it.
+    """Refuse the path of a result before the work begins, and not after the work.
 
     Raises
     ------
     UsageError
-        If its name, its folder or what stands there already cannot be meant.
+        If the suffix is wrong, the folder does not exist, or the path is a folder.
     DiskError
-        If this person may not write there.
+        If the user may not write in the folder.
     """
     if suffixes and not path.name.lower().endswith(suffixes):
         raise UsageError(f"{what}: expected a file name that ends in {', '.join(suffixes)}; found {path.name[:80]!r}")
@@ -100,7 +100,7 @@ def check_output_file(path: Path, *suffixes: str, what: str = "-o") -> None:
 
 
 def check_window_path(path: Path | None) -> None:
-    """Refuse a path that the window cannot receive, because JSON text has neither such bytes nor such characters.
+    """Refuse a path that is not UTF-8 or has control characters, because no JSON message can carry it to the window.
 
     Raises
     ------

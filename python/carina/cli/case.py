@@ -1,4 +1,4 @@
-"""``carina case``: what case files hold, and the cases that are kept on this machine."""
+"""``carina case``: the contents of case files, and the cases that are stored on this machine."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def info(path: Path, *, as_json: bool) -> int:
 
 
 def history(path: Path, *, as_json: bool) -> int:
-    """Print the steps in words, the oldest first, with the time since the case was begun."""
+    """Print the labels of the steps, the oldest first, with the time since the case was begun."""
     with CaseFile.open(newest_state(path), read_only=True) as case:
         steps = case.history()
     if as_json:
@@ -120,7 +120,7 @@ def history(path: Path, *, as_json: bool) -> int:
 
 
 def kept(*, as_json: bool) -> int:
-    """Print the cases that are kept on this machine, the last used first."""
+    """Print the cases that are stored on this machine, the last used first."""
     records = _records()
     for message in repair_records(records):
         say(f"note: {message}")
@@ -190,7 +190,7 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
 
 
 def packed(path: Path, *, output: Path, ct: Path | None, as_json: bool) -> int:
-    """Write a case together with its CT into one file."""
+    """Write a case and its CT to one file."""
     _check_target(path, output)
     with CaseFile.open(newest_state(path), read_only=True) as case:
         volume = case_scans().open(case, ct=ct, progress=progress_printer()).volume
@@ -215,7 +215,7 @@ def rescue(path: Path, *, output: Path, as_json: bool) -> int:
 
 
 def recording(path: Path, wanted: str, *, output: Path, as_json: bool) -> int:
-    """Write a recording of a case as a file of its own."""
+    """Write a recording of a case to a separate file."""
     check_output_file(output, ".jsonl")
     if output.exists():
         raise UsageError(f"-o: {output} already exists; choose another name", code="case.exists")

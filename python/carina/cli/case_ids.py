@@ -1,4 +1,4 @@
-"""The id of a case stored on this machine, in the place of a path on the command line."""
+"""Ids of stored cases on the command line, instead of a path."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 __all__ = ["MIN_ID_CHARS", "path_or_case", "stored_case"]
 
 MIN_ID_CHARS: Final = 4
-"""Of the beginning of an id: fewer would match by accident. `carina case list` shows at least six."""
+"""Shortest beginning of an id: fewer characters would match by accident. `carina case list` shows at least six."""
 _ID: Final = re.compile(rf"[0-9a-f]{{{MIN_ID_CHARS},64}}", re.IGNORECASE)
 
 
 def stored_case(path: Path) -> CaseRecord | None:
-    """Find the stored case whose id an argument is, or whose id begins with it; a file or folder of that name wins.
+    """Find the stored case whose id begins with the argument; a file or folder of that name takes precedence.
 
     Returns
     -------
@@ -33,7 +33,7 @@ def stored_case(path: Path) -> CaseRecord | None:
     Raises
     ------
     UsageError
-        ``case.unknown``: if the argument can only be an id, and no stored case or several have it.
+        ``case.unknown``: if the argument is not a path, and no stored case or several cases match.
     """
     text = str(path)
     if _ID.fullmatch(text) is None or os.path.lexists(path):
@@ -56,10 +56,10 @@ def stored_case(path: Path) -> CaseRecord | None:
 
 
 def path_or_case(path: Path | None) -> Path | None:
-    """Return the path of an argument: itself, or the live file of the stored case that it names.
+    """Return an argument that is a path, or the live file of the stored case that the argument names.
 
-    The live file is only read, also while a window writes it: :class:`carina.case.CaseFile` reads its last saved state
-    from a copy.
+    A command only reads the live file, also while a window writes the file: :class:`carina.case.CaseFile` reads the
+    last saved state from a copy.
 
     Raises
     ------

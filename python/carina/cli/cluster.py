@@ -65,7 +65,7 @@ def _ends_by_signal() -> Iterator[None]:
 
 
 def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: Path | None, as_json: bool) -> int:
-    """Be the head until Ctrl-C."""
+    """Run the head of a cluster until Ctrl-C."""
     check_available()
     with _ends_by_signal():
         node = Node(
@@ -102,7 +102,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
 
 
 def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, as_json: bool) -> int:
-    """Render for a cluster until Ctrl-C; after a cut link, join again, however long the link stays cut."""
+    """Render for a cluster until Ctrl-C; after a lost connection, try to join again without a time limit."""
     check_available()
     found = check_token(_token(token))
     attempts = 0
@@ -144,7 +144,7 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
 
 
 def status(address: str | None, *, token: Path | None, as_json: bool) -> int:
-    """Print who is in a cluster."""
+    """Print the members of a cluster."""
     from carina.cluster.ray_backend import look
 
     check_available()

@@ -1,4 +1,4 @@
-"""What a command prints and how it ends: JSON or words on stdout, progress on stderr, exit codes."""
+"""Output and end of a command: JSON or text on stdout, progress on stderr, exit codes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ProgressCallback = Callable[[str, float | None], None]
 
 
 def say(text: str) -> None:
-    """Print one line of progress or a remark on stderr, without control characters and line breaks of file names."""
+    """Print one line on stderr (progress or a note), without control characters or line breaks of file names."""
     print(printable(as_terminal_text(text)), file=sys.stderr, flush=True)
 
 
@@ -47,7 +47,7 @@ def show(*lines: object, flush: bool = False) -> None:
 
 
 def say_usage(error: Any) -> None:
-    """Print a refusal of the argument parser with its usage line on stderr; file names in it are cleaned."""
+    """Print an error of the argument parser with its usage line on stderr, without control characters of file names."""
     text = io.StringIO()
     error.show(file=text)
     for line in shortened_words(text.getvalue().rstrip()).splitlines():
@@ -67,14 +67,14 @@ def log_to_terminal(level: str) -> None:
 
 
 def accept_any_text() -> None:
-    """Let stdout and stderr escape what their encoding cannot represent, such as file names that are not UTF-8."""
+    """Let stdout and stderr escape characters that their encoding lacks, as in file names that are not UTF-8."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def print_json(payload: dict[str, Any]) -> None:
-    """One JSON object on stdout; NaN and infinities are refused, so every reader can parse it."""
+    """Print one JSON object on stdout; NaN and infinities are refused, so that every parser can read the object."""
     print(escaped_json(json.dumps(payload, allow_nan=False, ensure_ascii=False, indent=2)), flush=True)
 
 

@@ -25,7 +25,7 @@ REFRESH_S = 0.25
 
 
 def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
-    """List what is found; with addresses, connect and show what they say. 4 if one of them says nothing."""
+    """List the devices; with addresses, connect and print their samples. Return 4 if a device sends nothing."""
     if not 0.0 < seconds <= 86_400.0:
         raise UsageError(f"--seconds: expected more than 0 and at most 86400; found {seconds:g}")
     ports, trouble = found_ports()

@@ -48,7 +48,7 @@ def _cached_cts(settings: Settings) -> dict[str, Any]:
 
 
 def report(*, as_json: bool) -> int:
-    """Print what Carina runs on; 1 if something that it needs is missing."""
+    """Print the software and hardware that Carina runs on; return 1 if a required part is missing."""
     core = build_info()
     web_ui = resources.files("carina").joinpath("_web/index.html").is_file()
     settings = load_settings()

@@ -41,7 +41,7 @@ __all__ = ["PAUSE_S", "SPEED_MM_S", "report"]
 
 SPEED_MM_S = 20.0
 PAUSE_S = 1.0
-"""Defaults of the options."""
+"""Default values of the options."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def report(
     keep: Path | None = None,
     ct: Path | None = None,
 ) -> int:
-    """Render all frames and write them; on the machines of a cluster, and going on from what was kept."""
+    """Render all frames and write the video, on a cluster if there is one, and continue from stored frames."""
     check_output_file(output, *VIDEO_SUFFIXES)
     check_range("--rate", rate_hz, 1.0, 240.0)
     check_range("--step-vox", step_vox, 0.01, 100.0)

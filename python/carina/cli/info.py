@@ -15,7 +15,7 @@ __all__ = ["report"]
 
 
 def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: Path | None = None) -> int:
-    """Print what is known of a path; 3 with ``strict`` where there is a badge or a finding of the quality gate."""
+    """Print the facts about a path; return 3 with ``strict`` if there is a badge or a finding of the quality gate."""
     check_case_options(path, ct)
     progress = progress_printer()
     inspection = None if is_case_file(path) else inspect_path(path, series=series)

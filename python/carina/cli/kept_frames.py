@@ -1,4 +1,4 @@
-"""Pictures of a long job, kept in a folder: a job that was stopped goes on behind the last one."""
+"""Frames of a long job, stored in a folder: a stopped job continues after the last stored frame."""
 
 from __future__ import annotations
 

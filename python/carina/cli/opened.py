@@ -1,4 +1,4 @@
-"""Opening what a command works on: a scan, or a case, whose tree as a person edited it is then the scan's."""
+"""Opening of the input of a command: a scan, or a case with its scan and its edited tree."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Opened:
 
     @property
     def tip(self) -> Pose | None:
-        """Where the tip was left; None for a scan, or for a rescued case that lost it."""
+        """Last pose of the tip; None for a scan, and for a rescued case without its tip."""
         if self.moment is None or not self.moment.tip:
             return None
         return Pose(np.array(self.moment.tip["lps_from_camera"], dtype=np.float64))

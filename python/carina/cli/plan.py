@@ -61,7 +61,7 @@ def report(
     as_json: bool,
     ct: Path | None = None,
 ) -> int:
-    """Plan the ways to one target, say them, and write them; 4 if there is none."""
+    """Plan the routes to one target, print and write them; return 4 if there is no route."""
     if output is not None:
         known = (*REPORT_SUFFIXES, *PLAN_FORMATS, ARCHIVE_SUFFIX)
         check_output_file(output, *known)

@@ -168,7 +168,7 @@ def report(
     as_json: bool,
     ct: Path | None = None,
 ) -> int:
-    """Render one picture and write it as PNG, and with ``surface`` what wall its pixels show."""
+    """Render one image and write it as PNG; with ``surface``, also write the wall points of its pixels."""
     check_output_file(output, ".png")
     if surface is not None:
         check_output_file(surface, ".npz", what="--surface")

@@ -34,7 +34,7 @@ def report(
     as_json: bool,
     ct: Path | None = None,
 ) -> int:
-    """Track all targets and write the tree; 4 if one of them has no path (the others are written)."""
+    """Track all targets and write the tree; return 4 if a target has no path (the other paths are written)."""
     if output is not None:
         check_output_file(output, ".json")
     check_choice(cost, graph)

@@ -1,4 +1,4 @@
-"""Text from files, file names and headers, made safe and short enough for a message."""
+"""Escaping and shortening of text from files, file names and headers, for messages."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ __all__ = ["MAX_VALUE_CHARS", "MAX_WORD_CHARS", "printable", "shortened_words", 
 MAX_VALUE_CHARS = 80
 """Longest part of a header value that a message quotes."""
 MAX_WORD_CHARS = 800
-"""Longest word of a message, such as a path; what a user or a file gave may be a million characters long."""
-# C0 and C1 control characters, line and paragraph separators, direction overrides, and half surrogates: Python stores a
-# byte of a file name that is not UTF-8 as a half surrogate, which no encoder accepts.
+"""Longest word of a message, such as a path; a word from a user or a file may have a million characters."""
+# C0 and C1 control characters, line and paragraph separators, direction overrides, and surrogates: Python stores a byte
+# of a file name that is not UTF-8 as a surrogate, which no encoder accepts.
 _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
@@ -59,6 +59,6 @@ def shown_value(value: str, max_chars: int = MAX_VALUE_CHARS) -> str:
 
 def _escape(found: re.Match[str]) -> str:
     code = ord(found[0])
-    if 0xDC80 <= code <= 0xDCFF:  # a byte 0x80 to 0xff of a name (PEP 383)
+    if 0xDC80 <= code <= 0xDCFF:  # a byte 0x80 to 0xff of a file name (PEP 383)
         code -= 0xDC00
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

@@ -1,4 +1,4 @@
-"""A bar for long work, where somebody looks: in a terminal or a notebook, and nowhere else."""
+"""Progress bars for long work, in a terminal or a notebook only."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def heard(progress: ProgressChoice) -> Progress | None:
 
 
 def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
-    """Give a function with a keyword ``progress`` a bar of its own while nobody passes another."""
+    """Give a function with a keyword ``progress`` a default progress bar; a passed callback replaces the bar."""
 
     @functools.wraps(function)
     def shown(*args: P.args, **kwargs: P.kwargs) -> T:

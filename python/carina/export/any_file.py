@@ -1,4 +1,4 @@
-"""Airways to any file, by its suffix."""
+"""Export of airways to a file, in the format of its suffix."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def is_tree_file(path: Path | str) -> bool:
 
 
 def check_export(path: Path | str, volume: Volume) -> None:
-    """Check, before the airways are searched for, that those of a volume can be written to a file of this name.
+    """Check, before the search, that the airways of a volume can be written to a file of this name.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def export_airways(
     progress: Callable[[str, float | None], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Path:
-    """Write the airways to a file; its suffix says what.
+    """Write the airways to a file, in the format of its suffix.
 
     ``.json`` (``carina-tree``), ``.vtp``, ``.swc``, ``.mrk.json``: the tree. ``.nii.gz``, ``.nii``, ``.nrrd``,
     ``.mha``: the lumen on the CT's grid. ``.stl``, ``.ply``, ``.obj``, ``.glb``: the lumen's surface. All in LPS, mm.

@@ -1,4 +1,4 @@
-"""A flight through the airways as a film, in one call."""
+"""Videos of flights through the airways, in one call."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Film:
     """Width and height."""
     path: Path = dataclasses.field(repr=False)
     notes: tuple[str, ...] = dataclasses.field(default=(), repr=False)
-    """What was changed so that players show the video, in words."""
+    """Notes for the user on changes that players need, such as an even size."""
 
     @property
     def duration_s(self) -> float:
@@ -97,36 +97,36 @@ def write_film(
     Parameters
     ----------
     path
-        Where to; ends in ``.mp4`` or ``.webm``. A file of that name is replaced when all is written, or not at all.
+        The video file, ``.mp4`` or ``.webm``. An existing file is replaced when the video is complete, or not at all.
     volume
         The CT.
     flight
         A path, which is flown at ``speed_mm_s``, or a flight with times of its own.
     view
-        How frames are rendered: everything but the pose is taken from it; 640 x 480, 100 degrees by default. An odd
-        width or height becomes the next even one, which all players need (`Film.notes`).
+        Settings of the frames, except the pose; 640 x 480, 100 degrees by default. An odd width or height becomes the
+        next even number, because players need even sizes (`Film.notes`).
     lumen_zyx
         The airway lumen, for the closed wall.
     tree
-        Its airway tree, by which the endoscopic look draws what is fixed to anatomy.
+        The airway tree, to which the endoscopic look fixes its decoration.
     rate_hz
         Frames per second, 1 to 240.
     speed_mm_s
-        Along a path, 0.1 to 500.
+        Speed along a path, 0.1 to 500.
     progress, cancel
-        Told what is going on, or False for no bar; asked before each frame whether to stop.
+        ``progress(what, fraction)``, or False for no bar; ``cancel() -> bool``, called before each frame.
 
     Returns
     -------
     Film
-        Where it is and how long it plays; a notebook plays it.
+        The path and the length of the video; a notebook plays the film.
 
     Raises
     ------
     UsageError
         If the name, the rate or the speed is out of range.
     CancelledError
-        If ``cancel()`` said so; nothing is written then.
+        If ``cancel()`` returned true; no file is written.
     CarinaError
         ``export.video`` without PyAV (extra ``video``).
 

@@ -18,7 +18,7 @@ MASK_SUFFIXES = GRID_SUFFIXES
 
 
 def check_mask_file(path: Path | str, volume: Volume) -> None:
-    """Check, before the airways are searched for, that a mask of a volume can be written to a file of this name.
+    """Check, before the search, that a mask of a volume can be written to a file of this name.
 
     Raises
     ------
@@ -41,30 +41,30 @@ def write_mask(
     note: str | None = None,
     badges: Sequence[Note] = (),
 ) -> Path:
-    """Write a mask on the grid of a volume, so that other tools lay it exactly over the CT.
+    """Write a mask on the grid of a volume, so that other software places the mask exactly over the CT.
 
     Parameters
     ----------
     path
         ``.nii.gz``, ``.nii``, ``.nrrd`` or ``.mha``.
     mask_zyx
-        (nz, ny, nx) of the volume; what is not 0 is written as 1.
+        Array (nz, ny, nx) on the volume's grid; values other than 0 are written as 1.
     volume
         The CT.
     note
-        What a reader must know, such as how much of it a person drew: NIfTI has it as ``descrip`` (80 bytes, the rest
-        is cut off), the others as a field ``note``.
+        Information for readers, such as the part that was drawn by hand. NIfTI stores the note as ``descrip`` (80
+        bytes, the rest is cut off), the other formats as a field ``note``.
     badges
-        The lasting notes of the case, in the same place: their codes, then ``note``, then their words.
+        The lasting notes of the case, in the same field: their codes, then ``note``, then their texts.
 
     Raises
     ------
     UsageError
-        If the suffix is another.
+        If the suffix is not one of :data:`MASK_SUFFIXES`.
     GeometryError
         If the mask is not on the volume's grid, or the format cannot store that grid.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     check_mask_file(path, volume)
     if mask_zyx.shape != volume.shape_zyx:

@@ -78,7 +78,7 @@ class CtImages:
 
     slices: tuple[SliceHeader, ...]
     first: Dataset
-    """Data set of the first slice, without texts whose characters are not certain."""
+    """Data set of the first slice, without texts in an unknown character set."""
     doubtful: frozenset[str] = frozenset()
     """Keywords of the texts that were left out of ``first``."""
 
@@ -185,7 +185,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             dataset.decode()
-    except Exception as error:  # pydicom raises many kinds on damaged elements
+    except Exception as error:  # pydicom raises many kinds of errors on damaged elements
         raise VolumeImportError(
             f"reading {first.path.name}: its header cannot be read ({type(error).__name__}); export the CT again",
             code="import.header",

@@ -1,4 +1,4 @@
-"""A plan to any file, by its suffix."""
+"""Export of a plan to a file, in the format of its suffix."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def check_plan_file(
     Parameters
     ----------
     path
-        The file to be written: one of :data:`PLAN_FORMATS`, or a ``.pdf.dcm`` for an archive.
+        The file to be written, with a suffix of :data:`PLAN_FORMATS`, or a ``.pdf.dcm`` for an archive.
     volume, ct, series, identity, cancel
-        As of :func:`export_plan`.
+        As in :func:`export_plan`.
 
     Raises
     ------
     UsageError
-        If the suffix is another, or the file refers to the images of a CT that is not DICOM.
+        If the suffix is unknown, or the file refers to the images of a CT that is not DICOM.
     VolumeImportError
         If the CT cannot be read.
     """
@@ -96,7 +96,7 @@ def export_plan(
     now: datetime.datetime | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Path:
-    """Write a plan for other software; the suffix says what, all of it in LPS, mm.
+    """Write a plan for other software, in the format of the suffix, with coordinates in LPS, mm.
 
     ``.mrk.json``: targets, routes, needles and scope positions for 3D Slicer. ``.seg.nrrd``: the target as a
     segmentation for 3D Slicer, one target a file. ``.seg.dcm``: the targets as a DICOM segmentation that refers to the

@@ -28,11 +28,11 @@ _OPTIONS = {
     ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6", "row-mt": "1"}),
 }
 SIZES_PX = (16, 8192)
-# Of ITU-T H.264 table A-1, in macroblocks of 16 x 16 pixels: for a frame, and for a second.
+# Limits of ITU-T H.264 table A-1, in macroblocks of 16 x 16 pixels: for a frame, and for a second.
 _LARGEST_LEVEL = (139_264, 16_711_680)
-"""Level 6.2: the standard has no larger one."""
+"""Level 6.2, the largest level of the standard."""
 _COMMON_LEVEL = (36_864, 2_073_600)
-"""Level 5.2 (4096 x 2304): what decoders of phones and browsers commonly play."""
+"""Level 5.2 (4096 x 2304), which decoders of phones and browsers commonly play."""
 COMMENT = "Made by Carina from a CT. Not a medical device; not for diagnosis."
 
 
@@ -47,7 +47,7 @@ def _pyav() -> Any:
 
 
 def even_size(width: int, height: int) -> tuple[int, int]:
-    """Return the size of a video for pictures of a size: odd numbers of pixels become the next even ones.
+    """Return the size of a video for pictures of a size: an odd number of pixels becomes the next even number.
 
     The common 4:2:0 colour format has one colour value for two by two pixels. QuickTime, Safari and Windows do not play
     H.264 in other formats.
@@ -61,12 +61,12 @@ def even_size(width: int, height: int) -> tuple[int, int]:
 
 
 def size_notes(path: str | os.PathLike[str], width: int, height: int, *, rate_hz: float) -> tuple[str, ...]:
-    """Return notes for the user on the size of a video of pictures of a size.
+    """Return notes for the user on the size and the rate of a video.
 
     Parameters
     ----------
     path
-        Ends in ``.mp4`` or ``.webm``.
+        The video file, ``.mp4`` or ``.webm``.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def size_notes(path: str | os.PathLike[str], width: int, height: int, *, rate_hz
 
 
 def _check(suffix: str, width: int, height: int, rate_hz: float) -> None:
-    """Refuse sizes and rates that no player shows."""
+    """Refuse sizes and rates that no player supports."""
     least, most = SIZES_PX
     if not (least <= width <= most and least <= height <= most and 1.0 <= rate_hz <= 240.0):
         raise UsageError(
@@ -106,7 +106,7 @@ def _check(suffix: str, width: int, height: int, rate_hz: float) -> None:
 def _within(level: tuple[int, int], size: tuple[int, int], rate_hz: float) -> bool:
     across, down = (-(-n // 16) for n in size)
     frame, second = level
-    # A side may be at most the square root of eight frames (A.3.1).
+    # The square of a side must be at most eight times the largest frame (A.3.1).
     return across * down <= frame and across * down * rate_hz <= second and max(across, down) ** 2 <= 8 * frame
 
 
@@ -176,22 +176,22 @@ class _DraftReader(io.RawIOBase):
 
 
 class VideoWriter:
-    """Writes pictures as frames of a video; a file of the same name is replaced when all is written, or not at all.
+    """Writer of a video; an existing file is replaced when the video is complete, or not at all.
 
     Parameters
     ----------
     path
         Ends in ``.mp4`` or ``.webm``.
     width, height
-        Of the pictures, 16 to 8192 px. The video has an even size (`even_size`): the last row or column of a picture of
-        an odd size is repeated, so that all players show the video.
+        Size of the pictures, 16 to 8192 px. The video has an even size (`even_size`), which all players support: the
+        last row or column of a picture of an odd size is repeated.
     rate_hz
         Frames per second, 1 to 240.
 
     Raises
     ------
     UsageError
-        If the name, the size or the rate is none of these.
+        If the suffix, the size or the rate is not supported.
     CarinaError
         ``export.video`` without PyAV.
     """
@@ -212,7 +212,7 @@ class VideoWriter:
         self._file = _Told(self._draft.file)
         self._container: Any = None
         with self._disk_told():
-            # The index goes before the pictures, so that a browser plays the video while it loads.
+            # The index is stored before the pictures, so that a browser plays the video while it loads.
             first = suffix == ".mp4" and hasattr(os, "pread")
             options = {"movflags": "+faststart"} if first else {}
             self._container = av.open(

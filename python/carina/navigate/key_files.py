@@ -108,7 +108,7 @@ class KeyFrameFile:
 
 
 def open_key_frames(path: str | Path) -> KeyFrameFile:
-    """Read key frames.
+    """Read key frames from a file.
 
     Raises
     ------

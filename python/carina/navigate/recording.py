@@ -33,7 +33,7 @@ FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
 MAX_LENGTH_S = 1e7
-"""Of a recording: four months."""
+"""Longest recording: four months."""
 """Of characters: a path of a million points."""
 
 

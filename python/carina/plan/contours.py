@@ -1,4 +1,4 @@
-"""Outlines of a structure set, as shares of a CT's voxels: exact along rows, eight lines to a voxel across them."""
+"""Rasterisation of a structure set's outlines to shares of a CT's voxels."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from carina.volume.dicom_structures import Contour
 __all__ = ["OutlineError", "drawn_in"]
 
 PLANE = 0.1
-"""Of the distance of two slices: farther from a slice an outline does not lie on it. Files round to 0.01 mm."""
+"""Largest distance of an outline from its slice, as a share of the slice distance; files round to 0.01 mm."""
 PLANE_MM = 0.06
-"""The same where slices are thin: some programs round heights to 0.1 mm."""
+"""Largest distance of an outline from its slice in thin slices: some programs round heights to 0.1 mm."""
 SUB_SLICES = 8
-"""Heights in each slice of the CT at which outlines between slices are read: a slab is right to 1/16 of a slice."""
+"""Heights per slice of the CT at which outlines between slices are sampled; the error of a slab is 1/16 slice."""
 OTHER_CT = "open the CT that it was drawn on"
 SAME_FRAME = (
     "open the DICOM series that it was drawn on, so that Carina can compare the frame of reference, or export it on "
@@ -34,7 +34,7 @@ class _Plane:
     """All outlines at one height."""
 
     height: float
-    """In slices of the CT."""
+    """Height in slices of the CT."""
     outlines: tuple[SliceOutline, ...]
 
 
@@ -43,14 +43,14 @@ def drawn_in(
 ) -> tuple[Drawn, tuple[str, ...], float]:
     """Compute the shares of a CT's voxels that the outlines of a structure enclose.
 
-    An outline stands for its slab, half-way to its neighbours. A nested outline is a hole, nearly equal outlines of one
-    slice are averaged, and others on one slice add up.
+    An outline represents the slab half-way to its neighbours. A nested outline is a hole. Nearly equal outlines of one
+    slice are averaged, and other outlines of one slice are united.
 
     Parameters
     ----------
     may_be_between
         Accept outlines that lie between the CT's slices. The caller must know that the outlines and the CT have one
-        frame of reference; without that such outlines are evidence for another CT.
+        frame of reference. Otherwise outlines between the slices indicate another CT.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def _axis_across(points: Sequence[NDArray[np.float64]]) -> int:
 
 
 def _planes(heights: NDArray[np.float64], outlines: Sequence[SliceOutline]) -> list[_Plane]:
-    """Collect the outlines of each height; heights that differ by rounding are one."""
+    """Collect the outlines of each height; heights that differ by rounding count as one height."""
     planes: list[_Plane] = []
     together: list[int] = []
     order = [int(n) for n in np.argsort(heights, kind="stable")]
@@ -144,7 +144,7 @@ def _on_slices(
     start = max(int(np.floor(stack.heights[0] - stack.reach + 0.5)), 0)
     end = min(int(np.ceil(stack.heights[-1] + stack.reach - 0.5)), num_slices - 1)
     share = np.zeros((end - start + 1, *shape), dtype=np.float32)
-    # Outlines on the CT's slices are read there alone: averaging would blur them.
+    # Outlines on the CT's slices are sampled at these slices alone, because averaging would blur them.
     offsets = (np.arange(SUB_SLICES) + 0.5) / SUB_SLICES - 0.5 if is_between else np.zeros(1)
     for n in range(len(share)):
         share[n] = np.mean([stack.at(start + n + offset) for offset in offsets], axis=0)

@@ -1,4 +1,4 @@
-"""Outlines of one slice as shares of voxels: rasterisation, holes, and boundaries that were drawn twice."""
+"""Rasterisation of the outlines of one slice, with holes and with boundaries that were drawn twice."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from carina.errors import VolumeImportError
 __all__ = ["OutlineError", "SliceOutline", "SliceShare", "coverage", "runs_through_centres", "slice_share"]
 
 LINES = 8
-"""Sub-lines of a voxel: a disc of 5 mm radius at 0.7 mm is right to 0.1 %."""
+"""Sub-lines of a voxel; the area of a disc of 5 mm radius in 0.7 mm voxels has an error of 0.1 %."""
 ON_CENTRE = 0.02
-"""Of a voxel: an outline all of whose corners are nearer to voxels' centres runs through them."""
+"""Largest distance in voxels between corners and voxel centres for an outline that runs through the centres."""
 ENCLOSED = 0.999
-"""Share of an outline's area that must lie within another one for it to be nested there; the rest is rounding."""
+"""Least share of an outline's area inside another outline for a nested outline; the rest is rounding."""
 SAME_OVERLAP = 0.9
-"""Intersection over union from which two outlines are one boundary that was drawn twice."""
+"""Least intersection over union of two outlines that are one boundary drawn twice."""
 SAME_APART_VOX, SAME_APART_OVERLAP = 1.0, 0.7
 """Outlines that are less than one voxel apart on average are one boundary: a CT does not show a thinner wall. Their
 overlap must be at least this, so that small hollows stay holes."""
 UNCLEAR_OVERLAP = 0.75
-"""Nested outlines that overlap more may be a thin wall or two observers: Carina refuses to guess."""
+"""Largest overlap of a hole: nested outlines that overlap more may be a thin wall or two observers, and are refused."""
 CLOSES_VOX = 0.005
-"""Of a voxel: a corner nearer to the first one closes a loop."""
+"""Largest distance in voxels between the first corner of a loop and the corner that closes the loop."""
 
 
 class OutlineError(VolumeImportError):
@@ -38,7 +38,7 @@ class OutlineError(VolumeImportError):
     def __init__(self, problem: str, *, way_out: str, code: str | None = None) -> None:
         super().__init__(problem, code=code)
         self.way_out = way_out
-        """What the user can do, as an imperative."""
+        """Remedy for the user, as an imperative."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,21 +46,21 @@ class SliceOutline:
     """One closed outline in the voxel coordinates of its slice."""
 
     points_vox: NDArray[np.float64]
-    """(n, 2) column and row; the last point joins the first."""
+    """Points (n, 2), column and row; the last point joins the first."""
     is_xor: bool
     """Whether points in an even number of outlines are outside (CLOSEDPLANAR_XOR)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SliceShare:
-    """The structure in one slice, and what was done to get it."""
+    """Shares of the voxels of one slice, and the corrections that were made."""
 
     share: NDArray[np.float32]
-    """(rows, columns) share of each voxel inside the structure, 0 to 1."""
+    """Share of each voxel (rows, columns) inside the structure, 0 to 1."""
     num_merged: int = 0
-    """Outlines that repeat another one of the slice."""
+    """Number of outlines that repeat another outline of the slice."""
     apart_vox: float = 0.0
-    """Greatest mean distance of two outlines that were merged."""
+    """Largest mean distance of two outlines that were merged."""
     hole_vox: float = 0.0
     """Area of the holes that nested CLOSED_PLANAR outlines make, in voxels."""
 
@@ -104,7 +104,7 @@ def slice_share(outlines: Sequence[SliceOutline], shape: tuple[int, int], *, cen
             total = np.abs(total - one.cover)
             hole_vox += one.area
         else:
-            # A hole stays open where its island only fills a part of it; outlines that overlap are united.
+            # An island fills only a part of its hole, so the hole stays open; overlapping outlines are united.
             total = np.maximum(total, np.minimum(total + one.cover, 1.0))
     share: NDArray[np.float32] = np.clip(total, 0.0, 1.0).astype(np.float32)
     return SliceShare(share, num_merged, apart, hole_vox)
@@ -160,7 +160,7 @@ def _merged(shapes: Sequence[_Shape]) -> tuple[list[_Shape], int, float]:
 def _check_pair(outer: _Shape, inner: _Shape) -> None:
     """Refuse two outlines that may be one boundary or the two sides of a wall."""
     if outer.is_xor or inner.is_xor:
-        # XOR of nearly equal outlines leaves a film that is thinner than a voxel, or nothing.
+        # XOR of nearly equal outlines leaves a film that is thinner than a voxel, or no area.
         if outer.is_same(inner):
             raise OutlineError(
                 "two CLOSEDPLANAR_XOR outlines of one slice are nearly equal and cancel each other",
@@ -183,7 +183,7 @@ def _perimeter(points: NDArray[np.float64]) -> float:
 
 
 def _cover(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Rasterise one outline; an outline that goes round the same boundary several times counts once."""
+    """Rasterise one outline; an outline that follows its boundary several times counts once."""
     loops = _loops(points)
     whole = coverage(points, shape)
     if len(loops) > 1:
@@ -203,7 +203,7 @@ def _loops(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def coverage(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the share of each voxel (rows, columns) that a closed outline (n, 2), columns first, encloses."""
+    """Return the share of each voxel (rows, columns) inside a closed outline (n, 2), columns first."""
     rows, columns = shape
     found = np.zeros(shape)
     x0, y0 = points.T
@@ -222,14 +222,14 @@ def coverage(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.
 
 
 def runs_through_centres(points: NDArray[np.float64]) -> bool:
-    """Return whether all corners of an outline (n, 2) lie on centres of voxels."""
+    """Return whether all corners of an outline (n, 2) are voxel centres."""
     return float(np.abs(points - np.rint(points)).max()) <= ON_CENTRE
 
 
 def _centres_in(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return 1 for each voxel whose centre lies in or on an outline that runs through centres."""
+    """Return 1 for each voxel whose centre is in or on an outline that runs through voxel centres."""
     found = np.zeros(shape)
-    # The outline is shifted both ways, so that centres on it are inside.
+    # The outline is shifted in both directions, so that centres on the outline are inside.
     for shift in (-0.02, 0.02):
         found = np.maximum(found, _even_odd(points + np.array([0.0, shift]), shape))
     for one, other in zip(points, np.roll(points, -1, axis=0), strict=True):

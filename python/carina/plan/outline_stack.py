@@ -1,4 +1,4 @@
-"""Outlines of parallel slices as a solid: each outline stands for its slab, and gaps are interpolated by shape."""
+"""Outlines of parallel slices as a solid: each outline represents a slab, and gaps are interpolated by shape."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["OutlineStack"]
 Share = NDArray[np.float32]
 
 SHORT_GAP = 3.0
-"""In slices of the CT: a gap up to here is filled, as planning systems do."""
+"""Largest gap that is always filled, in slices of the CT, as in planning systems."""
 GAP_STEPS = 2.0
-"""In typical distances of the outlines: a gap up to here (one outline left out) is filled, however wide it is."""
+"""Largest gap that is filled, in typical distances of the outlines: the gap of one omitted outline."""
 GAP_DIAMETERS = 1.5
-"""In diameters of the larger neighbour: a wider gap parts two structures."""
+"""Largest gap within one structure, in diameters of the larger neighbour."""
 SHIFTS = 26
-"""Bisections of the level at which an interpolated shape has its area: enough for float32."""
+"""Number of bisections for the level at which an interpolated shape has its area: float32 precision."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class _Link:
     """Signed distances of both shapes; None if one is smaller than a voxel."""
 
     def at(self, part: float) -> NDArray[np.float64]:
-        """Interpolate: the shape by signed distance, its area linearly.
+        """Interpolate the shape by signed distance, and its area linearly.
 
         Linear areas give each outline exactly the volume of its slab.
         """
@@ -55,15 +55,15 @@ class _Link:
 class OutlineStack:
     """Shapes at increasing heights.
 
-    An outline stands for the slab up to half-way to its neighbours. At an end of a structure, the slab reaches half the
+    An outline represents the slab half-way to its neighbours. At an end of a structure, the slab extends half the
     typical distance of the outlines beyond the last outline.
 
     Parameters
     ----------
     heights
-        Increasing, in slices of the CT.
+        Increasing heights, in slices of the CT.
     shares
-        (rows, columns) each, 0 to 1.
+        Shares of voxels (rows, columns) at each height, 0 to 1.
     pixel_mm, slice_mm
         Mean width of a voxel in the planes, and the distance of the CT's slices.
     """
@@ -72,7 +72,7 @@ class OutlineStack:
         self.heights = np.asarray(heights, dtype=np.float64)
         self._shares = tuple(shares)
         gaps = np.diff(self.heights)
-        # The lower median: one wide gap between two lesions is not typical.
+        # The lower median ignores one wide gap between two lesions.
         self.step = float(np.sort(gaps)[(len(gaps) - 1) // 2]) if len(gaps) else 1.0
         """Typical distance of two outlines, in slices of the CT."""
         self._links: list[list[_Link]] = []
@@ -97,7 +97,7 @@ class OutlineStack:
 
     @property
     def reach(self) -> float:
-        """How far the slab of an end goes beyond its outline, in slices of the CT."""
+        """Extent of an end slab beyond its outline, in slices of the CT."""
         return 0.5 * self.step
 
     def at(self, height: float) -> NDArray[np.float64]:
@@ -119,14 +119,14 @@ class OutlineStack:
         return inside
 
     def _end(self, away: float, below: int, above: int) -> float:
-        """Share of the slab of an end at a distance from its outline: 1 within, 0 beyond, a half on its face."""
+        """Return the share of an end slab at a distance from its outline: 1 inside, 0 beyond, 0.5 on its face."""
         reach = self.reach
         if below >= 0 and above < len(self.heights):
             reach = min(reach, 0.5 * float(self.heights[above] - self.heights[below]))
         return 0.5 if abs(away - reach) < 1e-6 else float(away < reach)
 
     def _is_near(self, gap: float, one: NDArray[np.float64], other: NDArray[np.float64], pixel: float) -> bool:
-        """Whether two shapes at a distance are one structure."""
+        """Return whether two shapes at a distance belong to one structure."""
         if gap <= 1.0:
             return True
         diameter = 2.0 * float(np.sqrt(max(one.sum(), other.sum()) / np.pi)) * pixel
@@ -179,7 +179,7 @@ def _distances(
 
 
 def _signed(share: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Distance to the boundary in voxels, positive inside; None if no voxel is inside."""
+    """Return the distance to the boundary in voxels, positive inside; None if no voxel is inside."""
     import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
 
     inside = share >= 0.5
@@ -188,5 +188,5 @@ def _signed(share: NDArray[np.float64]) -> NDArray[np.float64] | None:
     image = sitk.GetImageFromArray(inside.astype(np.uint8))
     far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=True, squaredDistance=False, useImageSpacing=False)
     found: NDArray[np.float64] = sitk.GetArrayFromImage(far).astype(np.float64)
-    # Distances are those of centres: the boundary is half a voxel beyond the last one inside.
+    # Distances are measured between voxel centres; the boundary is half a voxel beyond the last centre inside.
     return found + 0.5

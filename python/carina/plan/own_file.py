@@ -1,4 +1,4 @@
-"""Reading an own instrument from a file, where each refusal says what, where, what was expected and what was found."""
+"""Reader of the user's own instrument files; each error states the field, the expected and the found value."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ class PlannedRoute:
 
 
 def _check_target(where: str, name: str, value: object) -> None:
-    """Refuse anything but a target, a nodule and a point."""
+    """Refuse any value but a target, a nodule or a point."""
     if not isinstance(value, PlanTarget | Nodule):
         lps_point()(where, name, value)
 

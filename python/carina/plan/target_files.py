@@ -1,4 +1,4 @@
-"""A target from a file: a mask, a DICOM segmentation, or a structure set, each only where it belongs to the CT."""
+"""Targets from files: a mask, a DICOM segmentation, or a structure set, each only for the CT that it belongs to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A target from a mask: the voxels that somebody drew, or a program found."""
+"""Targets from masks, which a user drew or a program made."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def target_of(
 
 
 def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[Drawn, tuple[str, ...]]:
-    """One connected piece of what was drawn, and what was left out in words.
+    """Return one connected part of a mask, and notes on the parts that were left out.
 
     Raises
     ------

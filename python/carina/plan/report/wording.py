@@ -1,4 +1,4 @@
-"""Values in the words of a report, one way for all of its parts."""
+"""Text of values in a report, the same in all of its parts."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def text_width(text: str, size: float) -> float:
 
 
 def lines_of(text: str, size: float, width: float) -> list[str]:
-    """Return text in lines that fit a width, broken at spaces, and inside a word that is longer than a line."""
+    """Return text in lines that fit a width, broken at spaces, or inside a word that is longer than a line."""
     lines: list[str] = []
     for word in text.split():
         if lines and text_width(f"{lines[-1]} {word}", size) <= width:
