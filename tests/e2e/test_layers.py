@@ -67,7 +67,7 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     assert workstation.overlay("coronal") == plain
 
     ask.click()
-    workstation.wait_for("window.__carina.state.lungs.standing === 'had'")
+    workstation.wait_while_working("window.__carina.state.lungs.standing === 'had'")
     ask.wait_for(state="detached")
     rows = page.locator(".layers > li")
     assert [row.get_attribute("data-testid") for row in rows.all()] == [f"layer-{layer}" for layer in LAYERS]
@@ -99,7 +99,7 @@ def test_the_drive_of_a_verdict_is_kept_as_a_flight_and_flown(server, workstatio
     page = workstation.page
     mark_the_nodule(workstation)
     page.get_by_test_id("take-route").click()
-    workstation.wait_for("window.__carina.state.plans.verdicts_standing === 'had'")
+    workstation.wait_while_working("window.__carina.state.plans.verdicts_standing === 'had'")
     # The step begins at its top, with the routes side by side.
     assert page.locator(".step-body").evaluate("(body) => body.scrollTop") == 0
     scope = next(one["scope"] for one in workstation.state("plans.verdicts") if one["was_driven"])

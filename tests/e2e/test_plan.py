@@ -73,7 +73,7 @@ def test_a_newcomer_comes_from_the_ct_to_the_printed_plan_with_six_clicks(server
 
     page.get_by_test_id("take-route").click()
     clicks += 1
-    workstation.wait_for("window.__carina.state.plans.verdicts_standing === 'had'")
+    workstation.wait_while_working("window.__carina.state.plans.verdicts_standing === 'had'")
     verdict = page.get_by_test_id("verdict").first
     assert verdict.inner_text().strip()
     routes = workstation.state("plans.targets[0].routes")

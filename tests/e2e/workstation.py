@@ -86,6 +86,15 @@ window.__pixels = (view) => {
 """
 
 
+HELD_OR_NO_PROGRESS = """
+(limitMs) => {
+  if (%s) return 'held';
+  const jobs = JSON.stringify(window.__carina.state.jobs);
+  const now = performance.now();
+  if (jobs !== window.__jobs?.shown) window.__jobs = {shown: jobs, sinceMs: now};
+  return now - window.__jobs.sinceMs > limitMs && `no progress: ${jobs}`;
+}
+"""
 AS_YET_MISSING = """(arg) => {
   try { return (%s)(arg); }
   catch (error) { if (error instanceof TypeError) return false; throw error; }
@@ -190,6 +199,17 @@ class Workstation:
         # The page's policy lets no bare text be evaluated.
         function = condition if FUNCTION.match(condition) else f"() => {condition}"
         self.page.wait_for_function(AS_YET_MISSING % function, arg=arg, timeout=PICTURE_MS)
+
+    def wait_while_working(self, condition: str) -> None:
+        """Wait until an expression of the page holds, as long as a job reports progress.
+
+        A fixed limit would fail on a machine that does other work at the same time. Here the limit applies to the time
+        between two changes of the listed jobs.
+        """
+        self.page.evaluate("() => { window.__jobs = null; }")
+        held = self.page.wait_for_function(HELD_OR_NO_PROGRESS % condition, arg=PICTURE_MS, timeout=0)
+        outcome = held.json_value()
+        assert outcome == "held", outcome
 
     def state(self, expression: str) -> Any:
         """A value out of the client's state, such as ``pose.path_mm``."""
