@@ -83,6 +83,18 @@ def test_a_row_of_the_architecture_names_the_file_that_defines_the_function() ->
 
 
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
+def test_tests_that_a_document_names_exist(document: Path) -> None:
+    stated = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", document.read_text(encoding="utf-8"))
+    missing = [
+        f"{file}::{name}"
+        for file, name in stated
+        if not (ROOT / file).exists() or f"def {name}(" not in (ROOT / file).read_text(encoding="utf-8")
+    ]
+    assert not missing
+    assert stated or document.name != "import-answers.md"
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
 def test_names_in_a_document_exist(document: Path) -> None:
     found = [f"{one.document}:{one.line}: `{one.text}`: {why}" for one in names_in(document) if (why := problem(one))]
     assert not found, "\n".join(found)
