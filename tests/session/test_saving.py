@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from carina import commands as c
 from carina.case.recordings import RecordingFacts
-from carina.errors import UsageError
+from carina.errors import CarinaError, UsageError
 from carina.session import Said, Session, Trouble
 from carina.session.records import CaseRecords, HeldCase
 from kept_desk import Desk, MemoryFile
@@ -136,6 +139,55 @@ def test_work_that_cannot_be_read_is_said_and_left_as_it_is(desk):
     assert told.code == "case.unreadable"
     assert path in told.message
     again.close()
+
+
+def test_a_case_whose_file_cannot_be_read_back_after_a_failed_opening_stays_as_it_was(desk, monkeypatch):
+    """The case that is shown goes on as another case, and the file and record of the first one stay."""
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+    case_id = session._saving.open_case[0]
+    session.do(c.RenameCase(case_id, "mine"))
+    desk.saved()
+    live = session._saving.records.live_path(case_id)
+    live.write_text("its flights")
+    record = live.with_name("record.json").read_bytes()
+
+    def fails(*_arguments, **_options):
+        raise CarinaError("the disk reported an error", code="disk.failed")
+
+    readable = session._saving._files
+    session._saving._files = replace(readable, open=fails)
+    with monkeypatch.context() as patched:
+        patched.setattr("carina.session.opening.new_case", fails)
+        desk.open("another")
+    session._saving._files = readable
+    session.do(c.SetFov(90.0))
+    desk.saved()
+    assert session._saving.open_case[0] != case_id
+    assert (live.read_text(), live.with_name("record.json").read_bytes()) == ("its flights", record)
+    session.close()
+
+
+def test_work_is_stored_after_a_failed_opening_on_a_disk_that_does_not_give_the_case_back(desk, monkeypatch):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+
+    def fails(*_arguments, **_options):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("carina.session.opening.new_case", fails)
+        patched.setattr(CaseRecords, "hold", fails)
+        desk.open("another")
+    session.do(c.SetFov(90.0))
+    desk.saved()
+    assert session.snapshot().saving.keeps
+    assert {moment.steps[-1].document.look.fov_deg for _, moment in MemoryFile.kept.values()} == {100.0, 90.0}
+    session.close()
 
 
 def test_a_full_disk_is_said_and_work_goes_on_until_there_is_room(desk):

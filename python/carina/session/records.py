@@ -225,7 +225,7 @@ class CaseRecords:
             When the case was begun, in seconds since 1970; None is now.
         case_id
             Id from :func:`new_case_id` of a case that was shown before it had a record. The record gets another id if a
-            case of this machine has the same neutral alias.
+            case of this machine has the same id or the same neutral alias.
 
         Raises
         ------
@@ -251,12 +251,17 @@ class CaseRecords:
         return held
 
     def _unused_id(self, case_id: str | None) -> str:
-        """Return an id whose neutral alias differs from those of all other cases of this machine."""
+        """Return an id that no case of this machine has, with a neutral alias that differs from all shown names."""
         shown = {one.shown_title.casefold() for one in (*self.all(), *self.forgotten())}
         chosen = case_id or new_case_id()
-        while neutral_alias(chosen).casefold() in shown:
+        while neutral_alias(chosen).casefold() in shown or self._has_files(chosen):
             chosen = new_case_id()
         return chosen
+
+    def _has_files(self, case_id: str) -> bool:
+        """Return whether a case of this id has files, also if its record is unreadable or the case is forgotten."""
+        folders = (self._folder / case_id, self._folder / FORGOTTEN / case_id)
+        return any(True for folder in folders for _ in folder.glob(f"{FILE}*"))
 
     def hold(self, record: CaseRecord) -> HeldCase | None:
         """Own a case; None where another process does."""

@@ -236,7 +236,11 @@ class Saving(Subject):
             between.give_back()
             if before is not None:
                 again = Between(self)
-                again.take(before.digest, None if before.held is None else before.held.record.case_id)
+                try:
+                    again.take(before.digest, None if before.held is None else before.held.record.case_id)
+                except (OSError, sqlite3.Error, CarinaError) as trouble:
+                    # The case is shown on, so its work is stored on, as a separate case.
+                    logger.warning("the open case could not be stored again (%s)", type(trouble).__name__)
                 with self.core.lock:
                     again.attach(before.case, before.place)
             raise
