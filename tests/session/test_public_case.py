@@ -228,14 +228,14 @@ def window(saved):
     records = CaseRecords(load_settings().cases_dir, time.time)
     sessions = []
 
-    def opened(ct=None):
+    def opened(ct=None, path=saved):
         session = Session(
             lambda volume, transfer: Renderer(volume, transfer=transfer),
             records=records,
             files=case_files(None, records),
         )
         sessions.append(session)
-        session.do(c.OpenPath(str(saved)) if ct is None else c.OpenCaseFile(saved, ct))
+        session.do(c.OpenPath(str(path)) if ct is None else c.OpenCaseFile(path, ct))
         session.jobs.wait_idle(None)
         return session
 
@@ -312,3 +312,84 @@ def test_a_window_opens_a_case_whose_scan_was_moved_with_the_place_that_it_is_gi
     other = opened(saved.parent / "other" / "ct.nii.gz")
     assert other.snapshot().case is None
     assert len(records.all()) == 1
+
+
+# ---------------------------------------------------------------- the live file of a stored case
+
+
+def test_a_window_that_is_given_a_live_file_goes_on_with_the_stored_case(saved, window):
+    opened, records = window
+    session = opened()
+    session.do(c.SetFov(100.0))
+    assert session._saving.write_now()
+    (record,) = records.all()
+    live = records.path_of(record)
+    session.close()
+    again = opened(path=live)
+    assert again.snapshot().document.look.fov_deg == 100.0
+    assert again._saving.open_case[0] == record.case_id
+    assert again.snapshot().saving.copy_name == saved.name, "the named file stays the same"
+    again.do(c.SetFov(90.0))
+    again.close()
+    assert [one.case_id for one in records.all()] == [record.case_id]
+    assert sorted(path.name for path in live.parent.iterdir() if path.suffix == ".carina") == ["case.carina"]
+
+
+def test_a_live_file_that_another_window_has_open_is_not_written(saved, window):
+    opened, records = window
+    first = opened()
+    first.do(c.SetFov(100.0))
+    assert first._saving.write_now()
+    (record,) = records.all()
+    live = records.path_of(record)
+    second = opened(path=live)
+    second.do(c.SetFov(80.0))
+    assert second._saving.write_now()
+    assert second.snapshot().saving.copy_name is None
+    second.close()
+    first.do(c.SetFov(90.0))
+    first.close()
+    with CaseFile.open(live, read_only=True) as file:
+        assert len(file.history()) == 3
+    assert len(records.all()) == 2, "the second window works on a copy"
+
+
+def test_a_case_is_not_saved_into_the_folder_of_stored_cases(saved, window):
+    opened, records = window
+    session = opened()
+    session.do(c.SetFov(100.0))
+    assert session._saving.write_now()
+    (record,) = records.all()
+    live = records.path_of(record)
+    for path, replace in ((live, True), (live.with_name("mine.carina"), False)):
+        with pytest.raises(UsageError, match="stores its cases") as refused:
+            session.do(c.SaveCase(str(path), replace))
+        assert refused.value.code == "case.no-place"
+    with pytest.raises(UsageError, match="stores its cases"):
+        session.cases.save_elsewhere(session.snapshot().case_number, live.parent)
+    session.close()
+    with carina.Case.open(saved) as case:
+        with pytest.raises(UsageError, match="stores its cases"):
+            case.save(live, replace=True)
+        case.do(c.SetFov(95.0))
+    assert [path.name for path in live.parent.glob("*.carina")] == ["case.carina"]
+
+
+def test_a_program_that_is_given_a_live_file_does_not_write_to_it(saved, window, tmp_path):
+    opened, records = window
+    session = opened()
+    session.do(c.SetFov(100.0))
+    assert session._saving.write_now()
+    (record,) = records.all()
+    live = records.path_of(record)
+    session.close()
+    before = live.read_bytes()
+    with pytest.warns(UserWarning, match="another name"):
+        case = carina.Case.open(live)
+    with case:
+        case.do(c.SetFov(95.0))
+        with pytest.raises(UsageError, match="another name") as refused:
+            case.save()
+        assert refused.value.code == "case.read-only"
+        case.save(tmp_path / "elsewhere.carina")
+    assert live.read_bytes() == before

@@ -13,7 +13,7 @@ from carina.config import load_settings
 from carina.disk import Placement, ScratchFolder
 from carina.errors import UsageError
 from carina.session.case_scan import CASE_SUFFIX, CaseScans, FoundScan, way_between
-from carina.session.named_file import NamedFile, NamedFileConflictError, open_marked, path_beside
+from carina.session.named_file import FileMark, NamedFile, NamedFileConflictError, open_marked, path_beside
 from carina.session.records import CaseRecords
 from carina.session.unsaved_work import check_saved
 from carina.volume import Volume, VolumeCache, ct_digest
@@ -57,17 +57,13 @@ class NamedCase:
                 self.note = original.note
                 self._saved = original.load(scan.volume)
                 return scan.volume, self._saved
-            self._named = NamedFile(self.path, mark, ct_digest=original.digest, where_work_is=WHERE_WORK_IS)
-            try:
-                self._named.check()
-            except NamedFileConflictError as conflict:
-                self.note = str(conflict)
-            if self.note is None and _records().open_elsewhere(self.path) is not None:
+            if _records().stores(self.path):
                 self.note = (
-                    f"The file {path.name} is open in a Carina window: changes made here can only be saved under "
-                    "another name"
+                    f"The file {self.path} is a stored case of the Carina window: changes made here can only be saved "
+                    "under another name"
                 )
-                self._named.close()
+            else:
+                self._open_named(mark, original.digest)
             self._scratch = ScratchFolder()
             original.write_copy(self._scratch.path / f"case{CASE_SUFFIX}", ct_place=original.source.path)
         self._file = CaseFile.open(self._scratch.path / f"case{CASE_SUFFIX}")
@@ -77,6 +73,21 @@ class NamedCase:
             if trouble.code != "case.empty":
                 raise
         return scan.volume, self._saved
+
+    def _open_named(self, mark: FileMark, ct_digest: str) -> None:
+        """Take the lock of the file; if the file is open elsewhere, note why it cannot be written."""
+        assert self.path is not None
+        self._named = NamedFile(self.path, mark, ct_digest=ct_digest, where_work_is=WHERE_WORK_IS)
+        try:
+            self._named.check()
+        except NamedFileConflictError as conflict:
+            self.note = str(conflict)
+        if self.note is None and _records().open_elsewhere(self.path) is not None:
+            self.note = (
+                f"The file {self.path.name} is open in a Carina window: changes made here can only be saved under "
+                "another name"
+            )
+            self._named.close()
 
     def came_from(self, place: str | Path) -> None:
         """Where the CT of a case lies that has no file yet."""
@@ -208,6 +219,7 @@ class NamedCase:
         target = Path(path).expanduser().absolute()
         if target.suffix.lower() != CASE_SUFFIX:
             target = target.with_name(target.name + CASE_SUFFIX)
+        _records().refuse_stored(target)
         if target == self.path and self.note is not None and not replace:
             raise UsageError(self.note, code="case.read-only")
         is_own = self._named is not None and self._named.has_path(target)

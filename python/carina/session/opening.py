@@ -152,7 +152,9 @@ class Opening(Subject):
             if found.file is not None:
                 found.file.close()
 
-        return self._open("opening the case", read, None if dropped else str(path), found=found, ended=close)
+        # A stored case is in the list of recent cases by its record, without a path.
+        listed = None if dropped or self._saving.stores(path) else str(path)
+        return self._open("opening the case", read, listed, found=found, ended=close)
 
     def _asked_for_ct(self, file: CaseFile) -> UsageError:
         """Store the case until its CT is opened, and return the error that asks for the CT."""

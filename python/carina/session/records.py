@@ -26,7 +26,7 @@ from carina.case.bounds import shortened
 from carina.disk import make_folder, read_regular_text, write_whole
 from carina.disk.locks import Held, try_lock
 from carina.display import one_line
-from carina.errors import VolumeImportError
+from carina.errors import UsageError, VolumeImportError
 from carina.session.case_names import neutral_alias, new_case_id
 from carina.session.doors import Door, close_door, open_door, read_door
 from carina.session.named_lock import NamedLock
@@ -314,6 +314,34 @@ class CaseRecords:
     def live_path(self, case_id: str) -> Path:
         """Return the path of a listed case's live file, even if the record is unreadable."""
         return self._folder / case_id / FILE
+
+    def stores(self, path: Path) -> bool:
+        """Return whether a path is in the folder of the stored cases, also by another spelling or a link."""
+        for folder in Path(os.path.realpath(path)).parents:
+            with contextlib.suppress(OSError):
+                if folder.samefile(self._folder):
+                    return True
+        return False
+
+    def refuse_stored(self, path: Path) -> None:
+        """Refuse to save a case under a name in the folder of the stored cases.
+
+        A save replaces its file. The owner of a live file would then write on to the replaced file, and lose changes.
+
+        Raises
+        ------
+        UsageError
+            ``case.no-place``: if :meth:`stores` returns True.
+        """
+        if self.stores(path):
+            raise UsageError(
+                f"{path} is in the folder in which Carina stores its cases; choose another folder", code="case.no-place"
+            )
+
+    def record_at(self, path: Path) -> CaseRecord | None:
+        """Return the listed case whose live file is at a path; None if no such case is listed."""
+        place = Path(os.path.realpath(path))
+        return self.find(place.parent.name) if self.stores(path) and place.name == FILE else None
 
     def path_of(self, record: CaseRecord) -> Path:
         """Return the path of the live case file; another process may be writing it."""

@@ -137,7 +137,8 @@ class Between:
     def imported(self, volume: Volume, case: CaseFile, mark: FileMark | None) -> Moment | None:
         """Continue from a case file: from the stored case that wrote the file, else from a copy.
 
-        A file of a newer version of Carina is shown and not stored.
+        A file of a newer version of Carina is shown and not stored. The live file of a stored case is no named file:
+        the stored case is continued, or copied while another window has it open.
 
         Parameters
         ----------
@@ -154,9 +155,12 @@ class Between:
         if digest is None or case.note is not None:
             return case.load(volume)
         self._digest = digest
-        if mark is not None:
-            self._named = self._saving.named_file(case, mark)
-        self._reopened = self._saving.reopened_file(case, mark)
+        if mark is not None and self._saving.stores(case.path):
+            mark, self._reopened = None, self._saving.reopened_live(case)
+        else:
+            if mark is not None:
+                self._named = self._saving.named_file(case, mark)
+            self._reopened = self._saving.reopened_file(case, mark)
         self._claim_ct(is_new=False)
         if self._reopened is None:
             self._is_new = True
@@ -280,6 +284,16 @@ class Saving(Subject):
         except OSError:
             pass  # the error is reported when the file is written
         return named
+
+    def stores(self, path: Path) -> bool:
+        """Return whether a path is in the folder of the stored cases."""
+        return self.records is not None and self.records.stores(path)
+
+    def reopened_live(self, case: CaseFile) -> Reopened | None:
+        """Own the stored case whose live file was opened; None if it is open elsewhere, or not in the list."""
+        assert self.records is not None
+        record = self.records.record_at(case.path)
+        return None if record is None else self.opened(record)
 
     def reopened_file(self, case: CaseFile, mark: FileMark | None) -> Reopened | None:
         """Own the stored case that wrote a case file, and return it; None where there is none."""
@@ -531,7 +545,7 @@ class Saving(Subject):
         Raises
         ------
         UsageError
-            ``case.exists``, ``case.no-place``: if the file exists, or its folder does not.
+            ``case.exists``: if the file exists; ``case.no-place``: if its folder does not, or stores Carina's cases.
         CarinaError
             If the case cannot be written to that path either.
         """
@@ -544,6 +558,8 @@ class Saving(Subject):
             raise UsageError(f"{target} already exists; choose another name", code="case.exists")
         if not target.parent.is_dir():
             raise UsageError(f"the folder {target.parent} does not exist", code="case.no-place")
+        assert self.records is not None
+        self.records.refuse_stored(target)
         try:
             keeper.save_to(target)
         except OSError as trouble:
@@ -668,6 +684,8 @@ class Saving(Subject):
         is_known = kept.named is not None and kept.named.has_path(path)
         if not path.is_absolute():
             raise UsageError(f"expected a full path such as C:\\cases\\NAME or /home/NAME; found {command.path}")
+        assert self.records is not None
+        self.records.refuse_stored(path)
         if path.exists() and not command.replace and not is_known:
             raise UsageError(f"{path} already exists; choose another name, or replace it", code="case.exists")
 
