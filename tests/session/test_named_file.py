@@ -332,3 +332,124 @@ def test_the_path_beside_a_file_is_free(path):
     assert path_beside(path).name == "team (2).carina"
     path_beside(path).touch()
     assert path_beside(path).name == "team (3).carina"
+
+
+# ---------------------------------------------------------------- journals, long names, partial failures
+
+
+@pytest.mark.parametrize("tail", ["-wal", "-journal"])
+def test_changes_in_a_journal_beside_the_file_are_not_lost(disk, path, tail):
+    """A program that has the file open as a database has not written its changes into the file yet."""
+    named = NamedFile(path)
+    write(named, "one")
+    journal = path.with_name(path.name + tail)
+    journal.write_bytes(b"theirs")
+    refusal(named)
+    with pytest.raises(NamedFileConflictError):
+        named.check()
+    assert (path.read_text(), journal.read_bytes()) == ("one", b"theirs")
+    # An empty journal holds no change.
+    journal.write_bytes(b"")
+    write(named, "two")
+    assert path.read_text() == "two"
+
+
+@pytest.mark.parametrize("tail", ["-wal", "-journal"])
+def test_replace_keeps_the_journal_with_the_replaced_file(disk, path, tail):
+    """Else it would be replayed on the new file."""
+    path.write_text("theirs")
+    journal = path.with_name(path.name + tail)
+    journal.write_bytes(b"their changes")
+    kept = write(NamedFile(path), "ours", replace=True)
+    assert (path.read_text(), kept.read_text()) == ("ours", "theirs")
+    assert kept.with_name(kept.name + tail).read_bytes() == b"their changes"
+    assert not journal.exists()
+
+
+def test_a_move_that_fails_during_replace_leaves_the_file_under_its_name(disk, path, monkeypatch):
+    path.write_text("theirs")
+    moved = named_file.move_to_new_name
+
+    def fails(source, target):
+        if source.name.endswith(".draft"):
+            raise OSError(errno.EIO, "Input/output error")
+        moved(source, target)
+
+    def replaced(source, target):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(named_file, "move_to_new_name", fails)
+    with monkeypatch.context() as patched:
+        if disk in {"locks", "no hard links"}:
+            patched.setattr("pathlib.Path.replace", replaced)
+        with pytest.raises(OSError, match="Input/output"):
+            write(NamedFile(path), "ours", replace=True)
+    assert path.read_text() == "theirs"
+
+
+def test_a_replacement_that_the_share_reports_as_failed_is_recognised(disk, path, monkeypatch):
+    """A network share may repeat a request whose answer was lost, and report the repetition."""
+    named = NamedFile(path)
+    write(named, "one")
+    for owner, name in ((named_file, "move_to_new_name"), (type(path), "replace")):
+        done = getattr(owner, name)
+
+        def twice(source, target, done=done):
+            done(source, target)
+            if target == path:
+                raise OSError(errno.EIO, "Input/output error")
+
+        monkeypatch.setattr(owner, name, twice)
+    with pytest.raises(OSError, match="Input/output"):
+        write(named, "two")
+    monkeypatch.undo()
+    write(named, "three")
+    assert path.read_text() == "three"
+
+
+def test_a_moved_file_that_cannot_be_removed_does_not_fail_the_save(path, monkeypatch):
+    monkeypatch.setattr(named_file.NamedLock, "take", staticmethod(lambda _path: None))
+    named = NamedFile(path)
+    write(named, "one")
+    removed = type(path).unlink
+
+    def held(place, *, missing_ok=False):
+        if "being replaced" in place.name:
+            raise PermissionError(errno.EACCES, "a virus scanner reads it")
+        removed(place, missing_ok=missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(type(path), "unlink", held)
+        write(named, "two")
+    write(named, "three")
+    assert path.read_text() == "three"
+
+
+@pytest.mark.parametrize("letter", ["a", "\u00e4"])
+def test_names_beside_a_file_with_a_long_name_are_not_too_long(disk, tmp_path, letter, monkeypatch):
+    path = tmp_path / f"{letter * (240 // len(letter.encode()))}.carina"
+    path.write_text("theirs")
+    beside = path_beside(path)
+    beside.touch()
+    assert beside.name.endswith(" (2).carina")
+    kept = write(NamedFile(path), "ours", replace=True)
+    assert "(replaced " in kept.name
+    assert (path.read_text(), kept.read_text()) == ("ours", "theirs")
+
+
+def test_another_name_of_the_same_file_is_another_path(path):
+    """A save replaces one name of a file with several names (hard links)."""
+    named = NamedFile(path)
+    write(named, "one")
+    other = path.with_name("other.carina")
+    os.link(path, other)
+    assert not named.has_path(other)
+    assert named.has_path(path)
+    link = path.with_name("link.carina")
+    link.symlink_to(path)
+    assert named.has_path(link)
+
+
+def test_a_lock_on_a_share_with_unstable_file_numbers_does_not_hang(path, monkeypatch):
+    monkeypatch.setattr(os.path, "samestat", lambda _one, _other: False)
+    assert NamedLock.take(path) is None

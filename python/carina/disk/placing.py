@@ -39,14 +39,27 @@ def move_to_new_name(source: Path, target: Path) -> None:
     except OSError as error:
         if error.errno not in _NO_HARD_LINKS:
             raise
-        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+        descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        reserved = os.fstat(descriptor)
+        os.close(descriptor)
         try:
             source.replace(target)
         except BaseException:
-            target.unlink()
+            with contextlib.suppress(OSError):
+                _remove_reservation(target, reserved)
             raise
     else:
         source.unlink()
+
+
+def _remove_reservation(target: Path, reserved: os.stat_result) -> None:
+    """Remove the empty file that reserves a name; keep any other content.
+
+    A share may report a move as failed that was done, and another program may have used the name meanwhile.
+    """
+    found = target.lstat()
+    if found.st_size == 0 and os.path.samestat(found, reserved):
+        target.unlink()
 
 
 def copy_to_new_name(source: Path, target: Path) -> None:

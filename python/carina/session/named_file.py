@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from carina.case import CaseFile
+from carina.case.journals import JOURNALS, beside
 from carina.case.save_mark import SaveMark
 from carina.case.trouble import refused
 from carina.disk import Placement
@@ -33,6 +34,8 @@ NOT_A_FILE: Final = "not a regular file"
 """Value instead of a digest for a file that is not regular; no digest equals this value."""
 MAX_LABEL = 80
 OPEN_TRIES = 4
+MAX_NAME_BYTES = 247
+"""Longest name of a file beside the named file: most file systems allow 255 bytes, of which a journal needs 8 more."""
 
 
 @one_line
@@ -110,11 +113,15 @@ class NamedFile:
         return self._lock is not None
 
     def has_path(self, path: Path) -> bool:
-        """Return whether a path names this file, also by another spelling or a link."""
+        """Return whether a path names this file, also by another spelling or a symbolic link.
+
+        A hard link is another file here, because a save replaces one of the two names.
+        """
         if path == self.path:
             return True
         with contextlib.suppress(OSError):
-            return path.samefile(self.path)
+            is_same = os.path.realpath(path) == os.path.realpath(self.path) or path.stat().st_nlink == 1
+            return is_same and path.samefile(self.path)
         return False
 
     def check(self) -> None:
@@ -181,6 +188,8 @@ class NamedFile:
                 digest = _digest_of(draft)
                 assert digest is not None
                 mark = FileMark(digest, save.save_id, save.generation)
+                # A share may report a replacement as failed that was done: then the file has this content.
+                self._next_digest = digest
                 if before_placing is not None:
                     before_placing(mark)
                 if replace:
@@ -254,6 +263,15 @@ class NamedFile:
         return found
 
     def _refuse_other_content(self, found: str | None, *, may_be_missing: bool) -> None:
+        journal = _journal_of(self._place())
+        if journal is not None:
+            raise NamedFileConflictError(
+                f"The file {self.path.name} has changes of another program that are not written into it yet: they are "
+                f"in {journal.name} beside it. Nothing was written. {self._where_work_is}: close the file in the other "
+                "program, save beside it, or replace it (the replaced file is kept)",
+                self.path,
+                "changed",
+            )
         if found is None:
             if self.mark is None or may_be_missing:
                 return
@@ -263,8 +281,15 @@ class NamedFile:
                 self.path,
                 "missing",
             )
-        if found not in {None if self.mark is None else self.mark.digest, self._next_digest}:
+        if self.mark is not None and found == self.mark.digest:
+            return
+        if found != self._next_digest:
             raise self._conflict(self._place())
+        # The save that was interrupted has replaced the file.
+        self.mark = FileMark(found)
+        marked = read_mark(self._place())
+        if marked is not None and marked.digest == found:
+            self.mark = marked
 
     def _replace_locked(self, draft: Path, target: Path, *, may_be_missing: bool) -> None:
         found = _digest_of(target)
@@ -289,7 +314,9 @@ class NamedFile:
         except BaseException:
             _put_back(aside, target)
             raise
-        aside.unlink()
+        # A program that reads the moved file can hold it (Windows); the save is complete nevertheless.
+        with contextlib.suppress(OSError):
+            aside.unlink()
 
     def _move_or_refuse(self, draft: Path, target: Path) -> None:
         try:
@@ -353,10 +380,10 @@ def open_marked(path: Path) -> tuple[CaseFile, FileMark]:
 def path_beside(path: Path) -> Path:
     """Return the first free name of the form ``NAME (2).carina`` in the folder of a case file."""
     for number in range(2, 10_000):
-        beside = path.with_name(f"{path.stem} ({number}){CASE_SUFFIX}")
-        if not beside.exists():
-            return beside
-    return path.with_name(f"{path.stem} ({secrets.token_hex(4)}){CASE_SUFFIX}")
+        free = _with_note(path, str(number), CASE_SUFFIX)
+        if not os.path.lexists(free):
+            return free
+    return _with_note(path, secrets.token_hex(4), CASE_SUFFIX)
 
 
 def _digest_of(path: Path) -> str | None:
@@ -375,25 +402,62 @@ def _replace_and_keep(draft: Path, target: Path, *, is_locked: bool) -> list[Pat
     """Replace a file, store the former file under a free name, and return the paths of the replaced content.
 
     With the lock, the present file keeps its name until the new file replaces it. Without a lock, the present file is
-    moved first, so that a file which another window writes in between is detected and stored as well.
+    moved first, so that a file which another window writes in between is detected and stored as well. Journals of the
+    former file follow it, because they would be replayed on the new file. If the disk refuses, the former file gets its
+    name back.
     """
     kept: list[Path] = []
-    while True:
-        free = _free_name(target, f"replaced {time.strftime('%Y-%m-%d %H%M')}")
-        try:
-            if target.exists():
-                (copy_to_new_name if is_locked else move_to_new_name)(target, free)
-                kept.append(free)
-            if kept and is_locked:
-                draft.replace(target)
-            else:
-                move_to_new_name(draft, target)
-        except (FileExistsError, FileNotFoundError):
-            # Another program has used the name, or removed the file, since the check.
-            if not draft.exists():
-                raise
-            continue
-        return kept
+    try:
+        while True:
+            free = _free_name(target, f"replaced {time.strftime('%Y-%m-%d %H%M')}")
+            try:
+                is_there = target.exists()
+                if is_there:
+                    (copy_to_new_name if is_locked else move_to_new_name)(target, free)
+                    kept.append(free)
+                _move_journals(target, free)
+                if is_there and is_locked:
+                    draft.replace(target)
+                else:
+                    move_to_new_name(draft, target)
+            except (FileExistsError, FileNotFoundError):
+                # Another program has used the name, or removed the file, since the check.
+                if not draft.exists():
+                    raise
+                continue
+            return kept
+    except BaseException:
+        if kept:
+            with contextlib.suppress(OSError):
+                _take_back(kept[-1], target)
+        raise
+
+
+def _take_back(kept: Path, target: Path) -> None:
+    """Give a replaced file its name back, with its journals, unless the name has other content."""
+    if not os.path.lexists(target):
+        move_to_new_name(kept, target)
+    elif kept.samefile(target):
+        kept.unlink()
+    else:
+        return
+    _move_journals(kept, target)
+
+
+def _journal_of(path: Path) -> Path | None:
+    """Return a journal beside a file, with changes that are not in the file yet; None without one."""
+    for tail in JOURNALS:
+        journal = beside(path, tail)
+        with contextlib.suppress(OSError):
+            if journal.lstat().st_size > 0:
+                return journal
+    return None
+
+
+def _move_journals(path: Path, target: Path) -> None:
+    for tail in JOURNALS:
+        with contextlib.suppress(FileNotFoundError):
+            move_to_new_name(beside(path, tail), beside(target, tail))
 
 
 def _put_back(aside: Path, target: Path) -> None:
@@ -409,10 +473,18 @@ def _put_back(aside: Path, target: Path) -> None:
 
 
 def _free_name(path: Path, note: str) -> Path:
-    free, number = path.with_name(f"{path.stem} ({note}){path.suffix}"), 2
-    while free.exists() or free.is_symlink():
-        free, number = path.with_name(f"{path.stem} ({note}, {number}){path.suffix}"), number + 1
+    free, number = _with_note(path, note, path.suffix), 2
+    while any(os.path.lexists(one) for one in (free, *(beside(free, tail) for tail in JOURNALS))):
+        free, number = _with_note(path, f"{note}, {number}", path.suffix), number + 1
     return free
+
+
+def _with_note(path: Path, note: str, suffix: str) -> Path:
+    """Return the path ``NAME (note).carina`` in the folder of a file; a long name is shortened."""
+    stem, tail = path.stem, f" ({note}){suffix}"
+    while len(os.fsencode(stem + tail)) > MAX_NAME_BYTES and stem:
+        stem = stem[:-1]
+    return path.with_name(stem + tail)
 
 
 def _described(path: Path, ct_digest: str | None) -> tuple[ConflictKind, str]:

@@ -14,6 +14,7 @@ from carina.disk.locks import try_lock
 __all__ = ["LockedElsewhereError", "NamedLock", "lock_path"]
 
 MAX_OWNER_BYTES = 400
+MAX_TRIES = 100
 
 
 class LockedElsewhereError(Exception):
@@ -54,7 +55,7 @@ class NamedLock:
             If another window, program or user has the lock.
         """
         beside = lock_path(path)
-        while True:
+        for _ in range(MAX_TRIES):
             descriptor = _opened(beside)
             if descriptor is None:
                 return None
@@ -71,6 +72,8 @@ class NamedLock:
                     return cls(beside, descriptor)
             # The previous owner has just removed this lock file, so a lock on it excludes no other process.
             os.close(descriptor)
+        # A share that reports another file number at each call: its lock files cannot be told apart.
+        return None
 
     def release(self) -> None:
         """Release the lock and remove the lock file; a second call has no effect."""
