@@ -13,6 +13,7 @@ from carina import commands as c
 from carina.case.recordings import RecordingFacts
 from carina.errors import CarinaError, UsageError
 from carina.session import Said, Session, Trouble
+from carina.session.named_file import NamedFile
 from carina.session.records import CaseRecords, HeldCase
 from kept_desk import Desk, MemoryFile
 from small_case import LEFT_TIP, Background
@@ -433,6 +434,41 @@ def test_a_named_file_that_was_renamed_is_not_made_again_but_by_its_user(desk, n
     desk.background.run_all()
     assert saving(desk).copy_conflict is None
     assert named.exists()
+    desk.session.close()
+
+
+def test_a_named_file_is_recognised_after_two_crashes_in_a_row(desk, named, monkeypatch):
+    note = HeldCase.note
+
+    def cut_off(held, **values):
+        note(held, **{name: value for name, value in values.items() if "copied_s" not in values})
+
+    # The first crash comes after the file was replaced, and before the record has its digest.
+    with monkeypatch.context() as patched:
+        patched.setattr(HeldCase, "note", cut_off)
+        desk.session._saving._kept.save_to(named)
+        desk.saved()
+        desk.kill()
+    content = named.read_text()
+
+    def power_cut(*_arguments, **_options):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    # The second one before the file is replaced.
+    desk.start()
+    desk.open()
+    with monkeypatch.context() as patched:
+        patched.setattr(NamedFile, "_replace_locked", power_cut)
+        with pytest.raises(OSError, match="Input/output"):
+            desk.session._saving._kept.save_to(named)
+        desk.kill()
+    assert named.read_text() == content
+    desk.start()
+    desk.open()
+    desk.session.do(c.SaveCase())
+    desk.background.run_all()
+    assert saving(desk).copy_conflict is None
+    assert named.read_text() != content
     desk.session.close()
 
 

@@ -10,6 +10,7 @@ import pytest
 from carina import commands as c
 from carina.errors import UsageError
 from carina.session import Said, Trouble, keeping
+from carina.session.named_lock import lock_path
 from kept_desk import Desk, MemoryFile
 
 WAIT_S = 60.0
@@ -169,6 +170,77 @@ def test_a_share_that_is_silent_holds_up_its_copy_alone(desk, tmp_path):
     assert desk.saving().problem is None
     desk.file.lets_copy.set()
     desk.until(lambda: desk.saving().copy_problem is None)
+
+
+@pytest.fixture
+def stalled_share(desk, tmp_path, monkeypatch):
+    """Provide the named file while its update waits for a share, and the event that lets the update go on."""
+    share, goes_on, has_begun = tmp_path / "share.carina", threading.Event(), threading.Event()
+    write_copy = MemoryFile.write_copy
+
+    def stalls(file, path, **options):
+        if path == share:
+            has_begun.set()
+            assert goes_on.wait(3 * WAIT_S)
+        write_copy(file, path, **options)
+
+    desk.session.do(c.SaveCase(str(share)))
+    desk.background.run_all()
+    desk.session.do(c.SetFov(90.0))
+    desk.saved()
+    monkeypatch.setattr(StalledFile, "write_copy", stalls)
+    desk.clock.advance(61.0)
+    with desk.kept._wake:
+        desk.kept._wake.notify_all()
+    assert has_begun.wait(WAIT_S)
+    yield share, goes_on
+    goes_on.set()
+
+
+def test_a_case_that_was_saved_elsewhere_stays_there_when_its_former_share_answers(desk, stalled_share, tmp_path):
+    share, goes_on = stalled_share
+    copier, stick = desk.kept._copier, tmp_path / "stick.carina"
+    desk.session.do(c.SaveCase(str(stick)))
+    desk.background.run_all()
+    assert desk.kept.copy_path == stick
+    goes_on.set()
+    copier.join(WAIT_S)
+    assert not copier.is_alive()
+    assert (desk.kept.copy_path, desk.saving().copy_name) == (stick, "stick.carina")
+    desk.saved()
+    assert desk.kept.held.record.copy_path == str(stick)
+    assert not lock_path(share).exists()
+    assert lock_path(stick).exists()
+
+
+def test_a_case_that_was_saved_elsewhere_follows_there_while_its_former_share_is_silent(desk, stalled_share, tmp_path):
+    stick = tmp_path / "stick.carina"
+    desk.session.do(c.SaveCase(str(stick)))
+    desk.background.run_all()
+    before = stick.read_text()
+    desk.session.do(c.SetFov(80.0))
+    desk.saved()
+    desk.clock.advance(61.0)
+    with desk.kept._wake:
+        desk.kept._wake.notify_all()
+    desk.until(lambda: desk.kept._num_copied >= desk.kept._num_saved)
+    assert stick.read_text() != before
+    desk.session.do(c.SetFov(70.0))
+    desk.session.do(c.CloseCase())
+    assert not lock_path(stick).exists(), "the case was given back"
+
+
+def test_a_save_that_ends_after_its_case_was_closed_releases_its_file(desk, tmp_path):
+    keeper, stick = desk.kept, tmp_path / "stick.carina"
+    desk.file.lets_copy.clear()
+    saver = threading.Thread(target=keeper.save_to, args=(stick,))
+    desk.be_silent(desk.file.copies, saver.start)
+    desk.session.do(c.CloseCase())
+    assert keeper.has_ended
+    desk.file.lets_copy.set()
+    saver.join(WAIT_S)
+    assert stick.exists()
+    assert not lock_path(stick).exists()
 
 
 def test_a_copy_that_fails_is_tried_again_without_another_change(desk, tmp_path):

@@ -350,28 +350,47 @@ class Keeper:
             "copy_conflict": None,
             "beside": None,
         }
-        with self._news(told):
-            self._notes |= {
-                "copy_path": str(path),
-                "copied_s": now_s,
-                "copy_digest": mark.digest,
-                "copy_save_id": mark.save_id,
-                "copy_generation": mark.generation,
-                "next_copy_digest": None,
-            }
-            self._named, self._num_copied, self._copy_s = named, max(self._num_copied, num_saved), None
-            self._is_named_checked = True
-            self._plan_copy(COPY_EVERY_S)
-        if before is not None and before is not named:
-            before.close()
+
+        def is_outdated() -> bool:
+            # The user saved the case under another name while the update of this file waited for its disk.
+            return named is before and self._named is not before
+
+        with self._news(told, unless=is_outdated):
+            former = self._named
+            if not is_outdated():
+                self._notes |= {
+                    "copy_path": str(path),
+                    "copied_s": now_s,
+                    "copy_digest": mark.digest,
+                    "copy_save_id": mark.save_id,
+                    "copy_generation": mark.generation,
+                    "next_copy_digest": None,
+                }
+                self._named, self._num_copied, self._copy_s = named, max(self._num_copied, num_saved), None
+                self._is_named_checked = True
+                if former is not named:
+                    # A thread that waits for the disk of the former file ends when that disk responds.
+                    self._copier = None
+                self._plan_copy(COPY_EVERY_S)
+        if former is not None and former is not self._named:
+            former.close()
+        if self._has_ended:
+            named.close()
         return SavedAs(num_missing, replaced)
 
     def _note_next_copy(self, mark: FileMark) -> None:
         """Store the digest of a save before the save replaces the file, so that a crash in between is recognised."""
-        if self.held is not None:
+        present = None if self._named is None else self._named.mark
+        if self.held is not None and present is not None:
             # If the disk refuses, the only effect is that the file counts as changed elsewhere after a crash.
             with suppress(OSError, CarinaError):
-                self.held.note(next_copy_digest=mark.digest)
+                # The present content too: the record may name it only as the digest of an interrupted save.
+                self.held.note(
+                    copy_digest=present.digest,
+                    copy_save_id=present.save_id,
+                    copy_generation=present.generation,
+                    next_copy_digest=mark.digest,
+                )
 
     # ------------------------------------------------------------ the thread that writes
 
@@ -385,6 +404,9 @@ class Keeper:
             with self._wake:
                 self._has_ended, self._is_slow = True, False
                 self._wake.notify_all()
+            # A job may have saved the case under another name since the case was given back.
+            if self._named is not None:
+                self._named.close()
 
     def _has_work(self) -> bool:
         """Wait until something is to be written; False: it is to be given back."""
@@ -548,7 +570,7 @@ class Keeper:
         while True:
             with self._wake:
                 while True:
-                    if self._is_ending or self._has_ended:
+                    if self._is_ending or self._has_ended or threading.current_thread() is not self._copier:
                         return
                     wait_s = None if self._copy_s is None else self._copy_s - self._core.clock()
                     if wait_s is not None and wait_s <= 0.0:
@@ -571,8 +593,11 @@ class Keeper:
         has_ended = threading.Event()
 
         def slow() -> None:
-            with self._news({"copy_problem": NOT_RESPONDING}, unless=has_ended.is_set):
+            with self._news({"copy_problem": NOT_RESPONDING}, unless=lambda: has_ended.is_set() or is_outdated()):
                 pass
+
+        def is_outdated() -> bool:
+            return self._named is not named
 
         watch = threading.Timer(SLOW_S, slow)
         watch.daemon = True
@@ -583,14 +608,14 @@ class Keeper:
             else:
                 named.check()
                 has_ended.set()
-                with self._news({"copy_problem": None, "copy_conflict": None, "beside": None}):
-                    self._is_named_checked = True
+                with self._news({"copy_problem": None, "copy_conflict": None, "beside": None}, unless=is_outdated):
+                    self._is_named_checked = self._is_named_checked or not is_outdated()
         except NamedFileConflictError as conflict:
             has_ended.set()
             self.tell_conflict(conflict)
         except Exception as trouble:
             has_ended.set()
-            with self._news({"copy_problem": _words(trouble)}):
+            with self._news({"copy_problem": _words(trouble)}, unless=is_outdated):
                 self._plan_copy(COPY_RETRY_S)
         finally:
             has_ended.set()
