@@ -62,6 +62,18 @@ def test_the_sight_is_its_own(pair):
     assert (other.snapshot().sight.texture, other.snapshot().sight.shading) == (False, True)
 
 
+def test_a_refused_takeover_does_not_claim_the_ct(pair):
+    owner, other, _, case_id = pair
+    kept = owner._saving._kept
+    # An owner that took the case over itself may have no claim.
+    kept._claim.release()
+    with pytest.raises(UsageError):
+        do_and_wait(other, c.TakeOver(case_id))
+    claim = owner._saving.records.claim(kept.digest)
+    assert claim is not None, "another window is not told that the CT is open in this one"
+    claim.release()
+
+
 def test_the_case_is_taken_over_once_its_owner_has_let_it_go(pair):
     owner, other, _, case_id = pair
     do_and_wait(owner, c.SetFov(100.0))

@@ -97,6 +97,47 @@ def test_a_session_without_unsaved_work_ends_without_a_question(desk):
     assert len(saved_steps(desk)) == 8
 
 
+def named_file(desk, tmp_path):
+    """Save the case to a file, and change the case again."""
+    clear(desk)
+    path = tmp_path / "share" / "team.carina"
+    path.parent.mkdir()
+    desk.session.do(c.SaveCase(str(path)))
+    desk.background.run_all()
+    desk.session.do(c.SetOutline("octagon"))
+    desk.saved()
+    return path
+
+
+def test_the_terminal_states_that_the_named_file_was_changed_elsewhere_when_carina_ends(desk, tmp_path):
+    """No window is left that could show the message."""
+    path = named_file(desk, tmp_path)
+    path.write_text("a letter")
+    terminal = ScriptedTerminal(is_interactive=False)
+    close_session(desk.session, terminal)
+    assert path.read_text() == "a letter"
+    assert "team.carina was changed elsewhere" in terminal.text
+    assert "saved in the case on this computer" in terminal.text
+    assert len(saved_steps(desk)) == 9
+
+
+def test_the_terminal_states_that_the_named_file_could_not_be_updated_when_carina_ends(desk, tmp_path, monkeypatch):
+    path = named_file(desk, tmp_path)
+    before = path.read_text()
+
+    def refuses(*_arguments, **_options):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(MemoryFile, "write_copy", refuses)
+    terminal = ScriptedTerminal(is_interactive=False)
+    close_session(desk.session, terminal)
+    assert path.read_text() == before
+    assert "team.carina" in terminal.text
+    assert "read-only" in terminal.text
+    assert "saved in the case on this computer" in terminal.text
+    assert len(saved_steps(desk)) == 9
+
+
 def test_a_program_without_a_terminal_is_not_asked_and_ends_with_the_error(desk):
     terminal = ScriptedTerminal(is_interactive=False)
     with pytest.raises(UnsavedWorkError) as lost:
@@ -234,3 +275,12 @@ def test_a_program_whose_owner_has_gone_refuses_to_close_with_changes_in_no_file
 
 def test_a_console_that_was_closed_is_not_interactive():
     assert not ConsoleTerminal(is_gone=True).is_interactive
+
+
+def test_the_terminal_gets_no_control_characters_of_file_names(capsys):
+    terminal = ConsoleTerminal()
+    terminal.say("saved as /work/\x1b[31mred\x07.carina")
+    shown = capsys.readouterr().err
+    assert "\x1b" not in shown
+    assert "\x07" not in shown
+    assert shown.startswith("saved as /work/")

@@ -7,13 +7,17 @@ import sys
 from pathlib import Path
 from typing import Protocol
 
+from carina.display.printable import printable
+from carina.display.terminal import as_terminal_text
 from carina.errors import CarinaError
-from carina.session import Session
+from carina.session import Event, Session, Trouble
 from carina.session.unsaved_work import UnsavedWork, unsaved_error
 
 __all__ = ["ConsoleTerminal", "Terminal", "close_session"]
 
 RETRY, QUIT = "r", "q"
+NAMED_FILE = frozenset({"case.changed", "case.copy"})
+"""Codes of messages about the named file. The error of :func:`close_session` reports work that is in no file."""
 HELP = (
     f"Type {RETRY} to try again, the path of another folder or file to save the case there, or {QUIT} to quit and lose "
     "these changes (Ctrl-C also quits)."
@@ -56,9 +60,9 @@ class ConsoleTerminal:
             return False
 
     def say(self, text: str) -> None:
-        """Print a line; nothing where the terminal has gone."""
+        """Print a line without the control characters of file names; nothing where the terminal has gone."""
         with contextlib.suppress(OSError, ValueError):
-            print(text, file=sys.stderr, flush=True)
+            print(printable(as_terminal_text(text)), file=sys.stderr, flush=True)
 
     def ask(self, prompt: str) -> str | None:
         """Return the line that the user types; None at the end of the input, and where the terminal has gone."""
@@ -73,7 +77,8 @@ class ConsoleTerminal:
 def close_session(session: Session, terminal: Terminal) -> None:
     """Close a session; first ask what to do with unsaved work, where a user can answer.
 
-    A user who interrupts quits at once.
+    A user who interrupts quits at once. No window is left, so messages about a named file that could not be updated are
+    printed.
 
     Raises
     ------
@@ -81,6 +86,13 @@ def close_session(session: Session, terminal: Terminal) -> None:
         If work is lost, or a file that the user saved the case to does not have all of it.
     """
     quits = False
+    troubles: list[str] = []
+
+    def note(event: Event) -> None:
+        if isinstance(event, Trouble) and event.code in NAMED_FILE:
+            troubles.append(event.message)
+
+    unsubscribe = session.subscribe(note)
     try:
         if terminal.is_interactive:
             quits = not _ask_until_saved(session, terminal)
@@ -93,6 +105,9 @@ def close_session(session: Session, terminal: Terminal) -> None:
         else:
             session.close()
     lost = session.cases.unsaved()
+    unsubscribe()
+    for message in troubles:
+        terminal.say(f"carina: {message}")
     if lost:
         raise unsaved_error(lost)
 

@@ -45,6 +45,7 @@ class Following(Subject):
         between = Between(self._saving)
         reopened = between.take(record.digest, record.case_id)
         if reopened is None:
+            between.give_back()
             raise UsageError("another program has this case open", code="case.open")
         try:
             moment = reopened.file.load(case.info.volume)

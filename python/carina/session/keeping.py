@@ -530,8 +530,8 @@ class Keeper:
                 self._copier.join()
             if self._copy_is_behind():
                 self._refresh()
-            if self.info.copy_conflict is not None and self._copy_is_behind():
-                self._core.emit(Trouble("case.changed", f"{self.info.copy_problem}"))
+            if self._copy_is_behind():
+                self._emit_copy_problem()
             if self._named is not None:
                 self._named.close()
             if self._changed_s is not None and self.info.problem is not None and not self._is_elsewhere:
@@ -548,6 +548,15 @@ class Keeper:
                     self.held.release()
                 if self._claim is not None:
                     self._claim.release()
+
+    def _emit_copy_problem(self) -> None:
+        """Report that the named file does not have the latest changes when the case is closed."""
+        info = self.info
+        if info.copy_conflict is not None:
+            self._core.emit(Trouble("case.changed", f"{info.copy_problem}"))
+        elif info.copy_problem is not None and self._changed_s is None:
+            words = f"the file {info.copy_name} does not have the latest changes: {info.copy_problem}"
+            self._core.emit(Trouble("case.copy", f"{words}. All changes are saved in the case on this computer"))
 
     # ------------------------------------------------------------ the thread of the copy
 
