@@ -12,6 +12,7 @@ from carina import commands as c
 from carina.errors import UnsavedWorkError
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.session import keeping
+from carina.session.joined_case import JoinedCase
 from carina.session.named_case import NamedCase
 from carina.session.unsaved_work import unsaved_labels
 from kept_desk import Desk, MemoryFile
@@ -135,6 +136,17 @@ def test_the_terminal_states_that_the_named_file_could_not_be_updated_when_carin
     assert "team.carina" in terminal.text
     assert "read-only" in terminal.text
     assert "saved in the case on this computer" in terminal.text
+    assert len(saved_steps(desk)) == 9
+
+
+def test_a_program_that_took_a_case_over_is_warned_of_a_named_file_that_was_changed_elsewhere(desk, tmp_path):
+    path = named_file(desk, tmp_path)
+    path.write_text("a letter")
+    records = desk.session._saving.records
+    joined = JoinedCase(records, desk.session.cases.open_case[0], desk.session, None, None)
+    with pytest.warns(UserWarning, match=r"team\.carina was changed elsewhere"):
+        joined.close()
+    assert path.read_text() == "a letter"
     assert len(saved_steps(desk)) == 9
 
 

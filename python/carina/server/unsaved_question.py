@@ -11,13 +11,11 @@ from carina.display.printable import printable
 from carina.display.terminal import as_terminal_text
 from carina.errors import CarinaError
 from carina.session import Event, Session, Trouble
-from carina.session.unsaved_work import UnsavedWork, unsaved_error
+from carina.session.unsaved_work import NAMED_FILE_CODES, UnsavedWork, unsaved_error
 
 __all__ = ["ConsoleTerminal", "Terminal", "close_session"]
 
 RETRY, QUIT = "r", "q"
-NAMED_FILE = frozenset({"case.changed", "case.copy"})
-"""Codes of messages about the named file. The error of :func:`close_session` reports work that is in no file."""
 HELP = (
     f"Type {RETRY} to try again, the path of another folder or file to save the case there, or {QUIT} to quit and lose "
     "these changes (Ctrl-C also quits)."
@@ -89,7 +87,7 @@ def close_session(session: Session, terminal: Terminal) -> None:
     troubles: list[str] = []
 
     def note(event: Event) -> None:
-        if isinstance(event, Trouble) and event.code in NAMED_FILE:
+        if isinstance(event, Trouble) and event.code in NAMED_FILE_CODES:
             troubles.append(event.message)
 
     unsubscribe = session.subscribe(note)

@@ -20,6 +20,7 @@ from carina.errors import CarinaError, UsageError
 from carina.render import Sight
 from carina.session.case_files import case_files
 from carina.session.case_scan import CASE_SUFFIX, CaseScans, is_case_file
+from carina.session.core import Event
 from carina.session.doors import Door
 from carina.session.join_messages import Settled
 from carina.session.named_case import NamedCase
@@ -28,7 +29,8 @@ from carina.session.owner_link import LinkLostError, OwnerLink
 from carina.session.parts import default_parts
 from carina.session.records import CaseRecord, CaseRecords
 from carina.session.session import Session
-from carina.session.snapshot import SavingInfo
+from carina.session.snapshot import SavingInfo, Trouble
+from carina.session.unsaved_work import NAMED_FILE_CODES
 from carina.volume import VolumeCache
 
 __all__ = ["JoinedCase"]
@@ -239,9 +241,25 @@ class JoinedCase:
                 live = self._records.live_path(self._case_id)
                 self._named.check_saved(self._session.ask(c.MomentToKeep()), kept=self._followed.moment, live=live)
         finally:
-            self._session.close()
+            self._close_session()
             if self._named is not None:
                 self._named.close()
+
+    def _close_session(self) -> None:
+        """Close the session, and warn of a named file that does not have the latest changes."""
+        messages: list[str] = []
+
+        def note(event: Event) -> None:
+            if isinstance(event, Trouble) and event.code in NAMED_FILE_CODES:
+                messages.append(event.message)
+
+        unsubscribe = self._session.subscribe(note)
+        try:
+            self._session.close()
+        finally:
+            unsubscribe()
+        for message in messages:
+            warnings.warn(message, stacklevel=4)
 
     # ------------------------------------------------------------ following
 

@@ -13,7 +13,10 @@ from carina.case.moment import Moment
 from carina.display import one_line
 from carina.errors import UnsavedWorkError
 
-__all__ = ["UnsavedWork", "check_saved", "unsaved_error", "unsaved_labels"]
+__all__ = ["NAMED_FILE_CODES", "UnsavedWork", "check_saved", "unsaved_error", "unsaved_labels"]
+
+NAMED_FILE_CODES = frozenset({"case.changed", "case.copy"})
+"""Codes of messages, at the end of a case, about a named file without the latest changes; the live file has them."""
 
 SHOWN_LABELS = 3
 """Number of the latest changes that a message names."""
