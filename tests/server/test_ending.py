@@ -7,14 +7,18 @@ import contextlib
 import logging
 import socket
 import ssl
+import threading
+import time
 from types import SimpleNamespace
 
 import pytest
 import uvicorn
 from live_server import WAIT_S, running
+from starlette.applications import Starlette
 
 from carina.phone.page import PhonePage
 from carina.server import ending
+from carina.server.strangers import Strangers
 from small_case import small_bench
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
@@ -174,3 +178,29 @@ def test_an_open_connection_is_asked_once_to_close_and_one_that_does_is_not_cut(
     server = ending.EndingServer(uvicorn.Config(app, timeout_graceful_shutdown=600), strangers)
     asyncio.run(asyncio.wait_for(end(), WAIT_S))
     assert told == ["asked"]
+
+
+def test_a_second_interrupt_ends_the_application_without_an_error(said):
+    """The library then leaves the application to be cancelled, and prints a traceback."""
+    ended = []
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_app):
+        yield
+        ended.append("whole")
+
+    app = Starlette(lifespan=lifespan)
+    config = uvicorn.Config(app, lifespan="on", log_config=None, host="127.0.0.1", port=0, timeout_graceful_shutdown=3)
+    server = ending.EndingServer(config, Strangers())
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        end_s = time.monotonic() + WAIT_S
+        while not server.started:
+            assert time.monotonic() < end_s
+            thread.join(0.01)
+    finally:
+        server.force_exit = server.should_exit = True
+        thread.join(WAIT_S)
+    assert ended == ["whole"]
+    assert said() == []

@@ -44,7 +44,7 @@ class EndingServer(uvicorn.Server):
         await super().startup(sockets=sockets)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End."""
+        """End the connections and the application, also after a second interrupt."""
         servers, self.servers = self.servers, []
         for server in servers:
             server.close()
@@ -56,6 +56,9 @@ class EndingServer(uvicorn.Server):
             with contextlib.suppress(AttributeError):
                 server.abort_clients()  # type: ignore[attr-defined]
         await super().shutdown(sockets=sockets)
+        if self.force_exit:
+            # After a second interrupt the library cancels the application instead, with a traceback.
+            await self.lifespan.shutdown()
 
     async def _end_connections(self) -> None:
         """Ask all to close, and cut off those that wait for nothing but the other side."""
