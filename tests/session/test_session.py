@@ -43,15 +43,18 @@ from carina.commands import (
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.render import GreyWindow
 from carina.scopes import PINHOLE, scope_preset
-from carina.session import Changed, JobEnded, JobProgress, LocalStore, Said, Trouble
+from carina.session import Changed, JobEnded, JobProgress, LocalStore, Said, Session, Trouble
+from carina.session.errands import Errand
 from carina.session.jobs import JobRunner
 from small_case import (
     BRANCHES_IJK,
     LEFT_TIP,
     OUTSIDE_LUMEN,
+    SmallRenderer,
     small_airways,
     small_bench,
     small_lps,
+    small_parts,
     small_volume,
 )
 
@@ -628,3 +631,24 @@ def test_a_job_that_leaves_its_rest_to_another_one_ends_quietly_while_carina_clo
     assert [(one.title, one.outcome, one.error) for one in told] == [("the first", "cancelled", None)]
     with pytest.raises(CancelledError, match="closing"):
         jobs.start("late", "late", lambda _job: None)
+
+
+def test_jobs_that_wait_for_a_thread_end_too_when_carina_closes():
+    """Else whoever waits for them, such as the thread of a joined program, keeps the process from ending."""
+    session = Session(SmallRenderer, parts=small_parts())
+    jobs, errand = session.jobs, Errand()
+
+    def work(job):
+        job._cancelled.wait(60.0)
+        job.check()
+
+    with errand.doing():
+        for number in range(12):
+            jobs.start(f"job {number}", "a long job", work)
+    waiter = threading.Thread(target=errand.wait, daemon=True)
+    waiter.start()
+    session.close()
+    assert jobs.running == ()
+    assert jobs.wait_idle(0.0)
+    waiter.join(60.0)
+    assert not waiter.is_alive()

@@ -130,7 +130,8 @@ class SessionCore:
         """Stop all jobs and give the threads back."""
         self.jobs.close()
         if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
+            # A job that waits for a thread still begins: it ends at its first check, and so do those who wait for it.
+            self._pool.shutdown(wait=True)
 
     def _submit_to_pool(self, work: Callable[[], None]) -> None:
         assert self._pool is not None
