@@ -232,7 +232,7 @@ TROUBLES = [
     (errno.EFBIG, "disk.full", "exceed the size limit"),
     (errno.EROFS, "disk.denied", "read-only"),
     (errno.EACCES, "disk.denied", "permission"),
-    (errno.ENOENT, "disk.missing", "no such folder"),
+    (errno.ENOENT, "disk.missing", "no such file; check the path"),
     (errno.ENOTDIR, "disk.missing", "is a file, not a folder"),
     (errno.EISDIR, "disk.in-the-way", "already exists"),
     (errno.EIO, "disk.failed", "reported an error"),
@@ -252,6 +252,12 @@ def test_each_trouble_has_a_code_and_a_sentence(tmp_path, number, code, words):
     assert words in str(told)
     assert isinstance(told, OSError)
     assert isinstance(told, CarinaError)
+
+
+def test_a_missing_folder_is_named_as_the_reason(tmp_path):
+    error = disk_trouble(OSError(errno.ENOENT, ""), "cannot write the tree to", tmp_path / "no" / "t")
+    assert error.code == "disk.missing"
+    assert "there is no such folder; create it, or choose another" in str(error)
 
 
 def test_a_full_disk_says_how_much_is_needed_and_free(tmp_path):

@@ -15,7 +15,7 @@ import pytest
 import carina
 from carina import commands as c
 from carina.case import CaseFile, CaseFileError
-from carina.errors import CarinaError
+from carina.errors import CarinaError, DiskError
 from carina.phantom import write_phantom
 from carina.render import Renderer
 from carina.session import Said, Session, Trouble, case_files, named_file
@@ -153,7 +153,12 @@ class Notebook(Author):
 
     def open(self, path):
         with self.at_home(), contextlib.suppress(CaseFileError, carina.VolumeImportError):
-            self.case = carina.Case.open(path)
+            try:
+                self.case = carina.Case.open(path)
+            except DiskError as error:
+                # Another program has moved the file.
+                assert error.code == "disk.missing"
+                assert "there is no such file" in str(error)
 
     def change(self):
         change(self.case._session)

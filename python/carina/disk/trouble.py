@@ -104,6 +104,8 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
         case errno.EACCES | errno.EPERM:
             return _Reason("disk.denied", "you do not have permission to write there", elsewhere)
         case errno.ENOENT:
+            if place is not None and place.parent.is_dir():
+                return _Reason("disk.missing", "there is no such file", "check the path")
             return _Reason("disk.missing", "there is no such folder", "create it, or choose another")
         case errno.ENOTDIR:
             return _Reason("disk.missing", "part of this path is a file, not a folder", elsewhere)
