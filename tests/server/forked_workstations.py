@@ -89,6 +89,8 @@ class Window:
         self.pose: dict = {}
         self.told: list[str] = []
         """Notices and errors, in words."""
+        self._num_values = 0
+        """Answers to probes."""
         self.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
 
     def send(self, message: str | dict) -> None:
@@ -108,7 +110,15 @@ class Window:
                 setattr(self, message["type"], message)
             elif message["type"] in {"notice", "error"}:
                 self.told.append(message["message"])
+            elif message["type"] == "value":
+                self._num_values += 1
         return True
+
+    def wait_done(self) -> None:
+        """Wait until all that was sent is done: the server answers a probe after what was sent before the probe."""
+        wanted = self._num_values + 1
+        self.send({"type": "probe", "lps": [0.0, 0.0, 0.0]})
+        self.until(lambda: self._num_values >= wanted)
 
     def hear_all(self) -> None:
         """What has come by now, and no longer than half a second: on a busy machine the next may always be there."""

@@ -60,12 +60,12 @@ class Faults:
             window.end()
 
     def work_until(self, window: Window, rng: random.Random, has_ended) -> None:
-        """Change things as fast as they are done."""
+        """Send changes until the condition holds, each after the one before is done."""
         end_s = time.monotonic() + WAIT_S
         while not has_ended():
             assert time.monotonic() < end_s, "the disk is not used"
             window.send(rng.choice(ACTS)(rng))
-            window.hear_all()
+            window.wait_done()
 
     def end(self) -> None:
         self.disk.heal()
@@ -155,7 +155,7 @@ def loses_power(faults: Faults, rng: random.Random, *, any_part: bool) -> float:
     while not disk.is_stalled:
         assert time.monotonic() < end_s, "the disk is not used"
         window.send(rng.choice(ACTS)(rng))
-        window.hear_all()
+        window.wait_done()
         if not disk.is_stalled:
             saved_s = window.state["saving"]["saved_s"] or saved_s
     before, cut_s = steps_of(window) if window.history["steps"] else [], time.time()
