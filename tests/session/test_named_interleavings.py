@@ -31,7 +31,7 @@ FAULTS = ("locks", "no locks", "no hard links")
 def made(tmp_path_factory):
     """Return a CT with a case file beside it."""
     folder = tmp_path_factory.mktemp("named")
-    write_phantom(carina.generate_phantom(spacing_mm=3.0, generations=3), folder / "scan")
+    write_phantom(carina.generate_phantom(spacing_mm=4.0, generations=3), folder / "scan")
     with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
         case.save(folder / "team.carina")
     return folder
