@@ -21,6 +21,7 @@ from carina.commands.tree import AskedPath
 from carina.commands.value import LocalCommand
 from carina.render import Sight
 from carina.track import Uncertainty
+from carina.typed_reading import json_decoder
 from carina.value import TEXT
 
 __all__ = [
@@ -261,22 +262,22 @@ class _Decoders:
 
     def __init__(self) -> None:
         commands = tuple(cls for cls in all_commands() if not issubclass(cls, LocalCommand) and cls is not Command)
-        self.tree = msgspec.json.Decoder(TreeFacts)
-        self.airways = msgspec.json.Decoder(AirwaysFacts)
-        self.measured = msgspec.json.Decoder(MeasuredFacts)
-        self.measures = msgspec.json.Decoder(MeasuresFacts)
-        self.route = msgspec.json.Decoder(RouteFacts)
-        self.targets = msgspec.json.Decoder(Annotated[tuple[TargetFacts, ...], Meta(max_length=MAX_LIST)])
-        self.keys = msgspec.json.Decoder(KeyFramesFacts)
-        self.look = msgspec.json.Decoder(Look)
-        self.transfer = msgspec.json.Decoder(Annotated[dict[str, Any], Meta(max_length=100)])
-        self.edit = msgspec.json.Decoder(Annotated[dict[Identifier, Any], Meta(max_length=20)])
-        self.uncertain = msgspec.json.Decoder(Annotated[tuple[Uncertainty, ...], Meta(max_length=MAX_LIST)])
-        self.moment = msgspec.json.Decoder(MomentFacts)
-        self.command: msgspec.json.Decoder[Any] = msgspec.json.Decoder(Union[commands])  # noqa: UP007  # of a tuple
-        self.choices = msgspec.json.Decoder(Annotated[dict[Identifier, Any], Meta(max_length=100)])
-        self.extra: msgspec.json.Decoder[Any] = msgspec.json.Decoder()
-        self.levels = msgspec.json.Decoder(tuple[Number, Number, Number] | None)
+        self.tree = json_decoder(TreeFacts)
+        self.airways = json_decoder(AirwaysFacts)
+        self.measured = json_decoder(MeasuredFacts)
+        self.measures = json_decoder(MeasuresFacts)
+        self.route = json_decoder(RouteFacts)
+        self.targets = json_decoder(Annotated[tuple[TargetFacts, ...], Meta(max_length=MAX_LIST)])
+        self.keys = json_decoder(KeyFramesFacts)
+        self.look = json_decoder(Look)
+        self.transfer = json_decoder(Annotated[dict[str, Any], Meta(max_length=100)])
+        self.edit = json_decoder(Annotated[dict[Identifier, Any], Meta(max_length=20)])
+        self.uncertain = json_decoder(Annotated[tuple[Uncertainty, ...], Meta(max_length=MAX_LIST)])
+        self.moment = json_decoder(MomentFacts)
+        self.command = json_decoder(Union[commands])  # noqa: UP007  # of a tuple
+        self.choices = json_decoder(Annotated[dict[Identifier, Any], Meta(max_length=100)])
+        self.extra = json_decoder(Any)
+        self.levels = json_decoder(tuple[Number, Number, Number] | None)
 
 
 @cache

@@ -9,6 +9,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from carina.typed_reading import read_json
 from carina.value import FrozenValue
 
 __all__ = ["SaveMark", "read_save_mark", "write_save_mark"]
@@ -51,6 +52,6 @@ def read_save_mark(connection: sqlite3.Connection) -> SaveMark | None:
     if found is None:
         return None
     try:
-        return msgspec.json.decode(found[0], type=SaveMark)
+        return read_json(found[0], SaveMark)
     except (msgspec.MsgspecError, UnicodeError):
         return None

@@ -14,6 +14,7 @@ import msgspec
 import msgspec.inspect
 
 from carina.errors import UsageError
+from carina.typed_reading import read_plain
 from carina.value import FrozenValue
 
 __all__ = [
@@ -102,7 +103,7 @@ def checked(value: V) -> V:
                 f"{_name(value)} contains a value that no command accepts: {error}", code="command.bounds"
             ) from error
         try:
-            value = msgspec.convert(plain, type(value))
+            value = read_plain(plain, type(value))
         except msgspec.ValidationError as error:
             raise UsageError(trouble(error, plain, _name(value), type(value))[1], code="command.bounds") from error
     problem = value.choice_problem()

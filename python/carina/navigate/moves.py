@@ -34,6 +34,7 @@ from carina.commands import (
 from carina.commands.value import FrozenValue, as_plain
 from carina.errors import UsageError
 from carina.navigate.samples import Sample
+from carina.typed_reading import read_plain
 
 __all__ = [
     "DeviceSaid",
@@ -212,7 +213,7 @@ def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
             controls = dict(fields["controls"])
             smoothing = dict(controls.pop("filter"))
             fields["controls"] = {**controls, "filter_on": smoothing.pop("on"), **smoothing}
-        move: Move = msgspec.convert(fields, cls)
+        move: Move = read_plain(fields, cls)
     except (TypeError, KeyError, AttributeError, ValueError) as trouble:
         raise UsageError(
             f"the movement command {name} cannot be read: {trouble}", code="navigate.recording"

@@ -17,6 +17,7 @@ import msgspec
 from carina.commands.value import Command, FrozenValue, LocalCommand, snake_case, subclasses, trouble
 from carina.errors import CarinaError, ProtocolError
 from carina.session.join_messages import JoinMessage, ToJoinMessage
+from carina.typed_reading import read_plain
 
 __all__ = [
     "MAX_HEADER_BYTES",
@@ -167,7 +168,7 @@ def read_fields(cls: type[V], fields: dict[str, Any], where: str) -> V:
     if isinstance(document, dict):
         _check_document(document, f"{where}.document")
     try:
-        return msgspec.convert(fields, cls)
+        return read_plain(fields, cls)
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, CarinaError):
             raise error.__cause__ from None

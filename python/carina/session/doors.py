@@ -15,6 +15,7 @@ import msgspec
 
 from carina.disk import read_regular_text, write_whole
 from carina.display import as_words
+from carina.typed_reading import read_plain
 from carina.value import FrozenValue
 
 __all__ = ["DOOR", "Door", "close_door", "open_door", "read_door"]
@@ -62,5 +63,5 @@ def read_door(folder: Path) -> Door | None:
     with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
         plain = json.loads(read_regular_text(folder / DOOR, max_bytes=MAX_BYTES))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:
-            return msgspec.convert(plain, Door)
+            return read_plain(plain, Door)
     return None

@@ -17,6 +17,7 @@ from carina.commands import Command
 from carina.errors import CarinaError, NoEvidenceError, error_of
 from carina.session.doors import Door
 from carina.session.join_messages import Join, Joined, Problem, Settle, Settled
+from carina.typed_reading import read_json
 from carina.value import FrozenValue
 from carina.version import WIRE_VERSION
 
@@ -83,7 +84,7 @@ class OwnerLink:
                     )
                 )
                 socket.send(_text(Join(WIRE_VERSION, case_id)))
-                msgspec.json.decode(socket.recv(timeout=ANSWERS_WITHIN_S), type=Joined)
+                read_json(socket.recv(timeout=ANSWERS_WITHIN_S), Joined)
             except (OSError, WebSocketException, msgspec.MsgspecError) as trouble:
                 logger.debug("no owner answers: %s", type(trouble).__name__)
                 return None
@@ -144,7 +145,7 @@ class OwnerLink:
         """Until the connection ends."""
         try:
             for text in self._socket:
-                self._answers.put(msgspec.json.decode(text, type=Settled))
+                self._answers.put(read_json(text, Settled))
         except (OSError, msgspec.MsgspecError) as trouble:
             logger.warning("the program that has a case open sent an invalid message: %s", type(trouble).__name__)
         except Exception as trouble:  # of the library: the connection is at its end, however it came to it

@@ -30,6 +30,7 @@ from carina.errors import UsageError, VolumeImportError
 from carina.session.case_names import neutral_alias, new_case_id
 from carina.session.doors import Door, close_door, open_door, read_door
 from carina.session.named_lock import NamedLock
+from carina.typed_reading import read_plain
 from carina.value import TEXT, Count, FrozenValue
 
 __all__ = ["CaseRecord", "CaseRecords", "HeldCase", "is_damaged_record", "write_record"]
@@ -504,7 +505,7 @@ def _decoded(path: Path) -> CaseRecord | None:
         if isinstance(version, int) and version > VERSION:
             raise OSError("a newer version of Carina wrote this record")
         known = {name: value for name, value in plain.items() if name in CaseRecord.__struct_fields__}
-        record = msgspec.convert(known, CaseRecord)
+        record = read_plain(known, CaseRecord)
     except VolumeImportError as trouble:
         if trouble.code != "disk.too-large":
             raise

@@ -34,6 +34,7 @@ from carina.disk import make_folder, say_size, sweep_drafts, write_whole
 from carina.disk.locks import try_lock
 from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
+from carina.typed_reading import read_json
 from carina.version import VERSION
 from carina.volume.digest import canonical_axes, ct_digest
 from carina.volume.guarding import guarded
@@ -629,7 +630,7 @@ def _unpacked(content: bytes) -> _Record:
     if head != hashlib.blake2b(body, digest_size=16).hexdigest().encode():
         raise DamagedFileError("truncated or altered")
     try:
-        return msgspec.json.decode(body, type=_Record, dec_hook=_decode)
+        return read_json(body, _Record, _decode)
     except msgspec.MsgspecError as error:
         raise DamagedFileError("written by another version") from error
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.disk import Draft
+from carina.typed_reading import read_json
 from carina.volume.watch import Watch
 
 __all__ = ["SUFFIX", "DamagedFileError", "VoxelName", "draft_voxel_file", "read_voxel_file"]
@@ -195,7 +196,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     if zlib.crc32(text) != crc32:
         raise DamagedFileError("its header was altered")
     try:
-        header = msgspec.json.decode(text, type=_Header)
+        header = read_json(text, _Header)
     except msgspec.MsgspecError as error:
         raise DamagedFileError("its header was written by another version") from error
     if header.name != name.file_name:
