@@ -104,7 +104,7 @@ def test_what_is_no_case_is_said_to_be_none(tmp_path):
     with pytest.raises(CaseFileError, match="not a Carina case") as refusal:
         CaseFile.open(other)
     assert refusal.value.code == "case.not-a-case"
-    with pytest.raises(CarinaError, match="no such folder"):
+    with pytest.raises(CarinaError, match="there is no such file"):
         CaseFile.open(tmp_path / "missing.carina")
 
 

@@ -96,14 +96,19 @@ class Station:
     def work(self):
         """Three changes that are saved, then five on a full disk."""
         self.change(3)
-        data = self.home / "data"
+        live = self.live_file()
         end_s = time.monotonic() + WAIT_S
-        (live,) = data.rglob("case.carina")
         while self.saved_steps(live) < 3:
             assert time.monotonic() < end_s
             self.window.hear(0.05)
-        self.disk.begin(FAULTS["full"], 0, data)
+        self.disk.begin(FAULTS["full"], 0, self.home / "data")
         self.change(5)
+        return live
+
+    def live_file(self):
+        """Wait until the case is saved, and return the path of its live file."""
+        self.window.until(lambda: self.window.state["saving"]["saved_s"] is not None)
+        (live,) = (self.home / "data").rglob("case.carina")
         return live
 
     def change(self, num):
@@ -123,8 +128,8 @@ class Station:
         return self.process.returncode, out, self.terminal.text if self.terminal else err
 
     def close(self):
-        self.process.kill()
-        self.process.wait(WAIT_S)
+        with self.process:
+            self.process.kill()
         self.window.end()
 
 
@@ -212,7 +217,7 @@ def test_without_a_terminal_nobody_is_asked_and_the_exit_code_is_5(station):
 def test_a_closed_terminal_saves_all_work_and_ends_with_exit_code_0(station):
     mine = station(terminal=True)
     mine.change(3)
-    (live,) = (mine.home / "data").rglob("case.carina")
+    live = mine.live_file()
     mine.process.send_signal(signal.SIGHUP)
     code, out, text = mine.ended()
     assert (code, out) == (0, ""), text
