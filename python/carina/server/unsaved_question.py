@@ -10,8 +10,8 @@ from typing import Protocol
 from carina.display.printable import printable
 from carina.display.terminal import as_terminal_text
 from carina.errors import CarinaError
-from carina.session import Event, Session, Trouble
-from carina.session.unsaved_work import NAMED_FILE_CODES, UnsavedWork, unsaved_error
+from carina.session import Session
+from carina.session.unsaved_work import UnsavedWork, named_file_messages, unsaved_error
 
 __all__ = ["ConsoleTerminal", "Terminal", "close_session"]
 
@@ -84,27 +84,20 @@ def close_session(session: Session, terminal: Terminal) -> None:
         If work is lost, or a file that the user saved the case to does not have all of it.
     """
     quits = False
-    troubles: list[str] = []
-
-    def note(event: Event) -> None:
-        if isinstance(event, Trouble) and event.code in NAMED_FILE_CODES:
-            troubles.append(event.message)
-
-    unsubscribe = session.subscribe(note)
-    try:
-        if terminal.is_interactive:
-            quits = not _ask_until_saved(session, terminal)
-    except KeyboardInterrupt:
-        quits = True
-    with contextlib.suppress(KeyboardInterrupt):
-        if quits:
-            # The user has seen the problem: no disk is waited for again.
-            session.close(0.0)
-        else:
-            session.close()
-    lost = session.cases.unsaved()
-    unsubscribe()
-    for message in troubles:
+    with named_file_messages(session.subscribe) as messages:
+        try:
+            if terminal.is_interactive:
+                quits = not _ask_until_saved(session, terminal)
+        except KeyboardInterrupt:
+            quits = True
+        with contextlib.suppress(KeyboardInterrupt):
+            if quits:
+                # The user has seen the problem: no disk is waited for again.
+                session.close(0.0)
+            else:
+                session.close()
+        lost = session.cases.unsaved()
+    for message in messages:
         terminal.say(f"carina: {message}")
     if lost:
         raise unsaved_error(lost)

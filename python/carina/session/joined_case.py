@@ -20,7 +20,6 @@ from carina.errors import CarinaError, UsageError
 from carina.render import Sight
 from carina.session.case_files import case_files
 from carina.session.case_scan import CASE_SUFFIX, CaseScans, is_case_file
-from carina.session.core import Event
 from carina.session.doors import Door
 from carina.session.join_messages import Settled
 from carina.session.named_case import NamedCase
@@ -29,8 +28,8 @@ from carina.session.owner_link import LinkLostError, OwnerLink
 from carina.session.parts import default_parts
 from carina.session.records import CaseRecord, CaseRecords
 from carina.session.session import Session
-from carina.session.snapshot import SavingInfo, Trouble
-from carina.session.unsaved_work import NAMED_FILE_CODES
+from carina.session.snapshot import SavingInfo
+from carina.session.unsaved_work import named_file_messages
 from carina.volume import VolumeCache
 
 __all__ = ["JoinedCase"]
@@ -247,17 +246,8 @@ class JoinedCase:
 
     def _close_session(self) -> None:
         """Close the session, and warn of a named file that does not have the latest changes."""
-        messages: list[str] = []
-
-        def note(event: Event) -> None:
-            if isinstance(event, Trouble) and event.code in NAMED_FILE_CODES:
-                messages.append(event.message)
-
-        unsubscribe = self._session.subscribe(note)
-        try:
+        with named_file_messages(self._session.subscribe) as messages:
             self._session.close()
-        finally:
-            unsubscribe()
         for message in messages:
             warnings.warn(message, stacklevel=4)
 

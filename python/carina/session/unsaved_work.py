@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,15 +13,40 @@ from carina.case.history import Step
 from carina.case.moment import Moment
 from carina.display import one_line
 from carina.errors import UnsavedWorkError
+from carina.session.core import Event
+from carina.session.snapshot import Trouble
 
-__all__ = ["NAMED_FILE_CODES", "UnsavedWork", "check_saved", "unsaved_error", "unsaved_labels"]
+__all__ = ["UnsavedWork", "check_saved", "named_file_messages", "unsaved_error", "unsaved_labels"]
 
 NAMED_FILE_CODES = frozenset({"case.changed", "case.copy"})
 """Codes of messages, at the end of a case, about a named file without the latest changes; the live file has them."""
+Subscribe = Callable[[Callable[[Event], None]], Callable[[], None]]
 
 SHOWN_LABELS = 3
 """Number of the latest changes that a message names."""
 MAX_LABEL_CHARS = 80
+
+
+@contextlib.contextmanager
+def named_file_messages(subscribe: Subscribe) -> Iterator[list[str]]:
+    """Collect the messages about named files without the latest changes while a session is closed.
+
+    Parameters
+    ----------
+    subscribe
+        The method ``subscribe`` of the session.
+    """
+    messages: list[str] = []
+
+    def note(event: Event) -> None:
+        if isinstance(event, Trouble) and event.code in NAMED_FILE_CODES:
+            messages.append(event.message)
+
+    unsubscribe = subscribe(note)
+    try:
+        yield messages
+    finally:
+        unsubscribe()
 
 
 @one_line
