@@ -232,7 +232,7 @@ TROUBLES = [
     (errno.EFBIG, "disk.full", "exceed the size limit"),
     (errno.EROFS, "disk.denied", "read-only"),
     (errno.EACCES, "disk.denied", "permission"),
-    (errno.ENOENT, "disk.missing", "no such file; check the path"),
+    (errno.ENOENT, "disk.missing", "no such file or folder; check the path"),
     (errno.ENOTDIR, "disk.missing", "is a file, not a folder"),
     (errno.EISDIR, "disk.in-the-way", "already exists"),
     (errno.EIO, "disk.failed", "reported an error"),

@@ -21,7 +21,7 @@ _MACHINE = frozenset({errno.EMFILE, errno.ENFILE})
 
 
 def say_size(num_bytes: int) -> str:
-    """A number of bytes for people: ``0 MB``, ``3.2 MB``, ``41 MB``, ``1.6 GB``."""
+    """Return a number of bytes as a short text: ``0 MB``, ``3.2 MB``, ``41 MB``, ``1.6 GB``."""
     if num_bytes >= 1_000_000_000:
         return f"{num_bytes / 1e9:.1f} GB"
     if num_bytes >= 10_000_000 or num_bytes == 0:
@@ -32,7 +32,7 @@ def say_size(num_bytes: int) -> str:
 
 
 def is_disk_trouble(error: BaseException) -> bool:
-    """Whether an error is the disk's or the machine's, and not a fault of ours."""
+    """Return whether an error comes from the disk or the machine, and not from a fault in Carina."""
     known = _FULL | _DENIED | _MISSING | _IN_THE_WAY | _OTHER | _MACHINE
     return isinstance(error, OSError) and not isinstance(error, CarinaError) and error.errno in known
 
@@ -45,7 +45,7 @@ def disk_trouble(
     needed_bytes: int | None = None,
     unchanged: str = "",
 ) -> DiskError:
-    """The error that tells a person what a disk refused.
+    """Return the error that states what a disk refused.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
             return _Reason("disk.denied", "you do not have permission to write there", elsewhere)
         case errno.ENOENT:
             if place is not None and place.parent.is_dir():
-                return _Reason("disk.missing", "there is no such file", "check the path")
+                return _Reason("disk.missing", "there is no such file or folder", "check the path")
             return _Reason("disk.missing", "there is no such folder", "create it, or choose another")
         case errno.ENOTDIR:
             return _Reason("disk.missing", "part of this path is a file, not a folder", elsewhere)
