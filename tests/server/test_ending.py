@@ -181,7 +181,7 @@ def test_an_open_connection_is_asked_once_to_close_and_one_that_does_is_not_cut(
 
 
 def test_a_second_interrupt_ends_the_application_without_an_error(said):
-    """The library then leaves the application to be cancelled, and prints a traceback."""
+    """After a second interrupt, uvicorn cancels the application and prints a traceback."""
     ended = []
 
     @contextlib.asynccontextmanager

@@ -356,7 +356,7 @@ def test_changes_in_a_journal_beside_the_file_are_not_lost(disk, path, tail):
 
 @pytest.mark.parametrize("tail", ["-wal", "-journal"])
 def test_replace_keeps_the_journal_with_the_replaced_file(disk, path, tail):
-    """Else it would be replayed on the new file."""
+    """A journal that stays beside the new file would be replayed on it."""
     path.write_text("theirs")
     journal = path.with_name(path.name + tail)
     journal.write_bytes(b"their changes")

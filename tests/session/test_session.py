@@ -634,7 +634,7 @@ def test_a_job_that_leaves_its_rest_to_another_one_ends_quietly_while_carina_clo
 
 
 def test_jobs_that_wait_for_a_thread_end_too_when_carina_closes():
-    """Else whoever waits for them, such as the thread of a joined program, keeps the process from ending."""
+    """A thread that waits for a job, such as the one of a joined program, must not keep the process from ending."""
     session = Session(SmallRenderer, parts=small_parts())
     jobs, errand = session.jobs, Errand()
 

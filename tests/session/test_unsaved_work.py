@@ -291,8 +291,8 @@ def test_a_console_that_was_closed_is_not_interactive():
 
 def test_the_terminal_gets_no_control_characters_of_file_names(capsys):
     terminal = ConsoleTerminal()
-    terminal.say("saved as /work/\x1b[31mred\x07.carina")
+    terminal.say("saved as cases/\x1b[31mred\x07.carina")
     shown = capsys.readouterr().err
     assert "\x1b" not in shown
     assert "\x07" not in shown
-    assert shown.startswith("saved as /work/")
+    assert shown.startswith("saved as cases/")

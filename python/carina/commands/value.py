@@ -52,9 +52,9 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
     """The field of the look or of the sight that becomes what the command says, where that is all that it does."""
 
     def setting(self) -> tuple[str | None, Any]:
-        """What the field that it sets becomes, and the view that this is for where the field has a value for each.
+        """Return the view, if the field has a value for each view, and the new value of the field.
 
-        That is the value that the command is besides (a ``SetCarm`` is a ``Carm``), or that of its only field.
+        The new value is the value class that the command extends (``SetCarm`` extends ``Carm``), or its only field.
         """
         fields = {name: getattr(self, name) for name in self.__struct_fields__}
         view = fields.pop("view", None)
@@ -66,7 +66,7 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
 
     @classmethod
     def value_class(cls) -> type[FrozenValue] | None:
-        """The value that the command is besides; None where it has a field of its own for it."""
+        """Return the value class that the command extends; None if the command has a field for the value."""
         bases = (base for base in cls.__bases__ if issubclass(base, FrozenValue))
         return next((base for base in bases if not issubclass(base, Command)), None)
 
@@ -76,19 +76,19 @@ class LocalCommand(Command, frozen=True):
 
 
 def subclasses(base: type[S]) -> Iterator[type[S]]:
-    """All classes below one, in the order of their definition."""
+    """Yield all subclasses of a class, in the order of their definition."""
     for cls in base.__subclasses__():
         yield cls
         yield from subclasses(cls)
 
 
 def all_commands() -> tuple[type[Command], ...]:
-    """Every command that there is."""
+    """Return all classes of commands."""
     return tuple(cls for cls in subclasses(Command) if cls is not LocalCommand)
 
 
 def checked(value: V) -> V:
-    """The value with its bounds looked at; lists and arrays become tuples.
+    """Check the bounds of a value and return the value with tuples instead of lists and arrays.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def checked(value: V) -> V:
 
 
 def as_plain(value: Any) -> Any:
-    """Numbers and arrays of NumPy, for whoever writes a value."""
+    """Return a number or an array of NumPy as plain Python values, for msgspec."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"expected a number, text or a list; found {type(value).__name__}")
@@ -133,7 +133,7 @@ WORDS = {
 
 
 def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[Any]) -> tuple[str, str]:
-    """What is wrong with a value, as a kind (``field``, ``range`` or ``size``) and one sentence.
+    """Describe what is wrong with a value, as a kind (``field``, ``range`` or ``size``) and one sentence.
 
     Parameters
     ----------
@@ -181,14 +181,14 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
 
 
 def _at(value: Any, path: str) -> Any:
-    """The part of a value that a path such as ``.views[3].width`` names; an object whose keys are not told, whole."""
+    """Return the part of a value at a path such as ``.views[3].width``; the whole object for an unnamed key."""
     for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path.split("[...]", maxsplit=1)[0]):
         value = value[name] if name else value[int(number)]
     return value
 
 
 def _choices(kind: msgspec.inspect.Type, names: list[str]) -> set[str]:
-    """What the field with these names may be, where it is one of a few words."""
+    """Return the texts that the field with these names accepts; an empty set if it accepts other values."""
     match kind:
         case msgspec.inspect.LiteralType() if not names:
             return {str(value) for value in kind.values}

@@ -57,7 +57,7 @@ class EndingServer(uvicorn.Server):
                 server.abort_clients()  # type: ignore[attr-defined]
         await super().shutdown(sockets=sockets)
         if self.force_exit:
-            # After a second interrupt the library cancels the application instead, with a traceback.
+            # After a second interrupt, uvicorn would cancel the application instead, with a traceback.
             await self.lifespan.shutdown()
 
     async def _end_connections(self) -> None:

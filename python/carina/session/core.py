@@ -130,7 +130,8 @@ class SessionCore:
         """Stop all jobs and give the threads back."""
         self.jobs.close()
         if self._pool is not None:
-            # A job that waits for a thread still begins: it ends at its first check, and so do those who wait for it.
+            # A queued job still starts, and ends at its first check. A thread that waits for a job that never started
+            # would wait without end.
             self._pool.shutdown(wait=True)
 
     def _submit_to_pool(self, work: Callable[[], None]) -> None:
