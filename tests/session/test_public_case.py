@@ -347,7 +347,7 @@ def test_a_live_file_that_another_window_has_open_is_not_written(saved, window):
     assert second._saving.write_now()
     assert second.snapshot().saving.copy_name is None
     second.close()
-    first.do(c.SetFov(90.0))
+    first.do(c.SetOutline("octagon"))  # a second field of view within a second would be one step with the first
     first.close()
     with CaseFile.open(live, read_only=True) as file:
         assert len(file.history()) == 3
