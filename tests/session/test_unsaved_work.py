@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from carina import commands as c
-from carina.errors import UnsavedWorkError
+from carina.errors import CarinaError, UnsavedWorkError
 from carina.server.unsaved_question import ConsoleTerminal, close_session
 from carina.session import keeping
 from carina.session.joined_case import JoinedCase
@@ -182,6 +182,41 @@ def test_the_user_saves_to_another_folder_and_nothing_is_lost(desk, tmp_path):
     moment = desk.written[str(written)]
     assert tuple(step.label for step in moment.steps) == steps
     assert f"saved as {written}" in terminal.text
+
+
+def test_work_in_another_folder_stays_saved_when_a_job_reports_a_change_that_no_file_stores(desk, tmp_path):
+    (work,) = desk.session.cases.unsaved()
+    desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere.carina")
+    desk.session._core.changed("state", "jobs")
+    assert desk.session.cases.unsaved() == ()
+    terminal = ScriptedTerminal()
+    close_session(desk.session, terminal)
+    assert (terminal.num_asked, terminal.said) == (0, [])
+
+
+def test_a_change_after_a_save_to_another_folder_is_unsaved_alone_and_that_file_is_named(desk, tmp_path):
+    (work,) = desk.session.cases.unsaved()
+    elsewhere = desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere")
+    desk.session.do(c.SetOutline("octagon"))
+    (work,) = desk.session.cases.unsaved()
+    assert work.labels == (desk.session.history()[-1],)
+    assert (work.saved_path, work.num_saved, work.copy_path) == (elsewhere, 8, None)
+    clear(desk)
+    assert desk.session.cases.unsaved() == ()
+    assert len(saved_steps(desk)) == 9
+
+
+def test_work_whose_file_could_not_be_placed_in_the_other_folder_stays_unsaved(desk, tmp_path, monkeypatch):
+    def refuses(*_arguments):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    (work,) = desk.session.cases.unsaved()
+    with monkeypatch.context() as patch:
+        for name in ("replace", "rename", "link"):
+            patch.setattr(os, name, refuses)
+        with pytest.raises(CarinaError, match="read-only"):
+            desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere")
+    assert desk.session.cases.unsaved() == (work,)
 
 
 def test_a_path_that_cannot_be_used_is_refused_and_asked_for_again(desk, tmp_path):

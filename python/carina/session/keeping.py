@@ -27,6 +27,7 @@ from carina.session.snapshot import SavingInfo, Topic, Trouble
 from carina.session.unsaved_work import UnsavedWork, unsaved_labels
 
 if TYPE_CHECKING:
+    from carina.case.moment import Moment
     from carina.case.save_mark import SaveMark
     from carina.disk import Placement
     from carina.session.core import SessionCore
@@ -64,6 +65,16 @@ class SavedAs:
     """Number of recorded flights that are not in the file, because the disk was damaged or did not respond."""
     replaced: Path | None
     """Path of the replaced content; None where no content was replaced."""
+
+
+@dataclass(frozen=True, slots=True)
+class _SavedElsewhere:
+    """Work that a named file has and the live file does not, because the disk of the live file refuses it."""
+
+    path: Path
+    moment: Moment
+    flights: frozenset[int]
+    """Numbers of the finished flights in the named file."""
 
 
 class Keeper:
@@ -125,8 +136,10 @@ class Keeper:
         self._notes: dict[str, Any] = {}
         """Changed fields of the record, not written yet."""
         self._is_urgent = False
-        self._is_elsewhere = False
-        """Whether all work is in another file that the user named, because the disk of the live file refuses."""
+        self._elsewhere: _SavedElsewhere | None = None
+        """The newest work in a named file while the disk of the live file refuses it."""
+        self._is_copy_current = False
+        """Whether nothing was reported as changed since the named file was written from memory."""
         self._busy: object = None
         """Identity of the write in progress; None between writes."""
         self._is_slow = False
@@ -172,7 +185,7 @@ class Keeper:
         moved_s = RECORDED_WITHIN_S if self.case.flights.unwritten else MOVED_WITHIN_S
         within_s = moved_s if topics <= {"pose", "views"} else DECIDED_WITHIN_S
         with self._wake:
-            self._is_elsewhere = False
+            self._is_copy_current = False
             if self._changed_s is None:
                 self._changed_s, self._within_s = self._core.clock(), within_s
             elif within_s < self._within_s:
@@ -221,8 +234,11 @@ class Keeper:
 
     @property
     def is_elsewhere(self) -> bool:
-        """Whether all work is in another file that the user named, because the disk of the live file refuses."""
-        return self._is_elsewhere
+        """Whether all changes are in a file that the user named, because the disk of the live file refuses them.
+
+        The caller must hold no lock.
+        """
+        return self._elsewhere is not None and self.unsaved() is None
 
     @property
     def named(self) -> NamedFile | None:
@@ -242,23 +258,30 @@ class Keeper:
     def unsaved(self) -> UnsavedWork | None:
         """Return the work that could not be saved; None if all is saved. The caller must not hold ``_wake``."""
         with self._core.lock:
-            moment, num_flights = moment_of(self.case), len(self.case.flights.unwritten)
+            moment, flights = moment_of(self.case), self.case.flights.unwritten
         with self._wake:
-            is_saved = self._is_elsewhere or (self._changed_s is None and self._busy is None)
+            is_saved = self._changed_s is None and self._busy is None
             renamed = "alias" in self._notes
-            saved, problem, held = self._saved, self.info.problem, self.held
+            saved, elsewhere, problem, held = self._saved, self._elsewhere, self.info.problem, self.held
+        saved_path = None if held is None or saved is None else held.path
+        copy_path = self.copy_path
+        if elsewhere is not None:
+            # A report of a change may be about something that no file stores, so the moments are compared.
+            saved, saved_path, copy_path = elsewhere.moment, elsewhere.path, None
+            flights = tuple(one for one in flights if one.number not in elsewhere.flights)
         labels = unsaved_labels(moment if is_saved else saved, moment, renamed=renamed)
-        if not labels and (is_saved or not num_flights):
+        num_flights = 0 if is_saved else len(flights)
+        if not labels and not num_flights:
             return None
         return UnsavedWork(
             case_number=self.case.number,
             title=self.info.title or self.case.neutral_title,
             labels=labels,
-            num_flights=0 if is_saved else num_flights,
+            num_flights=num_flights,
             problem=problem or NOT_RESPONDING,
-            saved_path=None if held is None or saved is None else held.path,
+            saved_path=saved_path,
             num_saved=0 if saved is None else saved.position,
-            copy_path=self.copy_path,
+            copy_path=copy_path,
         )
 
     def call(self, alias: str | None, suggested: str | None) -> None:
@@ -303,9 +326,10 @@ class Keeper:
             file, num_saved = self.file, self._num_saved
             is_whole = file is not None and self.info.problem is None
         num_missing = 0
+        elsewhere: _SavedElsewhere | None = None
 
         def write(place: Path, mark: SaveMark, placement: Placement) -> None:
-            nonlocal num_missing
+            nonlocal num_missing, elsewhere
             ct_place = way_between(place, self.place)
             if is_whole:
                 assert file is not None
@@ -313,29 +337,29 @@ class Keeper:
                 return
             # A copy of the live file would lack what its disk has refused, or wait for it.
             with self._core.lock:
-                self._is_elsewhere = True
+                self._is_copy_current = True
                 moment = moment_of(self.case)
                 listed, unwritten = self.case.flights.listed, self.case.flights.unwritten
-            try:
-                flights, num_missing = whole_flights(file, listed, unwritten, SLOW_S)
-                if num_missing and place.exists():
-                    # The file that is there may be the last that has them.
-                    raise CarinaError(
-                        f"{place.name} was left as it is: {flight_count(num_missing)} cannot be read from the faulty "
-                        "disk; save the case under another name",
-                        code="case.not-saved",
-                    )
-                whole = WholeCase(self.case.info.volume, self.digest, moment, flights)
-                self._files.write(place, whole, ct_place, mark, placement)
-            except BaseException:
-                self._is_elsewhere = False
-                raise
+                finished = {one.number for one in unwritten if one.number is not None and one.closed}
+            flights, num_missing = whole_flights(file, listed, unwritten, SLOW_S)
+            if num_missing and place.exists():
+                # The file that is there may be the last that has them.
+                raise CarinaError(
+                    f"{place.name} was left as it is: {flight_count(num_missing)} cannot be read from the faulty "
+                    "disk; save the case under another name",
+                    code="case.not-saved",
+                )
+            whole = WholeCase(self.case.info.volume, self.digest, moment, flights)
+            self._files.write(place, whole, ct_place, mark, placement)
+            written = {one.facts.recording_id for one in flights}
+            elsewhere = _SavedElsewhere(path, moment, frozenset(written & finished))
 
         # The live file has all of this content, so the record may name the digest before the named file is written.
         before_placing = self._note_next_copy if is_whole and named is before else None
         try:
             replaced = named.write(write, replace=replace, may_be_missing=may_be_missing, before_placing=before_placing)
         except BaseException:
+            self._is_copy_current = False
             if named is not before:
                 named.close()
             raise
@@ -368,6 +392,8 @@ class Keeper:
                 }
                 self._named, self._num_copied, self._copy_s = named, max(self._num_copied, num_saved), None
                 self._is_named_checked = True
+                if elsewhere is not None:
+                    self._elsewhere = elsewhere
                 if former is not named:
                     # A thread that waits for the disk of the former file ends when that disk responds.
                     self._copier = None
@@ -489,6 +515,7 @@ class Keeper:
             if flights is not self._flights_kept:
                 self.file.set_recordings(flights, removed=removed)
                 self._flights_kept = flights
+            self._elsewhere = None
             with self._core.lock:
                 self.case.flights.unwritten = tuple(one for one in self.case.flights.unwritten if not one.is_complete)
             told["saved_s"] = now_s
@@ -534,7 +561,7 @@ class Keeper:
                 self._emit_copy_problem()
             if self._named is not None:
                 self._named.close()
-            if self._changed_s is not None and self.info.problem is not None and not self._is_elsewhere:
+            if self._changed_s is not None and self.info.problem is not None and not self.is_elsewhere:
                 self._core.emit(
                     Trouble("case.not-saved", f"the latest changes have not been saved: {self.info.problem}")
                 )
@@ -563,7 +590,7 @@ class Keeper:
     def _copy_is_behind(self) -> bool:
         if self._named is None:
             return False
-        return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_elsewhere)
+        return self._num_copied < self._num_saved or (self._changed_s is not None and not self._is_copy_current)
 
     def _plan_copy(self, within_s: float) -> None:
         """Plan the next check of the named file, if it is behind or was not compared; the caller holds ``_wake``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 from carina.case.document import Document
 from carina.case.history import Step
 from carina.case.moment import Moment
+from carina.commands import Command
 from carina.display import one_line
 from carina.errors import UnsavedWorkError
 from carina.session.core import Event
@@ -108,16 +109,11 @@ def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = Fals
     renamed
         Whether the name of the case is unsaved as well.
     """
-    known = Counter[tuple[str, float]]() if saved is None else Counter(_keys(saved.steps[: saved.position]))
-    done = []
-    for key in _keys(moment.steps[: moment.position]):
-        if known[key] > 0:
-            known[key] -= 1
-        else:
-            done.append(key)
-    undone = (known & Counter(_keys(moment.steps[moment.position :]))).elements()
+    known = _Steps(() if saved is None else saved.steps[: saved.position])
+    done = [step.label for step in moment.steps[: moment.position] if not known.take(step)]
+    undone = [step.label for step in moment.steps[moment.position :] if known.take(step)]
     name = ["name of the case"] if renamed else []
-    return (*(f"undo: {label}" for label, _ in undone), *(label for label, _ in done), *name)
+    return (*(f"undo: {label}" for label in undone), *done, *name)
 
 
 def unsaved_error(lost: Sequence[UnsavedWork]) -> UnsavedWorkError:
@@ -164,9 +160,25 @@ def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> N
         )
 
 
-def _keys(steps: Sequence[Step[Document]]) -> list[tuple[str, float]]:
-    """Return a key of each step: its label and time. A later change of the same gesture has another time."""
-    return [(step.label, step.at_s) for step in steps]
+class _Steps:
+    """Steps of a moment, to be found in another moment of the same case.
+
+    A step is the same if its label, time and command are equal: a later change of one gesture replaces the step.
+    Documents are not compared, because findings of the machine change them without a step.
+    """
+
+    def __init__(self, steps: Sequence[Step[Document]]) -> None:
+        self._commands: defaultdict[tuple[str, float], list[Command | None]] = defaultdict(list)
+        for step in steps:
+            self._commands[step.label, step.at_s].append(step.command)
+
+    def take(self, step: Step[Document]) -> bool:
+        """Remove one equal step, and return whether there was one."""
+        commands = self._commands[step.label, step.at_s]
+        if step.command not in commands:
+            return False
+        commands.remove(step.command)
+        return True
 
 
 def _count(number: int, what: str) -> str:
