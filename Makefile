@@ -90,7 +90,7 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, 2,000 drives of the scope, a cluster that loses members
 	PROPTEST_CASES=2000 cargo test --profile checked -p carina-airpath --lib section
 	cargo test $(ALL_CRATES) -- --include-ignored
-	$(PY) -m pytest -m soak -ra
+	$(PY) -m pytest -m soak -ra -o faulthandler_timeout=0
 
 check: check-rust check-python check-web ## formatting, lints, types, layers, kernels, lock file, spelling, licences, advisories
 
