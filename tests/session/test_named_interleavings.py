@@ -265,6 +265,7 @@ class Ward:
         if what == "touch":
             os.utime(self.path, (1e9, 1e9))
         elif what == "copy back":
+            self.count += 1
             copy = self.path.with_name(f"copy {self.count}.carina")
             shutil.copy2(self.path, copy)
         elif what == "letter":
