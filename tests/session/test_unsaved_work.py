@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 from dataclasses import replace
 
 import pytest
@@ -270,6 +271,32 @@ def test_a_tip_that_moved_is_not_lost_work(desk):
     terminal = ScriptedTerminal()
     close_session(desk.session, terminal)
     assert terminal.num_asked == 0
+
+
+def test_a_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once(desk, monkeypatch):
+    begun, goes_on = threading.Event(), threading.Event()
+
+    def refuses(_moment):
+        begun.set()
+        assert goes_on.wait(WAIT_S)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(desk.files[-1], "save", refuses)
+        desk.clock.advance(10.0)
+        desk.session.do(c.SetOutline("octagon"))
+        assert begun.wait(WAIT_S)
+    clear(desk)
+    keeper = desk.session._saving._kept
+    results = []
+    asking = threading.Thread(target=lambda: results.append(desk.session._saving.write_now()))
+    asking.start()
+    with keeper._wake:
+        assert keeper._wake.wait_for(lambda: keeper._is_urgent, WAIT_S)
+    goes_on.set()
+    asking.join(WAIT_S)
+    assert results == [True]
+    assert len(saved_steps(desk)) == 9
 
 
 def test_a_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):

@@ -146,7 +146,7 @@ class Keeper:
         self._saved = None if file is None else moment_of(case)
         """The moment in the live file."""
         self._num_begun = self._num_kept = self._num_failed = 0
-        """Numbers of the last begun and the last finished write, and the number of failed writes."""
+        """Numbers of the last begun, the last finished and the last failed write."""
         self._num_saved = self._num_copied = 0
         """Number of the last write that saved a change, and of the write that the named file has."""
         self._named = named
@@ -193,13 +193,14 @@ class Keeper:
             self._wake.notify_all()
 
     def settle(self) -> bool:
-        """Have all written that was done until now, before anything risky; whether it is on the disk then.
+        """Write all present changes, and return whether they are on the disk.
 
-        False as soon as the disk refuses, or is silent for :data:`SLOW_S`. Not with the session locked: what is written
-        is taken with that lock.
+        The call returns False as soon as the disk refuses a write that begins after the call, or does not respond for
+        :data:`SLOW_S`. A write that is in progress may have met a fault that has gone. The caller must not hold the
+        session's lock, with which the changes are read.
         """
         with self._wake:
-            begun, failed = self._num_begun, self._num_failed
+            begun = self._num_begun
 
             def is_kept() -> bool:
                 return self._num_kept > begun or (self._changed_s is None and self._busy is None)
@@ -211,7 +212,7 @@ class Keeper:
             if not is_done():
                 self._is_urgent = True
                 self._wake.notify_all()
-                self._wake.wait_for(lambda: is_done() or self._num_failed > failed or self._is_slow or self._has_ended)
+                self._wake.wait_for(lambda: is_done() or self._num_failed > begun or self._is_slow or self._has_ended)
             return is_kept()
 
     def end(self, within_s: float | None = None) -> bool:
@@ -474,7 +475,7 @@ class Keeper:
                     if changed_s is not None:
                         self._num_saved = self._num_begun
                 else:
-                    self._num_failed += 1
+                    self._num_failed = self._num_begun
                     self._notes = notes | self._notes
                     if changed_s is not None:
                         self._changed_s = changed_s if self._changed_s is None else min(changed_s, self._changed_s)
