@@ -299,6 +299,15 @@ def test_a_failed_write_that_began_before_the_disk_recovered_is_repeated_at_once
     assert len(saved_steps(desk)) == 9
 
 
+def test_a_later_change_of_a_gesture_is_unsaved_and_a_command_that_no_file_holds_is_not(desk):
+    moment = desk.session.ask(c.MomentToKeep())
+    *steps, last = moment.steps
+    later = replace(moment, steps=(*steps, replace(last, command=c.SetFov(91.0))))
+    assert unsaved_labels(moment, later) == (last.label,)
+    unknown = replace(moment, steps=(*steps, replace(last, command=None)))
+    assert unsaved_labels(moment, unknown) == unsaved_labels(unknown, moment) == ()
+
+
 def test_a_new_name_that_is_not_saved_counts_as_unsaved(desk, monkeypatch):
     clear(desk)
     desk.saved()

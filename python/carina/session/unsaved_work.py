@@ -22,6 +22,7 @@ __all__ = ["UnsavedWork", "check_saved", "named_file_messages", "unsaved_error",
 NAMED_FILE_CODES = frozenset({"case.changed", "case.copy"})
 """Codes of messages, at the end of a case, about a named file without the latest changes; the live file has them."""
 Subscribe = Callable[[Callable[[Event], None]], Callable[[], None]]
+"""Adds a listener to a session, and returns the function that removes the listener."""
 
 SHOWN_LABELS = 3
 """Number of the latest changes that a message names."""
@@ -109,7 +110,7 @@ def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = Fals
     renamed
         Whether the name of the case is unsaved as well.
     """
-    known = _Steps(() if saved is None else saved.steps[: saved.position])
+    known = _KnownSteps(() if saved is None else saved.steps[: saved.position])
     done = [step.label for step in moment.steps[: moment.position] if not known.take(step)]
     undone = [step.label for step in moment.steps[moment.position :] if known.take(step)]
     name = ["name of the case"] if renamed else []
@@ -160,11 +161,12 @@ def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> N
         )
 
 
-class _Steps:
-    """Steps of a moment, to be found in another moment of the same case.
+class _KnownSteps:
+    """Steps of a saved moment, to be found in another moment of the same case.
 
     A step is the same if its label, time and command are equal: a later change of one gesture replaces the step.
-    Documents are not compared, because findings of the machine change them without a step.
+    A step without a command is equal to any, because a file does not hold every command. Documents are not compared,
+    because findings of the machine change them without a step.
     """
 
     def __init__(self, steps: Sequence[Step[Document]]) -> None:
@@ -175,10 +177,11 @@ class _Steps:
     def take(self, step: Step[Document]) -> bool:
         """Remove one equal step, and return whether there was one."""
         commands = self._commands[step.label, step.at_s]
-        if step.command not in commands:
-            return False
-        commands.remove(step.command)
-        return True
+        for n, command in enumerate(commands):
+            if command is None or step.command is None or command == step.command:
+                del commands[n]
+                return True
+        return False
 
 
 def _count(number: int, what: str) -> str:
