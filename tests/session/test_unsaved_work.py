@@ -207,6 +207,20 @@ def test_a_change_after_a_save_to_another_folder_is_unsaved_alone_and_that_file_
     assert len(saved_steps(desk)) == 9
 
 
+def test_a_finished_flight_in_another_folder_is_saved_and_the_next_one_is_not(desk, tmp_path):
+    for _ in range(2):
+        desk.session.do(c.RecordFlight())
+        desk.session.do(c.Steer(1.0, 0.0, 0.0, 0.0))
+        desk.session.do(c.StopRecording())
+        if not (tmp_path / "elsewhere.carina").exists():
+            (work,) = desk.session.cases.unsaved()
+            assert work.num_flights == 1
+            desk.session.cases.save_elsewhere(work.case_number, tmp_path / "elsewhere.carina")
+            assert desk.session.cases.unsaved() == ()
+    (work,) = desk.session.cases.unsaved()
+    assert (work.num_flights, work.labels) == (1, ())
+
+
 def test_work_whose_file_could_not_be_placed_in_the_other_folder_stays_unsaved(desk, tmp_path, monkeypatch):
     def refuses(*_arguments):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
