@@ -9,6 +9,7 @@ import time
 
 import pytest
 from server_process import start_server, stop_server
+from workstation import PICTURE_MS
 
 from carina.case import CaseFile
 from carina.volume import write_grid
@@ -50,6 +51,7 @@ def wait_saved(workstation, home):
     workstation.page.keyboard.press("i")
     workstation.wait_still()
     while not any(json.loads(path.read_text())["used_s"] > since_s for path in home.rglob("record.json")):
+        assert time.time() < since_s + PICTURE_MS / 1e3, "the change is not on the disk"
         workstation.page.wait_for_timeout(50)
 
 

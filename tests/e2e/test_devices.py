@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 from playwright.sync_api import expect
+from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
 
@@ -123,23 +124,28 @@ def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(serve
     page.keyboard.press(";")
     page.get_by_role("radio", name="Path").click()
     page.wait_for_function("() => window.__carina.state.pose.mode === 'path'")
-    # Away from both ends, where the cap could move nothing.
-    workstation.go_to(30.0)
     page.get_by_text("SpaceMouse", exact=True).click()
     page.wait_for_function("() => window.testHid.mouse.opened")
 
     def push_the_cap() -> None:
-        # As a real one, it reports for as long as it is pushed: one that is silent for 250 ms has let go.
-        before = workstation.state("pose.pose_id")
-        page.evaluate(
-            """async ([pushed, last]) => {
-                while (window.__carina.state.pose.pose_id <= last) {
+        """Push the cap from far inside the route until the tip has moved back."""
+        # Pushing towards the hand pulls the tip back. At the start of the route it could not move.
+        workstation.go_to(30.0)
+        workstation.wait_still()
+        # Like a real one, it reports for as long as it is pushed: a device that is silent for 250 ms has let go.
+        moved = page.evaluate(
+            """async ([pushed, fromMm, limitMs]) => {
+                const end = performance.now() + limitMs;
+                while (window.__carina.state.pose.path_mm > fromMm - 2) {
+                    if (performance.now() > end) return false;
                     window.testHid.mouse.report(1, pushed);
                     await new Promise((done) => setTimeout(done, 20));
                 }
+                return true;
             }""",
-            [list(struct.pack("<3h", 0, 350, 0)), before + 5],
+            [list(struct.pack("<3h", 0, 350, 0)), workstation.state("pose.path_mm"), PICTURE_MS],
         )
+        assert moved, workstation.state("pose")
         hid_report(workstation, "mouse", 1, struct.pack("<3h", 0, 0, 0))
         workstation.wait_still()
 
