@@ -41,8 +41,6 @@ NOISE_SHARE = 0.15
 SHARP_BAR = 1.5
 # A search that ran out is made again, with ways that must be so many times as enclosed as the lung asks for.
 BARS = (1.0, 2.0, 4.0)
-# What softening leaves of the rims passes for an airway at once the lung's own bar (docs/decisions/0057).
-SOFTENED_BARS = (2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
 # Healthy searches reach 0.02 to 0.4 % of the lung and follow at most 0.35 m (eight CTs).
 MOST_REACHED = 0.02
@@ -74,6 +72,8 @@ class Beyond:
     """That the search ran out and what was done about it; None where it did not."""
     threads_lps: NDArray[np.float64]
     """(n, 3) LPS mm, points along the thinnest airways, which were judged by what the CT shows along 5 mm of each."""
+    leaked: bool
+    """Whether the search ran out into the lung with the lung's own bar, or would have along the rims of a kernel."""
 
 
 def follow_beyond(
@@ -101,7 +101,9 @@ def follow_beyond(
     volume = _in_adult_mm(searched.volume, size)
     most_hu = SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
     is_softened = searched.raised > 0.0
-    undershoot_hu = edge_undershoot_hu(searched.volume, scale)
+    undershoot_hu = searched.left_hu
+    if undershoot_hu is None:
+        undershoot_hu = edge_undershoot_hu(searched.volume, scale)
     is_sharp = undershoot_hu is not None and undershoot_hu > most_hu
     least_rise = scale.span(LEAST_RISE_HU)
     if undershoot_hu is not None and is_sharp:
@@ -124,9 +126,11 @@ def follow_beyond(
             progress=stage.share,
         )
 
+    if is_sharp and searched.can_be_softened:
+        return Beyond((), None, np.empty((0, 3)), leaked=True)
     followed: list[dict[str, Any]] = []
     ran_out = False
-    for raised in SHARP_BARS if is_sharp else SOFTENED_BARS if is_softened else BARS:
+    for raised in SHARP_BARS if is_sharp else BARS:
         found = extended(raised)
         if not found["ran_out"] and _length_mm(found["followed"]) <= (
             SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
@@ -136,6 +140,7 @@ def follow_beyond(
         ran_out = True
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
+    leaked = is_sharp or ran_out
     threads = [] if is_sharp or is_softened or ran_out else _thin(volume, lumen, scale, stage, air=air)
     threads_lps = size * np.concatenate([np.empty((0, 3)), *(way["points_lps"] for way in threads)])
     followed = followed + threads
@@ -153,19 +158,19 @@ def follow_beyond(
             "noise hides the walls of the airways in this CT; they were searched for in a smoothed copy of it, and "
             f"small airways are missing. {SOFT_KERNEL}"
         )
-        return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps)
-    if not (is_sharp or ran_out):
+        return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, leaked)
+    if not leaked:
         if rims_hu is None or not is_softened:
-            return Beyond(tuple(notes), None, threads_lps)
+            return Beyond(tuple(notes), None, threads_lps, leaked)
         words = f"{rims}; the airways were searched for in a softened copy of it"
         if rims_hu <= most_hu:
-            return Beyond((*notes, words), None, threads_lps)
+            return Beyond((*notes, words), None, threads_lps, leaked)
         note = Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
-        return Beyond(tuple(notes), note, threads_lps)
+        return Beyond(tuple(notes), note, threads_lps, leaked)
     what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
     kept = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
-    return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps)
+    return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, leaked)
 
 
 def _in_adult_mm(volume: Volume, size: float) -> Volume:

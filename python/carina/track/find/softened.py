@@ -22,10 +22,10 @@ __all__ = ["Softened", "as_it_is", "softened"]
 SEAM_MM = 0.7
 SEAM_VOXELS = 1.1
 # Undershoot up to this is what CTs with soft kernels show, with as much as 60 HU of noise: patients -24 to -2 HU,
-# phantoms -9 to 2.
+# phantoms -9 to 2. A softened CT is left with it: more softening only takes small airways away (docs/decisions/0084).
 SOFT_HU = 3.0
-# What is aimed at.
-AIM_HU = -8.0
+# A copy that leaks with such rims is softened so much: what is left of its noise opens walls.
+SOFTEST_HU = -8.0
 # No kernel in use raises fine detail more than so many times; beyond, noise is all that there is.
 MOST_RAISED = 3.2
 STEPS = 5
@@ -57,6 +57,11 @@ class Softened:
     _sharp: Volume
     _values: NDArray[np.int16] | None
     """Those of ``volume``, to write to; None where it is the CT itself."""
+    left_hu: float | None = None
+    """How much darker lung is beside edges in a softened ``volume``, before lumen that was cut off is restored, which
+    the measurement would take for rims; None where ``volume`` was not softened."""
+    can_be_softened: bool = False
+    """Whether the caller searches a softened copy if this search leaks."""
 
     def smoothed(self, sigma_mm: float) -> Softened:
         """The same with less noise: smoothed by a Gaussian of ``sigma_mm``, or of as many voxels if they are larger."""
@@ -69,7 +74,7 @@ class Softened:
             axes_ijk=(True, True, True),
         )
         volume = dataclasses.replace(self.volume, hu_zyx=values)
-        return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None)
+        return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None, left_hu=None)
 
     def walled(self, wall: Callable[[NDArray[np.int16]], None]) -> Softened:
         """The same with some air made tissue: ``wall`` writes it into the values (nz, ny, nx) that it is given."""
@@ -110,17 +115,25 @@ class Softened:
         )
 
 
-def as_it_is(volume: Volume) -> Softened:
-    """The CT itself, whatever its kernel."""
-    return Softened(volume, None, 0.0, 0.0, volume, None)
+def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
+    """Return the CT itself, whatever its kernel.
+
+    Parameters
+    ----------
+    volume
+        The CT.
+    undershoot_hu
+        Depth of its rims, if a softened copy is to be searched where the search of the CT itself leaks along them.
+    """
+    return Softened(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=undershoot_hu is not None)
 
 
-def softened(volume: Volume, scale: AirScale) -> Softened:
-    """The CT without what its kernel raised, if it is an edge-enhancing one.
+def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softened:
+    """Return the CT without what its kernel raised, if the kernel is an edge-enhancing one.
 
     The kernel is taken for one that raises detail by ``1 + a (1 - g)``, where g is a Gaussian's transfer (its blur:
     :data:`SEAM_MM`). The inverse never raises anything, noise least of all. ``a`` is the least with which the dark rims
-    beside soft tissue are gone, in the plane or the direction in which there are rims.
+    beside soft tissue are at most ``most_hu`` deep, in the plane or the direction in which there are rims.
     """
     undershoot = edge_undershoot_hu(volume, scale)
     if undershoot is None or undershoot <= SOFT_HU:
@@ -135,7 +148,7 @@ def softened(volume: Volume, scale: AirScale) -> Softened:
         lowered = dataclasses.replace(slab, hu_zyx=_lowered(slab, raised, axes))
         left = undershoots_hu(lowered, scale)
         depths = [depth for depth, is_sharp in zip(left, axes, strict=True) if is_sharp and depth is not None]
-        return not depths or float(np.mean(depths)) <= AIM_HU
+        return not depths or float(np.mean(depths)) <= most_hu
 
     low, high = 0.0, MOST_RAISED
     if is_soft(high):
@@ -143,7 +156,8 @@ def softened(volume: Volume, scale: AirScale) -> Softened:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if is_soft(middle) else (middle, high)
     values = _lowered(volume, high, axes)
-    return Softened(dataclasses.replace(volume, hu_zyx=values), undershoot, high, 0.0, volume, values)
+    copy = dataclasses.replace(volume, hu_zyx=values)
+    return Softened(copy, undershoot, high, 0.0, volume, values, edge_undershoot_hu(copy, scale))
 
 
 def _middle_of(volume: Volume) -> Volume:
