@@ -66,6 +66,37 @@ def test_the_plan_is_said_written_and_the_same_as_in_python(chest, tmp_path) -> 
     assert "in the procedure the target may lie up to" in result.stderr
 
 
+@pytest.fixture(scope="module")
+def mirrored_chest(chest, tmp_path_factory):
+    """The same chest with left and right exchanged, as a file, and the point in its nodule."""
+    volume = carina.open_volume(chest[0])
+    place = volume.lps_from_ijk.copy()
+    place[0] *= -1.0
+    path = tmp_path_factory.mktemp("mirrored") / "ct.nrrd"
+    write_grid(path, volume.hu_zyx, place, what="a mirrored chest")
+    return path, np.array(chest[1]) * (-1.0, 1.0, 1.0)
+
+
+def test_plan_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrored_chest, found_once, tmp_path) -> None:
+    path, place = mirrored_chest
+    output = tmp_path / "plan.json"
+    result = run(path, place, "--json", "-o", str(output))
+    assert result.exit_code == 0, result.output
+    assert [badge["code"] for badge in json.loads(result.stdout)["badges"]] == ["track.mirrored"]
+    assert result.stderr.count("note: this chest is mirrored: the three-lobed lung is on the patient's left") == 1
+
+
+def test_airways_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrored_chest, found_once, tmp_path) -> None:
+    tree = tmp_path / "tree.json"
+    result = CliRunner().invoke(app, ["airways", str(mirrored_chest[0]), "--json", "-o", str(tree)])
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert [badge["code"] for badge in document["badges"]] == ["track.mirrored"]
+    assert any(note.startswith("this chest is mirrored") for note in document["notes"])
+    assert result.stderr.count("note: this chest is mirrored") == 1
+    assert [badge["code"] for badge in json.loads(tree.read_text(encoding="utf-8"))["badges"]] == ["track.mirrored"]
+
+
 def test_no_route_is_exit_code_4_with_the_reason(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:
     path, place = chest
     from carina.plan import routes

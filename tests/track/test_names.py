@@ -198,6 +198,10 @@ def test_a_mirrored_chest_is_said_to_be_one_and_keeps_its_sides():
         tree = true_tree(seed)
         named = name_tree(moved(tree, np.diag([-1.0, 1.0, 1.0])))
         assert "mirrored" in (named.root.variant or "")
+        (badge,) = [note for note in named.notes if note.code == "track.mirrored"]
+        assert badge.badge
+        assert badge.words.startswith("this chest is mirrored: the three-lobed lung is on the patient's left")
+        assert name_tree(named).notes == named.notes
         lobes = branch_side_and_lobe(moved(tree, np.diag([-1.0, 1.0, 1.0])))
         for b in named.branches:
             middle = b.points[len(b.points) // 2]
@@ -211,7 +215,9 @@ def test_a_mirrored_chest_is_said_to_be_one_and_keeps_its_sides():
 
 def test_an_ordinary_chest_is_not_said_to_be_mirrored():
     for seed in SEEDS:
-        assert "mirrored" not in (name_tree(true_tree(seed)).root.variant or "")
+        named = name_tree(true_tree(seed))
+        assert "mirrored" not in (named.root.variant or "")
+        assert named.notes == ()
 
 
 @pytest.mark.slow

@@ -19,9 +19,10 @@ from carina.track.names.letters import LetterRule, letter_order
 from carina.track.names.model import LOBES, Grammar, grammar
 from carina.track.names.shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
 from carina.track.names.solve import Solution, Solver
-from carina.track.names.words import MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
+from carina.track.names.words import MIRRORED, MIRRORED_CHEST, NameWords, bare_name, name_words, segment_of
 from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.calibrated_size import with_limited_confidence
+from carina.volume.model import Note
 
 __all__ = ["LetterRule", "NameWords", "branch_side_and_lobe", "name_tree", "name_words", "segment_readings"]
 
@@ -29,7 +30,7 @@ SURE_ENOUGH = 0.5
 """A name is given where it is right at least this often; the lobe alone is told of the rest."""
 UNFIT = -40.0
 """Log odds of a reading that a person's name contradicts."""
-MIRRORED = math.log(1e-3)
+MIRRORED_LOG_ODDS = math.log(1e-3)
 """Log odds of a mirrored chest: situs inversus is one in 10,000, files with left and right exchanged are more."""
 TURN_SPREAD_RAD = math.radians(15.0)
 """How far patients lie turned and tilted on the table."""
@@ -95,6 +96,7 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
         would be below 0.5 the name is None. Branches between which only a twig leaves share a name. ``variant`` says
         what is uncommon at a branch. Where the tree does not look like a human bronchial tree, its ``notes`` say so
         with what to check (``track.tree-unlike-human``), no segment is named, and no name has a confidence above 0.5.
+        Where the chest is mirrored, its ``notes`` say so (``track.mirrored``).
         Where its notes state that its size was not calibrated (``track.size-not-calibrated``), the confidence of
         branches and names is limited.
         What was drawn without evidence (kind ``manual``), and what hangs on it, gets no
@@ -122,10 +124,12 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
     read = _read(tree)
     names, notes = _names_of(read, letter_rule)
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
-    lasting = tuple(note for note in tree.notes if note.code != MISFIT)
+    lasting = tuple(note for note in tree.notes if note.code not in (MISFIT, MIRRORED))
     if read.is_misfit:
         names, notes = _kept_of_misfit(names), {}
         lasting = (*lasting, misfit_note())
+    elif read.mirrored:
+        lasting = (*lasting, Note(MIRRORED, f"this chest is {notes[0]}", badge=True))
     made = []
     for number, branch in enumerate(tree.branches):
         if branch.name_from == "person":
@@ -215,7 +219,7 @@ def _read(tree: AirwayTree) -> _Named:
             rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held, max_forks=COARSE_FORKS
         )
         turn = math.acos(max(-1.0, min(1.0, (float(np.trace(frame)) - 1.0) / 2.0)))
-        return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (MIRRORED if mirrored else 0.0), solver
+        return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (MIRRORED_LOG_ODDS if mirrored else 0.0), solver
 
     frame = np.eye(3)
     score, best = attempt(frame)

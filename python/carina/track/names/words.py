@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 from carina.display import one_line
 
-__all__ = ["MIRRORED_CHEST", "NameWords", "bare_name", "name_words", "segment_of"]
+__all__ = ["MIRRORED", "MIRRORED_CHEST", "NameWords", "bare_name", "name_words", "segment_of"]
 
+MIRRORED = "track.mirrored"
+"""Code of the lasting note of a tree whose three-lobed lung is on the left."""
 MIRRORED_CHEST = "mirrored"
 """How the variant of a trachea begins where the three-lobed lung is on the left."""
 
