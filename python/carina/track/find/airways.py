@@ -30,6 +30,7 @@ from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse
 from carina.track.find.size import thread_confidence
 from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
 from carina.track.find.totals import doubt_of_totals
+from carina.track.find.trachea_spur import without_trachea_spurs
 from carina.track.levels import AirScale
 from carina.track.names.naming import name_tree
 from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows, words
@@ -170,7 +171,7 @@ def _found(
     stage.begin("calculating the paths")
     core.solve_all(cancel=stage.cancel, progress=stage.share)
     stage.begin("building the branches")
-    rows = core.branches(cancel=stage.cancel, progress=stage.share)
+    rows = without_trachea_spurs(core.branches(cancel=stage.cancel, progress=stage.share))
     branches = branches_from_rows(rows)
     if not was_given_root:
         refuse_a_root_below_the_carina(volume, branches)

@@ -1,0 +1,106 @@
+"""Spurs at the upper end of the trachea: parts of its own section that look like a branch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["without_trachea_spurs"]
+
+Points = NDArray[np.float64]
+
+NEAR_TOP = 3.0
+"""A spur leaves the trachea within this many radii of its upper end."""
+INSIDE = 1.5
+"""A spur stays within this many radii of the trachea's axis; a bronchus leaves them."""
+LEAST_FALL_MM = 2.0
+"""A branch that goes down by more is a bronchus."""
+AXIS_MM = 15.0
+"""The axis above the upper end continues the first part of the trachea, of this length."""
+
+
+def without_trachea_spurs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the compiled tracker's rows of branches without spurs at the upper end of the trachea.
+
+    Where the scan or the search cuts the trachea obliquely, its section is longer than wide. The centreline starts in
+    one end of it, and the other end looks like a branch. The two parts of the trachea at the fork become one branch,
+    and the generation of every branch below is lower by one.
+
+    Parameters
+    ----------
+    rows
+        One dict for each branch: ``parent`` (place in the list), ``generation``, ``points``, ``radius_mm``,
+        ``wall_mm``, ``cost`` and ``nodes``. The first one is the root. Not modified.
+    """
+    rows = list(rows)
+    while True:
+        below = [number for number, row in enumerate(rows) if row["parent"] == 0]
+        spurs = {number for number in below if _is_spur(rows, number, below)}
+        if not spurs:
+            return rows
+        kept = [number for number in below if number not in spurs]
+        merged = kept[0] if len(kept) == 1 else None
+        rows = _renumbered(rows, spurs, merged)
+
+
+def _is_spur(rows: Sequence[dict[str, Any]], number: int, below: Sequence[int]) -> bool:
+    """Return whether a branch of the root is a leaf inside the trachea's own section, near its upper end."""
+    if len(below) < 2 or any(row["parent"] == number for row in rows):
+        return False
+    others = [other for other in below if other != number and any(row["parent"] == other for row in rows)]
+    if not others:
+        return False
+    root, line = rows[0], np.asarray(rows[number]["points"])
+    going_on = max(others, key=lambda other: float(np.median(rows[other]["radius_mm"])))
+    trunk = np.concatenate([np.asarray(root["points"]), np.asarray(rows[going_on]["points"])[1:]])
+    radius = float(np.median(rows[going_on]["radius_mm"]))
+    if _length_mm(np.asarray(root["points"])) > NEAR_TOP * radius:
+        return False
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(trunk, axis=0), axis=1))])
+    first = trunk[: max(int(np.searchsorted(at, AXIS_MM)), 2)]
+    up = first[0] - first[-1]
+    up /= max(float(np.linalg.norm(up)), 1e-9)
+    if float((line[-1] - line[0]) @ up) < -LEAST_FALL_MM:
+        return False
+    axis = np.concatenate([first[0] + up * np.arange(2.0 * radius, 0.0, -1.0)[:, None], trunk])
+    away = np.linalg.norm(line[:, None] - axis[None], axis=2).min(axis=1)
+    return bool(away.max() <= INSIDE * radius)
+
+
+def _length_mm(points: Points) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _renumbered(rows: Sequence[dict[str, Any]], spurs: set[int], merged: int | None) -> list[dict[str, Any]]:
+    """Return the rows without the spurs; the root takes the branch ``merged`` in."""
+    gone = spurs if merged is None else {*spurs, merged}
+    place = {old: new for new, old in enumerate(n for n in range(len(rows)) if n not in gone)}
+    if merged is not None:
+        place[merged] = 0
+    found = []
+    for number, row in enumerate(rows):
+        if number in gone:
+            continue
+        parent = row["parent"]
+        changed = {**row, "parent": None if parent is None else place[parent]}
+        if merged is not None and number == 0:
+            changed |= _joined(row, rows[merged])
+        elif merged is not None:
+            changed["generation"] = row["generation"] - 1
+        found.append(changed)
+    return found
+
+
+def _joined(above: dict[str, Any], below: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of one branch made of two; the second one starts at the last point of the first one."""
+    # The fork's node may be in both lists.
+    nodes = list(dict.fromkeys(int(node) for node in (*above["nodes"], *below["nodes"])))
+    joined: dict[str, Any] = {"nodes": np.array(nodes, dtype=np.uint32), "cost": below["cost"]}
+    for field in ("points", "radius_mm", "wall_mm"):
+        joined[field] = (
+            None if above[field] is None else np.concatenate([np.asarray(above[field]), np.asarray(below[field])[1:]])
+        )
+    return joined
