@@ -177,6 +177,7 @@ def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three br
         tracker=SmallTracker(tree),
         report=[note],
         uncertain=(),
+        absent=(),
         badges=(),
         threshold=-800.0,
         wall_levels=None,

@@ -79,7 +79,7 @@ def test_no_airway_near_says_how_far_the_nearest_is_where_and_what_would_help() 
 def lost_at(place: np.ndarray, above_mm: float) -> Airways:
     lost = Uncertainty(
         lps=(float(place[0]), float(place[1]), float(place[2]) + above_mm),
-        kind="blocked",
+        kind="lost",
         branch_id=5,
         width_mm=3.1,
         confidence=None,
@@ -92,10 +92,10 @@ def lost_at(place: np.ndarray, above_mm: float) -> Airways:
 def test_an_airway_that_was_lost_near_the_target_is_said_and_what_to_do() -> None:
     target = ellipsoid((4.0, 4.0, 4.0), far_off())
     found = plan_route(volume(), lost_at(far_off(), 14.0), target, wall=wall())
-    assert any(note.startswith("an airway was lost 10 mm from the target: the lumen ends") for note in found.notes)
+    assert any(note.startswith("an airway ends 10 mm from the target: lost here, 3.1 mm wide") for note in found.notes)
     assert "Check where the airway was lost" in found.why
     quiet = plan_route(volume(), lost_at(far_off(), 74.0), target, wall=wall())
-    assert not any("was lost" in note for note in quiet.notes) and "was lost" not in quiet.why
+    assert not any("lost here" in note for note in quiet.notes) and "was lost" not in quiet.why
 
 
 def test_a_lobe_without_a_bronchus_is_said_on_its_side_alone() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from carina.server import messages as wire
 from carina.server.tree_words import branch_detail_message, branch_measures, tree_message
-from carina.track import AirwayTree, Branch, Uncertainty
+from carina.track import AirwayTree, Branch, Uncertainty, find_absent
 from small_case import small_airways, small_volume
 
 
@@ -82,7 +82,7 @@ def test_places_that_could_not_be_followed_are_sent(branch_id):
     airways.uncertain = (
         Uncertainty(
             lps=(1.0, 2.0, 3.0),
-            kind="blocked",
+            kind="leak",
             branch_id=branch_id,
             width_mm=1.8,
             confidence=None,
@@ -91,7 +91,10 @@ def test_places_that_could_not_be_followed_are_sent(branch_id):
         ),
     )
     message = tree_message(airways)
-    assert message.uncertain == airways.uncertain
+    (sent,) = message.uncertain
+    assert (sent.lps, sent.kind, sent.branch_id, sent.width_mm) == ((1.0, 2.0, 3.0), "leak", branch_id, 1.8)
+    assert sent.statement == airways.uncertain[0].statement
+    assert sent.explanation == "its wall is too thin here, and the search would have leaked into the lung"
     assert wire.parse_server_message(wire.encode_message(message)) == message
 
 
@@ -100,10 +103,11 @@ def test_what_was_not_found_is_sent_with_its_reason():
     trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     airways.tree = AirwayTree((trunk, right))
+    airways.absent = find_absent(airways.tree)
     message = tree_message(airways)
     assert [one.name for one in message.absent][:2] == [
         "RUL (right upper lobe bronchus)",
         "RML (middle lobe bronchus)",
     ]
-    assert all(one.reason for one in message.absent)
+    assert [one.reason for one in message.absent] == [one.reason for one in airways.absent]
     assert wire.parse_server_message(wire.encode_message(message)) == message

@@ -1,19 +1,28 @@
-"""Absence is a finding: what a tree lacks is listed, each with a reason that the CT gives."""
+"""Lobes and segments that a tree lacks are listed with what the CT proves, and a miss of the search is no disease."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
 
+import msgspec
 import numpy as np
 import pytest
 from plugged_chest import CHEST, named, plugged
 
 import carina
 from carina.track import AirwayTree, Branch, find_absent, name_tree
-from carina.track.tree.uncertain import Uncertainty
+from carina.track.tree.uncertain import Uncertainty, filled_place, without_unproven_blocks
 from carina.volume import Volume
 from made import made_airways, made_phantom
 from made import patient as the_patient
+
+DISEASE = re.compile("blocked|filled|fills|resected|collapsed|tumour|mucus|secretions|obstructed")
+
+
+def off_mm(points, place):
+    """Return the distance of a place from a centreline."""
+    return float(np.linalg.norm(points - np.array(place), axis=1).min())
 
 
 @pytest.fixture(scope="module")
@@ -45,19 +54,63 @@ def test_a_tree_without_names_says_nothing(chest):
 
 
 @pytest.mark.parametrize("name", ["RB6", "LB3", "RB10", "LB1+2"])
-def test_a_segment_that_nothing_leads_to_is_told_with_the_airway_that_would(chest, name):
-    (absence,) = find_absent(without(chest[1].tree, name))
+def test_a_segment_that_the_search_missed_is_reported_on_its_own_parent_without_a_disease(chest, name):
+    made, airways = chest
+    tree = without(airways.tree, name)
+    (absence,) = find_absent(tree, (), made.volume)
     assert absence.name == name
     assert absence.kind in ("nothing", "unnamed", "fine")
     assert absence.carrier != name
     assert absence.words.startswith(f"{name} (")
+    assert not DISEASE.search(absence.words)
+    parent = tree.branch(named(airways, name).parent)
+    assert off_mm(parent.points, absence.lps) < 3.0
+    number = round(made.volume.to_ijk(np.array(absence.lps))[2]) + 1
+    assert f"(slice {number} of {made.volume.shape_zyx[0]} from the feet)" in absence.words
 
 
 @pytest.mark.parametrize("name", ["RML", "LLL", "RUL"])
-def test_a_lobe_of_which_nothing_was_found_is_told_once(chest, name):
-    absences = find_absent(without(chest[1].tree, name))
-    assert [absence.name for absence in absences] == [name]
-    assert absences[0].carrier in ("BI", "LMB", "RMB")
+def test_a_lobe_that_the_search_missed_is_reported_once_where_it_arises_without_a_disease(chest, name):
+    made, airways = chest
+    (absence,) = find_absent(without(airways.tree, name), (), made.volume)
+    assert absence.name == name
+    assert absence.carrier in ("BI", "LMB", "RMB")
+    assert not DISEASE.search(absence.words)
+    assert np.linalg.norm(named(airways, name).points[0] - absence.lps) < 5.0
+
+
+def test_a_lobe_is_not_reported_at_the_lost_end_of_another_lobe(chest):
+    made, airways = chest
+    tree = without(without(airways.tree, "RML"), "Right basal trunk")
+    lower = tree.named("RLL")
+    unnamed = dataclasses.replace(lower, name=None)
+    tree = dataclasses.replace(tree, branches=tuple(unnamed if b.id == lower.id else b for b in tree.branches))
+    absences = find_absent(tree, [end("lost", lower.id, 8.0)], made.volume)
+    (middle,) = [absence for absence in absences if absence.name == "RML"]
+    assert np.linalg.norm(named(airways, "RML").points[0] - middle.lps) < 5.0
+    assert np.linalg.norm(lower.tip_lps - middle.lps) > 5.0
+
+
+@pytest.mark.parametrize("name", ["RB6", "LB10", "RB4"])
+def test_a_branch_without_a_name_in_the_place_of_a_segment_is_reported_as_such(chest, name):
+    made, airways = chest
+    branch = named(airways, name)
+    beyond = {branch.id}
+    for other in airways.tree.branches:
+        if other.parent in beyond:
+            beyond.add(other.id)
+    bare = tuple(
+        dataclasses.replace(b, name=None, name_from=None, name_confidence=None) if b.id in beyond else b
+        for b in airways.tree.branches
+    )
+    parent = airways.tree.branch(branch.parent)
+    narrowed = filled_place(
+        parent.points[-1], parent.id, air_mm=3.0, length_mm=6.0, calibre_mm=6.0, calibre_error_mm=0.5, beyond_lps=None
+    )
+    (absence,) = find_absent(dataclasses.replace(airways.tree, branches=bare), [narrowed], made.volume)
+    assert (absence.name, absence.kind, absence.branch_id) == (name, "unnamed", branch.id)
+    assert f"an unnamed branch is in its place: branch {branch.id}" in absence.words
+    assert not DISEASE.search(absence.words)
 
 
 def resected(seed, lobe, stump_mm=4.0):
@@ -87,13 +140,13 @@ def resected(seed, lobe, stump_mm=4.0):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("lobe", ["RUL", "RML"])
-def test_a_lobe_that_was_resected_is_told_once_with_resection_among_the_reasons(seed, lobe):
+def test_a_lobe_that_a_tree_alone_lacks_is_not_reported_as_resected(seed, lobe):
     whole, tree = resected(seed, lobe)
     read = name_tree(tree)
     assert read.notes == ()
     (absence,) = find_absent(read)
     assert absence.name == lobe
-    assert "resected" in absence.reason
+    assert not DISEASE.search(absence.words), "no CT proves it"
     true = {b.id: b.name for b in whole.branches if b.name is not None and b.name[1:2] == "B"}
     left = [b for b in read.branches if b.id in true]
     assert sum(b.name == true[b.id] for b in left) >= 0.8 * len(left)
@@ -105,7 +158,9 @@ def test_after_a_lobectomy_the_lobe_is_told_once_and_the_others_keep_their_names
     airways = carina.find_airways(made.volume)
     (absence,) = airways.absent
     assert absence.name == lobe
-    assert "resected" in absence.reason
+    assert absence.kind == "resected"
+    assert "its bronchus ends in a stump" in absence.reason
+    assert "it was resected, or a tumour or mucus fills it" in absence.reason
     true = [branch for branch in made.truth["branches"] if (branch["name"] or "")[1:2] == "B"]
     places = np.concatenate([branch["points"] for branch in true])
     names = [branch["name"] for branch in true for _ in branch["points"]]
@@ -132,9 +187,9 @@ def test_not_an_ordinary_tip_but_the_mucus_is_the_reason_for_a_segment_that_is_m
     made, whole = chest
     airways = carina.find_airways(plugged(made.volume, named(whole, "LB3"), 6.0))
     assert {one.name for one in airways.absent} == {"LB1+2", "LB3"}
-    for absence in airways.absent:
-        # Without LB3 nothing tells LB1+2 from a common stem of all three.
-        assert (absence.kind, absence.carrier) == ("filled", "Upper division")
+    told = {absence.name: (absence.kind, absence.carrier) for absence in airways.absent}
+    # Without LB3 nothing tells LB1+2 from a common stem of all three; its branches are there without a name.
+    assert told == {"LB1+2": ("unnamed", "Upper division"), "LB3": ("filled", "Upper division")}
 
 
 def test_a_scan_that_ends_above_the_bases_says_so(chest):
@@ -143,8 +198,42 @@ def test_a_scan_that_ends_above_the_bases_says_so(chest):
     place = made.volume.lps_from_ijk.copy()
     place[:3, 3] += cut * place[:3, 2]
     airways = carina.find_airways(Volume(np.ascontiguousarray(made.volume.hu_zyx[cut:]), place))
-    assert airways.absent
-    assert {"volume"} <= {absence.kind for absence in airways.absent}
+    kinds = {absence.name: absence.kind for absence in airways.absent}
+    # Of some segments the first millimetres are in the scan, too little for a name.
+    assert {"outside"} <= set(kinds.values()) <= {"outside", "unnamed"}
+    assert not any(DISEASE.search(absence.words) for absence in airways.absent)
+
+
+CROPS = {
+    "right": (lambda ijk: (slice(None), slice(None), slice(None, int(ijk[0]) + 17)), {"LUL", "LLL"}),
+    "left": (lambda ijk: (slice(None), slice(None), slice(int(ijk[0]) - 8, None)), {"RUL", "RML", "RLL"}),
+    "top": (lambda ijk: (slice(int(ijk[2]) - 25, None),), {"RML", "RLL", "LUL", "LLL"}),
+}
+
+
+@pytest.mark.parametrize("part", CROPS)
+def test_lobes_outside_a_cropped_scan_are_reported_as_outside(chest, part):
+    made, _ = chest
+    box, outside = CROPS[part]
+    cut = box(made.volume.to_ijk(np.zeros(3)))
+    place = made.volume.lps_from_ijk.copy()
+    for axis, one in zip((2, 1, 0), cut, strict=False):
+        place[:3, 3] += (one.start or 0) * place[:3, axis]
+    airways = carina.find_airways(Volume(np.ascontiguousarray(made.volume.hu_zyx[cut]), place))
+    assert {absence.name for absence in airways.absent} == outside
+    for absence in airways.absent:
+        assert absence.kind == "outside"
+        assert absence.words == f"{absence.full_name} is outside this scan"
+    assert not any(uncertain.kind in ("filled", "blocked") for uncertain in airways.uncertain)
+
+
+def test_lobes_in_padding_are_reported_as_outside(chest):
+    made, airways = chest
+    values = made.volume.hu_zyx.copy()
+    values[:, :, int(made.volume.to_ijk(np.zeros(3))[0]) + 12 :] = -1024
+    tree = without(without(airways.tree, "LUL"), "LLL")
+    absences = find_absent(tree, (), Volume(values, made.volume.lps_from_ijk))
+    assert {absence.name: absence.kind for absence in absences} == {"LUL": "outside", "LLL": "outside"}
 
 
 def end(kind, branch_id, width_mm):
@@ -163,16 +252,28 @@ def test_where_an_airway_ends_is_told_along_it():
     trunk = Branch(0, None, (1, 2), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -90]]), np.full(2, 8.0))
     right = Branch(1, 0, (), 1, "RMB", "tracked", np.array([[0.0, 0, -90], [-30, 0, -130]]), np.full(2, 6.0))
     left = Branch(2, 0, (), 1, "LMB", "tracked", np.array([[0.0, 0, -90], [40, 0, -110]]), np.full(2, 6.0))
-    absences = find_absent(AirwayTree((trunk, right, left)), [end("blocked", 1, 7.2), end("volume", 2, 9.0)])
+    absences = find_absent(AirwayTree((trunk, right, left)), [end("lost", 1, 7.2), end("volume", 2, 9.0)])
     assert [(one.name, one.kind, one.carrier) for one in absences] == [
-        ("RUL", "blocked", "RMB"),
-        ("RML", "blocked", "RMB"),
-        ("RLL", "blocked", "RMB"),
-        ("LUL", "volume", "LMB"),
-        ("LLL", "volume", "LMB"),
+        ("RUL", "lost", "RMB"),
+        ("RML", "lost", "RMB"),
+        ("RLL", "lost", "RMB"),
+        ("LUL", "outside", "LMB"),
+        ("LLL", "outside", "LMB"),
     ]
     assert absences[0].beyond_mm == pytest.approx(50.0)
-    assert "50 mm beyond the start of RMB, where it is 7.2 mm wide" in absences[0].words
+    assert absences[0].reason == "lost 50 mm beyond the start of RMB, 7.2 mm wide"
+
+
+def test_an_end_stored_as_blocked_by_an_earlier_version_is_reported_as_lost():
+    (place,) = without_unproven_blocks([end("blocked", 1, 7.2)])
+    assert place.kind == "lost"
+    assert end("blocked", 1, 7.2).reason == "lost here, 7.2 mm wide"
+    proven = msgspec.structs.replace(end("blocked", 1, 7.2), length_mm=9.0, slice_number=37, num_slices=104)
+    assert without_unproven_blocks([proven]) == (proven,)
+    assert proven.reason == (
+        "the lumen ends here, 7.2 mm wide (slice 37 of 104 from the feet); soft tissue continues the bronchus over at "
+        "least 9 mm: possibly mucus, a tumour or a collapsed airway"
+    )
 
 
 def test_in_a_mirrored_chest_the_three_lobed_lung_is_the_left_one(chest):

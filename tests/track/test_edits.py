@@ -29,8 +29,8 @@ from carina.track import (
     rebuild_airways,
 )
 from carina.track.edit.tree import TreeDraft
+from carina.track.find.airway_ends import find_uncertain
 from carina.track.tree.airway_tree import Branch
-from carina.track.tree.uncertain import find_uncertain
 
 
 @pytest.fixture

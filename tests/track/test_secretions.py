@@ -11,7 +11,8 @@ from secretions_chest import with_secretions
 
 import carina
 from carina.track import AirwayTree, Branch, Bridge, find_absent
-from carina.track.tree.uncertain import filled_place, find_uncertain
+from carina.track.find.airway_ends import find_uncertain
+from carina.track.tree.uncertain import filled_place
 from made import made_airways, made_phantom
 from made import patient as the_patient
 

@@ -9,7 +9,8 @@ import pytest
 
 from carina.errors import NoResultError
 from carina.track import AirwayTree, Branch, find_airways
-from carina.track.tree.uncertain import find_uncertain, with_confidence
+from carina.track.find.airway_ends import find_uncertain
+from carina.track.tree.uncertain import with_confidence
 from carina.volume.model import Volume
 
 
@@ -40,12 +41,16 @@ def test_each_end_that_is_too_wide_to_be_one_has_its_reason_the_widest_first():
     found = find_uncertain(VOLUME, tree, np.array([[61.0, 43.0, 33.0]]))
     assert [(entry.kind, entry.branch_id) for entry in found] == [
         ("volume", 3),
-        ("blocked", 1),
+        ("lost", 1),
         ("leak", 2),
         ("fine", None),
     ]
     assert found[1].lps == (20.0, 40.0, 30.0)
-    assert "6.0 mm" in found[1].reason
+    # The grid's slices are counted from the feet: z = 30 mm is the 31st.
+    assert found[1].reason == "lost here, 6.0 mm wide (slice 31 of 80 from the feet)"
+    assert found[2].reason.startswith(
+        "lost here, 4.0 mm wide (slice 31 of 80 from the feet): its wall is too thin here"
+    )
     assert "1.8 mm" in found[3].reason
     assert "at the thinnest branch end:" in found[3].reason
 
@@ -71,11 +76,25 @@ def test_confidence_is_high_where_a_wall_stands_out_and_low_in_plain_lung(chest,
     assert all(a.confidence < b.confidence for a, b in zip(noisier.branches, airways.tree.branches, strict=True))
 
 
-def test_the_drawn_chests_bronchi_end_too_wide_and_are_said_to(chest):
+def test_closed_ends_of_wide_bronchi_are_listed_without_a_disease(chest):
     airways = find_airways(chest.volume)
     tips = {branch.id for branch in airways.tree.tips()}
-    # Drawn tubes of 6 mm end in the middle of the lung.
-    assert {entry.branch_id for entry in airways.uncertain if entry.kind == "blocked"} == tips
+    # Drawn tubes of 6 mm end in the middle of the lung, with a wall round their end.
+    ends = [entry for entry in airways.uncertain if entry.kind in ("stump", "lost")]
+    assert {entry.branch_id for entry in ends} == tips
+    assert any(entry.kind == "stump" for entry in ends)
+    for entry in ends:
+        assert not any(word in entry.reason for word in ("mucus", "tumour", "collapsed", "resected"))
+
+
+@pytest.mark.parametrize("flips", [(False, False, False), (False, False, True)])
+def test_slices_are_counted_from_the_feet_in_any_storage_order(flips, draw_chest):
+    drawn = draw_chest(flips=flips)
+    airways = find_airways(drawn.volume)
+    k = np.array([drawn.volume.to_ijk(np.array(place.lps))[2] for place in airways.uncertain if place.branch_id])
+    last = drawn.volume.shape_zyx[0] - 1
+    from_feet = last - k if flips[2] else k
+    assert [p.slice_number for p in airways.uncertain if p.branch_id] == [round(v) + 1 for v in from_feet]
 
 
 def test_a_given_mask_is_not_judged_by_the_ct(chest):

@@ -52,6 +52,7 @@ from carina.track.edit.folded import FoldedAirways
 from carina.track.find.kept import KeptForVolume
 from carina.track.paths.rebuilt import edited_core, found_core
 from carina.track.paths.tracker import PathTracker
+from carina.track.tree.uncertain import without_unproven_blocks
 from carina.volume import Note, Volume
 
 __all__ = ["CaseReader", "KeptAirways", "KeptMeasures", "Rows"]
@@ -623,7 +624,7 @@ def _transfer(document: dict[str, Any]) -> TransferFunction:
 
 def _uncertain(found: tuple[Uncertainty, ...]) -> tuple[Uncertainty, ...]:
     check_plain([msgspec.to_builtins(one) for one in found], "uncertain places")
-    return found
+    return without_unproven_blocks(found)
 
 
 def _keys(facts: f.KeyFramesFacts) -> KeyFrames:

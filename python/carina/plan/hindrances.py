@@ -16,7 +16,7 @@ __all__ = ["check_target", "notes_of_target", "notes_of_tools", "why_none"]
 
 LOST_MM = 40.0
 """An airway that was lost this near to the target may lead closer to it."""
-LOST_KINDS = {"blocked", "filled", "leak", "volume"}
+LOST_KINDS = {"lost", "blocked", "stump", "filled", "leak", "volume"}
 LOBES = {"RUL", "RML", "RLL", "LUL", "LML", "LLL"}
 LUNG_HU = -860.0
 NUM_SAMPLES = 400
@@ -104,7 +104,7 @@ def _lost_airways(airways: Airways, nodule: Nodule, nearest: NearestPlace | None
         n = int(np.argmin(gaps))
         # Where a place as near as this was reached by an airway that goes on, it does not matter.
         if gaps[n] <= LOST_MM and (nearest is None or gaps[n] <= nearest.gap_mm + 10.0):
-            found.append(f"an airway was lost {gaps[n]:.0f} mm from the target: {lost[n].reason}")
+            found.append(f"an airway ends {gaps[n]:.0f} mm from the target: {lost[n].reason}")
     is_left = nodule.centre_lps[0] > float(airways.tree.root.points[-1][0])
     found += [
         absence.words

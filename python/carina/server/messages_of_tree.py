@@ -82,14 +82,24 @@ class BranchTitle(FrozenValue, frozen=True):
     lobe: Literal["RUL", "RML", "RLL", "LUL", "LML", "LLL"] | None
 
 
+class UncertainPlace(Uncertainty, frozen=True, kw_only=True):
+    """A place where the automatic airways stop short, with its text."""
+
+    statement: Words
+    """What is seen at the place, as the command line, reports and exports state it."""
+    explanation: Words | None
+    """Possible reasons; the same for all places of one kind, and null where the CT gives none."""
+
+
 class AbsentAirway(FrozenValue, frozen=True):
-    """A lobe or a segment of which no bronchus was found."""
+    """A lobe or a segment of which no named bronchus was found."""
 
     name: Words
-    """RB4 (lateral segment, RML)"""
+    """Short and long name, such as RB4 (lateral segment, RML)."""
     reason: Words
+    """What the CT shows in its place, as the command line, reports and exports state it."""
     lps: PointLps | None
-    """Where the airway ends that would lead there; null where none does."""
+    """Place where the airway ends, or where the tree should go on to it; null where no place is known."""
 
 
 class Tree(ServerMessage, frozen=True):
@@ -100,7 +110,7 @@ class Tree(ServerMessage, frozen=True):
     """Of the branches that have any."""
     measures: tuple[BranchMeasures, ...] | None
     """Null until they are ready."""
-    uncertain: tuple[Uncertainty, ...]
+    uncertain: tuple[UncertainPlace, ...]
     """What could not be followed, the widest first; what holds for the whole tree last."""
     absent: tuple[AbsentAirway, ...]
     """Lobes and segments that were not found, the right lung first."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 
 from carina.server import messages as wire
 from carina.server.wire_codec import read_fields
-from carina.track import branch_side_and_lobe, find_absent, name_words
+from carina.track import Uncertainty, branch_side_and_lobe, name_words
 
 __all__ = ["branch_detail_message", "branch_measures", "tree_message"]
 
@@ -29,10 +30,14 @@ def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
     tree = airways.tree
     measured = None if measures is None else tuple(branch_measures(measures.of(b.id)) for b in tree.branches)
     document = read_fields(wire.TreeDocument, tree.to_json(), "tree")
-    absent = tuple(
-        wire.AbsentAirway(one.full_name, one.reason, one.lps) for one in find_absent(tree, airways.uncertain)
+    absent = tuple(wire.AbsentAirway(one.full_name, one.reason, one.lps) for one in airways.absent)
+    return wire.Tree(document, _titles(tree), measured, tuple(map(_uncertain_place, airways.uncertain)), absent)
+
+
+def _uncertain_place(place: Uncertainty) -> wire.UncertainPlace:
+    return wire.UncertainPlace(
+        **msgspec.structs.asdict(place), statement=place.statement, explanation=place.explanation
     )
-    return wire.Tree(document, _titles(tree), measured, tuple(airways.uncertain), absent)
 
 
 def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:

@@ -4,11 +4,11 @@ import { Button } from "react-aria-components";
 import { plural, sentence } from "../state/format";
 import { groupsOf } from "../state/uncertain";
 import { asVec3, type Vec3 } from "../state/vec";
-import type { Uncertainty } from "../wire/messages";
+import type { UncertainPlace } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { showPlace } from "./gestures-flat";
 
-const NONE: readonly Uncertainty[] = [];
+const NONE: readonly UncertainPlace[] = [];
 
 /** Makes the bridge that a place offers: the same edit as the tool's, undone the same way. */
 function BridgeButton({ beyond }: { beyond: Vec3 }) {

@@ -7,7 +7,7 @@ import type {
   RouteInfo,
   TreeBranch,
   TreeDocument,
-  Uncertainty,
+  UncertainPlace,
 } from "../wire/messages";
 import type { BranchNode, BranchTree, Side } from "./branch-tree";
 import { clockHour } from "./letters";
@@ -20,7 +20,7 @@ export type { BranchNode, BranchTree, Side } from "./branch-tree";
 export interface TreeExtras {
   readonly titles?: readonly BranchTitle[];
   readonly measures?: readonly BranchMeasures[] | null;
-  readonly uncertain?: readonly Uncertainty[];
+  readonly uncertain?: readonly UncertainPlace[];
   readonly absent?: readonly AbsentAirway[];
 }
 

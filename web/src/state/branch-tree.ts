@@ -1,6 +1,6 @@
 /** The airway tree as values: branches with what is said of them, and their centrelines in flat lists. */
 
-import type { AbsentAirway, BranchMeasures, BranchTitle, TreeBranch, Uncertainty } from "../wire/messages";
+import type { AbsentAirway, BranchMeasures, BranchTitle, TreeBranch, UncertainPlace } from "../wire/messages";
 
 export type Side = "right" | "left" | "middle";
 
@@ -36,7 +36,7 @@ export interface BranchTree {
   byId: ReadonlyMap<number, BranchNode>;
   index: TreeIndex;
   /** What could not be followed. */
-  uncertain: readonly Uncertainty[];
+  uncertain: readonly UncertainPlace[];
   /** Lobes and segments that were not found. */
   absent: readonly AbsentAirway[];
 }

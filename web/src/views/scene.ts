@@ -16,7 +16,7 @@ import { type Armed, isBrush, takesAway, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, Uncertainty, VesselLine } from "../wire/messages";
+import type { Carm, EditLine, PlansMessage, RouteInfo, Slab, UncertainPlace, VesselLine } from "../wire/messages";
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
@@ -79,7 +79,7 @@ export interface Scene {
   titled: readonly BranchNode[];
   /** Where the first branch, as a rule the trachea, ends. */
   trunkEnd: Vec3 | null;
-  uncertain: readonly Uncertainty[];
+  uncertain: readonly UncertainPlace[];
   /** The branch that is pointed at. */
   hovered: { node: BranchNode; place: TreePlace | null } | null;
   selected: BranchNode | null;

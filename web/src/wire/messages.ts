@@ -1629,13 +1629,11 @@ export interface BranchMeasures {
   readonly stenosis_at_mm: number | null;
 }
 
-/** A place where the automatic airways stop short, or should be looked at; the window is sent it as it is.
-
-    Its branch is the one that ends there, or is meant; None for the whole tree. */
-export interface Uncertainty {
+/** A place where the automatic airways stop short, with its text. */
+export interface UncertainPlace {
   readonly lps: readonly [number, number, number];
   readonly branch_id: number | null;
-  readonly kind: "blocked" | "faint" | "filled" | "fine" | "leak" | "volume";
+  readonly kind: "blocked" | "faint" | "filled" | "fine" | "leak" | "lost" | "stump" | "volume";
   readonly width_mm: number;
   readonly confidence: number | null;
   readonly num_ends: number | null;
@@ -1644,9 +1642,14 @@ export interface Uncertainty {
   readonly calibre_mm: number | null;
   readonly calibre_error_mm: number | null;
   readonly beyond_lps: readonly [number, number, number] | null;
+  readonly slice_number: number | null;
+  readonly num_slices: number | null;
+  readonly has_clips: boolean;
+  readonly statement: string;
+  readonly explanation: string | null;
 }
 
-/** A lobe or a segment of which no bronchus was found. */
+/** A lobe or a segment of which no named bronchus was found. */
 export interface AbsentAirway {
   readonly name: string;
   readonly reason: string;
@@ -1659,7 +1662,7 @@ export interface TreeMessage {
   readonly tree: TreeDocument | null;
   readonly titles: readonly BranchTitle[];
   readonly measures: readonly BranchMeasures[] | null;
-  readonly uncertain: readonly Uncertainty[];
+  readonly uncertain: readonly UncertainPlace[];
   readonly absent: readonly AbsentAirway[];
 }
 

@@ -34,6 +34,7 @@ from carina.track.edit.labels import edit_words
 from carina.track.edit.lumen import EditedLumen, lumen_voxels
 from carina.track.edit.steps import EditSteps
 from carina.track.edit.tree import needed_branch
+from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.found import TREE_EDITS, Airways
 from carina.track.names.drawn import carried_names, seen_part
 from carina.track.names.naming import name_tree
@@ -41,7 +42,7 @@ from carina.track.paths.tracker import PathTracker
 from carina.track.stages import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_limited_confidence
-from carina.track.tree.uncertain import Uncertainty, find_uncertain, judged
+from carina.track.tree.uncertain import Uncertainty, judged
 from carina.volume.model import Volume
 
 __all__ = [

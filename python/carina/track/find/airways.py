@@ -21,6 +21,7 @@ from carina.argument_checks import (
 )
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import UsageError, check_type
+from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.canonical import CanonicalOrder
 from carina.track.find.filled import find_filled
 from carina.track.find.found import Airways
@@ -37,7 +38,7 @@ from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, br
 from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_size_note
-from carina.track.tree.uncertain import Uncertainty, find_uncertain, with_confidence
+from carina.track.tree.uncertain import Uncertainty, with_confidence
 from carina.volume.model import Note, Volume
 from carina.volume.sparse_mask import sparse_mask
 

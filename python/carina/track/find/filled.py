@@ -37,6 +37,9 @@ LEAST_IN_LUNG = 0.5
 WIDER, WALL_REACH_MM = 1.6, 2.5
 """The wall of a piece of airway is looked for within so many of its radii and so many mm; what lies farther is none."""
 
+EDGE_MM = 2.0
+"""Air this near to the edge of the scan may go on outside."""
+
 # The gap.
 FARTHEST_MM = 45.0
 MOST_OFF_DEG = 60.0
@@ -152,11 +155,22 @@ class _Search:
         self._owner = np.concatenate([np.full(len(branch.points), n) for n, branch in enumerate(tree.branches)])
 
     def place_of(self, island: Island) -> Uncertainty | None:
-        """What leads from the airways to an island of air, if it is an airway and something fills the way."""
+        """Return what fills the way from the airways to an island of air; None if the island is not an airway.
+
+        None also for an island that reaches the edge of the scan: its way to the airways may be outside.
+        """
+        if self._reaches_edge(island):
+            return None
         gaps = [gap for end in island.ends for gap in self._gaps(end)]
         if not gaps or not self._lies_in_lung(island):
             return None
         return self._told(min(gaps, key=lambda gap: (gap.score, gap.lumen_lps.tolist())))
+
+    def _reaches_edge(self, island: Island) -> bool:
+        ijk = self._volume.to_ijk(island.points_lps)
+        last = np.array(self._volume.shape_zyx[::-1]) - 1
+        edge_mm = np.minimum(ijk, last - ijk).min(axis=0) * np.array(self._volume.spacing_mm)
+        return bool((edge_mm <= EDGE_MM).any())
 
     def _gaps(self, end: IslandEnd) -> list[_Gap]:
         off = self._points - end.axis_lps

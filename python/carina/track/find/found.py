@@ -121,8 +121,8 @@ class Airways:
 
     @property
     def absent(self) -> tuple[Absence, ...]:
-        """Lobes and segments of which no bronchus was found, and why; see :func:`carina.track.find_absent`."""
-        return find_absent(self.tree, self.uncertain)
+        """Lobes and segments that were not found, with what the CT shows; see :func:`carina.track.find_absent`."""
+        return find_absent(self.tree, self.uncertain, self.tracker.volume)
 
     @property
     def badges(self) -> tuple[Note, ...]:

@@ -1,4 +1,4 @@
-"""Absence is a finding: lobes and segments that a named tree lacks, and why."""
+"""Lobes and segments that a named tree lacks, and what the CT shows in their place."""
 
 from __future__ import annotations
 
@@ -6,16 +6,22 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from carina.display import one_line
 from carina.track.names.goodness import MISFIT
-from carina.track.names.model import LOBES
+from carina.track.names.model import LOBES, grammar
+from carina.track.names.naming import segments_of_unnamed
+from carina.track.names.scan_extent import ScanExtent
 from carina.track.names.words import MIRRORED_CHEST, bare_name, name_words
 from carina.track.tree.airway_tree import AirwayTree, Branch
-from carina.track.tree.uncertain import Uncertainty
+from carina.track.tree.uncertain import Uncertainty, slice_from_feet, slice_text
+from carina.volume.model import Volume
 
 __all__ = ["Absence", "AbsenceKind", "find_absent"]
 
-AbsenceKind = Literal["volume", "blocked", "filled", "leak", "unnamed", "fine", "nothing"]
+AbsenceKind = Literal["outside", "resected", "blocked", "filled", "leak", "lost", "unnamed", "fine", "nothing"]
 
 # What carries a lobe, or segments of one, the nearest first; names of the usual side.
 _LOBE_CARRIERS = {
@@ -34,8 +40,17 @@ _TRUNKS = {
     **dict.fromkeys(("LB8", "LB9", "LB10"), "Left basal trunk"),
 }
 _LETTERS = "abcdeiv"
-# An airway that ends this far beyond its carrier's end is an ordinary tip, not what is missing.
-FARTHEST_MM = 25.0
+# The right upper lobe's bronchus leaves a main bronchus that is longer than this at this distance.
+UPPER_LOBE_MM = 20.0
+LONG_MAIN_MM = 30.0
+# A branch without a name that begins farther than this beyond the end of a carrier is a part of another segment.
+FARTHEST_MM = 15.0
+USUAL_ORIGIN = 1.3
+"""Usual distances of bronchi from the carina, in the nearest ones."""
+LEAST_MATCH = 0.5
+"""Cosine between the way beyond a filled place and the usual direction of a bronchus."""
+# A filled place and the end of the airway before it.
+AT_END_MM = 4.0
 # A tip that is no longer than this may be the stump of a lobe's bronchus.
 STUMP_MM = 10.0
 _SWAP = {ord("R"): "L", ord("L"): "R"}
@@ -44,83 +59,110 @@ _SWAP = {ord("R"): "L", ord("L"): "R"}
 @one_line
 @dataclass(frozen=True, slots=True)
 class Absence:
-    """A lobe or a segment of which no bronchus was found."""
+    """A lobe or a segment of which no named bronchus was found."""
 
     name: str
     """RML, RB4, ..."""
     kind: AbsenceKind
-    """``volume`` (the scan ends before it), ``blocked``, ``filled`` and ``leak`` (the airway that leads there was lost
-    on the way, see :class:`Uncertainty`), ``unnamed`` (it may be among branches without a name), ``fine`` (thinner than
-    the CT shows), ``nothing`` (nothing leaves for it)."""
+    """What the CT shows.
+
+    ``outside``: its bronchus begins outside the scan. ``resected``: its bronchus is a stump. ``blocked`` and
+    ``filled``: soft tissue is in the bronchus that leads there. ``lost`` and ``leak``: the search lost the airway that
+    leads there; the CT proves no disease. ``unnamed``: a branch without a name is in its place. ``fine``: it may be
+    thinner than the CT shows. ``nothing``: no branch was found in its place. See :class:`Uncertainty` for the evidence.
+    """
     carrier: str
-    """The nearest airway found that would lead there."""
+    """The nearest named airway that leads there, or would."""
     beyond_mm: float | None
-    """How far beyond the beginning of ``carrier`` the airway ends, along it; None where none ends there."""
+    """Distance of ``lps`` from the start of ``carrier``, along the airway; None where no place is known."""
     lps: tuple[float, float, float] | None
-    """Where it ends."""
+    """Place where the airway ends, or where the tree should go on to it."""
     width_mm: float | None
-    """How wide it is there."""
-    num_unnamed: int
-    """Branches without a name beyond ``carrier``."""
+    """Diameter of the airway there; None where none ends there."""
+    branch_id: int | None
+    """Branch without a name that is in its place, or leads there."""
+    slice_number: int | None = None
+    """Slice of ``lps``, counted from the feet, from 1."""
+    num_slices: int | None = None
+    has_clips: bool = False
+    """Surgical clips are at the stump."""
 
     @property
     def reason(self) -> str:
-        """Why, in words."""
+        """What the CT shows in its place; the window, the command line, reports and exports use this text."""
+        at = slice_text(self.slice_number, self.num_slices)
+        where = f"{self.beyond_mm or 0.0:.0f} mm beyond the start of {self.carrier}"
+        width = f"{self.width_mm or 0.0:.1f} mm wide{at}"
+        branch = "" if self.branch_id is None else f" in the unnamed branch {self.branch_id},"
         match self.kind:
-            case "volume":
-                return f"the scan ends {self.beyond_mm:.0f} mm beyond the start of {self.carrier}"
+            case "outside":
+                return "outside this scan"
+            case "resected":
+                if self.has_clips:
+                    return f"its bronchus ends in a stump with surgical clips {where}, {width}: it was resected"
+                return (
+                    f"its bronchus ends in a stump {where}, {width}, that is closed on all sides: it was resected, or "
+                    "a tumour or mucus fills it"
+                )
             case "blocked":
                 return (
-                    f"the lumen ends {self.beyond_mm:.0f} mm beyond the start of {self.carrier}, where it is "
-                    f"{self.width_mm:.1f} mm wide: possibly mucus, a collapsed, narrowed or resected airway, or a wall "
-                    "that the CT does not show"
+                    f"soft tissue fills the bronchus{branch} {where}, {width}: possibly mucus, a tumour or a collapsed "
+                    "airway"
                 )
             case "filled":
                 return (
-                    f"a bronchus beyond the start of {self.carrier} is narrowed or filled: possibly secretions or a "
-                    "mucus plug, a tumour or a collapsed airway"
+                    f"a bronchus beyond the start of {self.carrier} is narrowed or filled{at}: possibly secretions or "
+                    "a mucus plug, a tumour or a collapsed airway"
                 )
             case "leak":
                 return (
-                    f"the airway was lost {self.beyond_mm:.0f} mm beyond the start of {self.carrier}, where it is "
-                    f"{self.width_mm:.1f} mm wide and its wall too thin"
+                    f"lost{branch} {where}, {width}: the wall is too thin there, and the search would have leaked into "
+                    "the lung"
                 )
+            case "lost":
+                return f"lost{branch} {where}, {width}"
             case "unnamed":
-                branches = "the unnamed branch" if self.num_unnamed == 1 else f"the {self.num_unnamed} unnamed branches"
-                return f"it may be among {branches} beyond {self.carrier}"
+                return f"an unnamed branch is in its place: branch {self.branch_id}, which begins {where}{at}"
             case "fine":
-                return f"beyond {self.carrier}, airways are narrower than this CT shows reliably"
+                return f"beyond {self.carrier}{at}, airways are narrower than this CT shows reliably"
             case "nothing":
-                return (
-                    f"no airway for it leaves {self.carrier}: it may be absent, resected, obstructed at its origin, or "
-                    "not visible in this CT"
-                )
+                return f"no branch leads there from {self.carrier}{at}"
 
     @property
     def full_name(self) -> str:
-        """RB4 (lateral segment, RML)"""
+        """Short and long name, such as RB4 (lateral segment, RML)."""
         known = name_words(self.name)
         return self.name if known is None else known.full
 
     @property
     def words(self) -> str:
-        """RB4 (lateral segment, RML) was not found: ..."""
-        return f"{self.full_name} was not found: {self.reason}"
+        """The sentence: the full name with its reason."""
+        match self.kind:
+            case "outside":
+                return f"{self.full_name} is {self.reason}"
+            case "unnamed":
+                return f"{self.full_name} was not identified: {self.reason}"
+            case _:
+                return f"{self.full_name} was not found: {self.reason}"
 
 
-def find_absent(tree: AirwayTree, uncertain: Sequence[Uncertainty] = ()) -> tuple[Absence, ...]:
-    """Which lobes and segments a tree lacks, and why each does.
+def find_absent(
+    tree: AirwayTree, uncertain: Sequence[Uncertainty] = (), volume: Volume | None = None
+) -> tuple[Absence, ...]:
+    """List the lobes and segments that a tree lacks, with what the CT shows in their place.
 
-    A lobe of which nothing was found is listed once, without its segments. In a mirrored chest the three-lobed lung is
-    the left one.
+    A disease is named only where the CT proves it; see :class:`Absence`. A lobe of which nothing was found is listed
+    once, without its segments. In a mirrored chest the three-lobed lung is the left one.
 
     Parameters
     ----------
     tree
-        With names. Where neither main bronchus has one, or the tree does not look like a human one, there is too little
-        to tell what is missing.
+        With names. The list is empty where neither main bronchus has a name, or where the tree does not look like a
+        human one.
     uncertain
-        Where its airways end, and why: :attr:`carina.track.Airways.uncertain`.
+        Ends of its airways, with their evidence: :attr:`carina.track.Airways.uncertain`.
+    volume
+        The CT: it shows which bronchi are outside the scan, and the slice of each place.
 
     Returns
     -------
@@ -140,21 +182,35 @@ def find_absent(tree: AirwayTree, uncertain: Sequence[Uncertainty] = ()) -> tupl
     if not {"RMB", "LMB"} & set(names) or any(note.code == MISFIT for note in tree.notes):
         return ()
     is_mirrored = "LML" in names or (tree.root.variant or "").startswith(MIRRORED_CHEST)
-    found = _Found(tree, names, uncertain)
-    absent = []
+    found = _Found(tree, names, uncertain, volume, is_mirrored=is_mirrored)
+    missing = []
     for lobe, keys in LOBES.items():
         there = _on_side(lobe, is_mirrored)
+        carriers = [_on_side(name, is_mirrored) for name in _LOBE_CARRIERS[lobe]]
         if there not in found.lobes:
-            carriers = [_on_side(name, is_mirrored) for name in _LOBE_CARRIERS[lobe]]
-            absent.append(found.absence(there, [there, *carriers]))
+            segments = frozenset(_on_side(key, is_mirrored) for key in _segments(keys))
+            missing.append(_Missing(there, lobe, (there, *carriers), segments))
             continue
         for key in _segments(keys):
             segment = _on_side(key, is_mirrored)
             if not found.has(segment):
                 trunk = [_on_side(_TRUNKS[key], is_mirrored)] if key in _TRUNKS else []
-                more = [_on_side(name, is_mirrored) for name in _LOBE_CARRIERS[lobe]]
-                absent.append(found.absence(segment, [*found.stems_of(segment), *trunk, there, *more]))
-    return tuple(absent)
+                stems = found.stems_of(segment)
+                missing.append(_Missing(segment, key, (*stems, *trunk, there, *carriers), frozenset({segment})))
+    return tuple(found.absence(one, missing) for one in missing)
+
+
+@dataclass(frozen=True, slots=True)
+class _Missing:
+    """A lobe or a segment that is not in a tree."""
+
+    name: str
+    usual: str
+    """Its name in a chest that is not mirrored."""
+    carriers: tuple[str, ...]
+    """Names of the airways that lead there, the nearest first."""
+    segments: frozenset[str]
+    """The segments that it stands for."""
 
 
 def _on_side(name: str, is_mirrored: bool) -> str:
@@ -174,22 +230,38 @@ def _segments(keys: Sequence[str]) -> Iterator[str]:
 
 
 class _Found:
-    """What a tree has, and where it ends."""
+    """The named branches of a tree, and the evidence at their ends."""
 
-    def __init__(self, tree: AirwayTree, names: Sequence[str | None], uncertain: Sequence[Uncertainty]) -> None:
+    def __init__(
+        self,
+        tree: AirwayTree,
+        names: Sequence[str | None],
+        uncertain: Sequence[Uncertainty],
+        volume: Volume | None,
+        *,
+        is_mirrored: bool,
+    ) -> None:
+        self._tree = tree
+        self._volume = volume
+        self._is_mirrored = is_mirrored
+        self._extent = None if volume is None else ScanExtent(volume, tree, names)
         self._branches = {branch.id: branch for branch in tree.branches}
         self._names = {branch.id: name for branch, name in zip(tree.branches, names, strict=True)}
+        self._filled = [place for place in uncertain if place.kind == "filled"]
         self._ends = {
-            place.branch_id: place for place in uncertain if place.kind in ("volume", "blocked", "filled", "leak")
+            place.branch_id: place
+            for place in uncertain
+            if place.kind in ("volume", "blocked", "stump", "leak", "lost") and place.branch_id is not None
         }
         self._is_fine = any(place.kind == "fine" for place in uncertain)
+        self._unnamed: dict[int, frozenset[str]] | None = None
         # Without the letters of subsegments; LB1+2 of a mirrored chest is RB1+2, a stem by its name.
         self._segments = {name.rstrip(_LETTERS) for name in names if name is not None}
         known = [name_words(name) for name in names if name is not None]
         self.lobes = {one.lobe for one in known if one is not None and one.lobe is not None} - self._stumps()
 
     def _stumps(self) -> set[str]:
-        """Lobes of which the short blind beginning of their bronchus is all that is there."""
+        """Return the lobes of which only the short blind beginning of their bronchus was found."""
         by_lobe: dict[str, list[Branch]] = {}
         for branch in self._branches.values():
             known = name_words(self._names[branch.id] or "")
@@ -207,65 +279,238 @@ class _Found:
         return not branch.children and branch.length_mm - inside_mm <= STUMP_MM
 
     def has(self, segment: str) -> bool:
-        """LB1+2 is there where its two halves are."""
+        """Return whether a segment is in the tree; LB1+2 is there where its two halves are."""
         if segment in self._segments:
             return True
         halves = {f"{segment[:2]}1", f"{segment[:2]}2"}
         return segment.endswith("B1+2") and halves <= self._segments
 
     def stems_of(self, segment: str) -> list[str]:
-        """Names of common stems that hold a segment, those of the fewest first."""
+        """Return the names of common stems that hold a segment, those of the fewest first."""
         side, number = segment[:2], segment[2:]
         stems = {name for name in self._names.values() if name is not None and name.startswith(side) and "+" in name}
         holding = [stem for stem in stems if set(number.split("+")) <= set(stem[2:].rstrip(_LETTERS).split("+"))]
         return sorted((stem for stem in holding if stem != segment), key=lambda stem: (stem.count("+"), stem))
 
-    def absence(self, name: str, carriers: Sequence[str]) -> Absence:
-        """Why a bronchus is not there, from what lies beyond the nearest of its carriers."""
-        carrier = next((one for one in carriers if one in self._names.values()), "the trachea")
+    def absence(self, one: _Missing, missing: Sequence[_Missing]) -> Absence:
+        """Return what the CT shows in the place of a bronchus, where these are missing."""
+        name, usual, carriers, segments = one.name, one.usual, one.carriers, one.segments
+        carrier = next((known for known in carriers if known in self._names.values()), "the trachea")
         start = next((branch for branch in self._branches.values() if self._names[branch.id] == carrier), None)
         if start is None:
             start = next(iter(self._branches.values()))
-        beyond = list(self._beyond(start))
-        unnamed = [branch for branch in beyond if self._names[branch.id] is None]
-        if name in _LOBE_CARRIERS or name == "LML":
-            # What a resection leaves of a lobe's bronchus is no lobe.
-            unnamed = [branch for branch in unnamed if branch.children or branch.length_mm > STUMP_MM]
-        farthest_mm = self._along_mm(start, start.id) + FARTHEST_MM
-        lost = [branch.id for branch in beyond if branch.id in self._ends]
-        ends = [self._ends[one] for one in lost if self._along_mm(start, one) <= farthest_mm]
-        if ends:
-            end = max(ends, key=lambda place: place.calibre_mm or place.width_mm)
-            assert end.branch_id is not None
-            return Absence(
-                name, _kind(end), carrier, self._along_mm(start, end.branch_id), end.lps, end.width_mm, len(unnamed)
-            )
-        tips = [branch for branch in beyond if not branch.children]
-        kind: AbsenceKind = "unnamed" if unnamed else "fine" if self._is_fine and tips else "nothing"
-        return Absence(name, kind, carrier, None, None, None, len(unnamed))
+        chain = self._chain(start)
+        if self._is_outside(usual, name[0]):
+            return Absence(name, "outside", carrier, None, None, None, None)
+        make = _Maker(self, name, carrier, start)
+        inside = {branch.id for branch in chain}
+        below = [branch for branch in self._subtree(start) if branch.id not in inside]
+        holder = self._holder(segments, chain, below)
+        last = chain[-1] if holder is None else holder
+        end = self._ends.get(last.id)
+        branch_id = None if holder is None else holder.id
+        filled = self._filled_for(one, missing, chain, last)
+        if filled is not None:
+            return make.at_place(filled)
+        if holder is None and len(segments) > 1 and (stump := self._stump_on(chain, name)) is not None:
+            return make.at_place(stump, kind="resected")
+        if end is not None and _kind(end) == "blocked":
+            return make.at_place(end, branch_id=branch_id)
+        if holder is not None and (holder.children or self._reading(holder.id) <= segments):
+            return make.at("unnamed", holder.points[0], holder, branch_id=holder.id)
+        if end is not None:
+            return make.at_place(end, branch_id=branch_id)
+        if self._leaves_scan(below) and self._is_outside(usual, name[0], scale=USUAL_ORIGIN):
+            return make.at("outside", last.tip_lps, last)
+        if holder is None and (other := self._other_unnamed(chain)) is not None:
+            return make.at("unnamed", other.points[0], other, branch_id=other.id)
+        if self._is_fine and not last.children:
+            return make.at("fine", last.tip_lps, last, branch_id=branch_id)
+        return make.at("nothing", self._origin(name, carrier, chain), chain[-1])
 
-    def _beyond(self, start: Branch) -> Iterator[Branch]:
-        """A carrier and what hangs on it without a name of its own: airways of other names lead elsewhere."""
-        name = self._names[start.id]
+    def _is_outside(self, usual: str, side: str, *, scale: float = 1.0) -> bool:
+        return self._extent is not None and self._extent.is_outside(usual, side=side, scale=scale)
+
+    def _leaves_scan(self, below: Sequence[Branch]) -> bool:
+        """Return whether an airway beyond a carrier leaves the scan."""
+        return any(branch.id in self._ends and self._ends[branch.id].kind == "volume" for branch in below)
+
+    def _filled_for(
+        self, one: _Missing, missing: Sequence[_Missing], chain: Sequence[Branch], last: Branch
+    ) -> Uncertainty | None:
+        """Return the filled place that explains why a bronchus is missing; None without one.
+
+        The airway that leads there ends at the place, or air that no path reaches is beyond the place, in the direction
+        of this bronchus rather than of another missing one.
+        """
+        if not last.children:
+            near = [
+                place
+                for place in self._filled
+                if _is_at_end(place, last) or (place.branch_id == last.id and place.beyond_lps is not None)
+            ]
+            if near:
+                return max(near, key=lambda place: place.calibre_mm or place.width_mm)
+        ids = {last.id, *(branch.id for branch in chain)}
+        ids |= {child for branch in chain for child in branch.children if self._names[child] is None}
+        rivals = [other for other in missing if other.name[0] == one.name[0]]
+        for place in self._filled:
+            if place.branch_id in ids and place.beyond_lps is not None:
+                match = self._match(one, place)
+                if match >= LEAST_MATCH and match >= max(self._match(other, place) for other in rivals):
+                    return place
+        return None
+
+    def _match(self, one: _Missing, place: Uncertainty) -> float:
+        """Return the cosine between the way beyond a filled place and the usual direction of a bronchus."""
+        direction = np.array(place.beyond_lps) - np.array(place.lps)
+        return float(self._expected(one.usual) @ direction) / max(float(np.linalg.norm(direction)), 1e-9)
+
+    def _expected(self, usual: str) -> NDArray[np.float64]:
+        """Return the usual unit direction of a bronchus, LPS."""
+        rules = grammar()
+        state = rules.names.index("LB1" if usual == "LB1+2" else usual)
+        direction: NDArray[np.float64] = rules.direction[state] * (-1.0 if self._is_mirrored else 1.0, 1.0, 1.0)
+        return direction
+
+    def _other_unnamed(self, chain: Sequence[Branch]) -> Branch | None:
+        """Return the largest branch without a name and without a reading that leaves a carrier."""
+        found = [
+            self._branches[child]
+            for branch in chain
+            for child in branch.children
+            if self._names[child] is None and not self._reading(child)
+        ]
+        found = [branch for branch in found if branch.children or branch.length_mm > STUMP_MM]
+        return max(found, key=lambda branch: float(np.median(branch.radius))) if found else None
+
+    def _reading(self, branch_id: int) -> frozenset[str]:
+        """Return the segments to which a branch without a name probably leads."""
+        if self._unnamed is None:
+            has_unnamed = any(name is None for name in self._names.values())
+            self._unnamed = segments_of_unnamed(self._tree) if has_unnamed else {}
+        return self._unnamed.get(branch_id, frozenset())
+
+    def _holder(self, segments: frozenset[str], chain: Sequence[Branch], below: Sequence[Branch]) -> Branch | None:
+        """Return the branch without a name that leads to segments, the one nearest to them; None without one."""
+        near = [
+            branch
+            for branch in below
+            if self._names[branch.id] is None
+            and self.along_mm(chain[-1], branch, branch.points[0]) - chain[-1].length_mm <= FARTHEST_MM
+        ]
+        if len(segments) == 1:
+            held = [branch for branch in near if segments <= self._reading(branch.id)]
+            return held[-1] if held else None
+        whole = [branch for branch in near if (keys := self._reading(branch.id)) and keys <= segments]
+        return whole[0] if whole else None
+
+    def _stump_on(self, chain: Sequence[Branch], lobe: str) -> Uncertainty | None:
+        """Return the place where a lobe's bronchus ends in a stump: a short branch with its name or without a name."""
+        near = [*chain, *(self._branches[child] for branch in chain for child in branch.children)]
+        for branch in near:
+            place = self._ends.get(branch.id)
+            is_own = self._names[branch.id] in (None, lobe)
+            if place is not None and place.kind == "stump" and is_own and self._is_stump(branch):
+                return place
+        return None
+
+    def _chain(self, start: Branch) -> list[Branch]:
+        """Return the pieces of an airway of one name, which side branches cut."""
+        chain = [start]
+        while True:
+            name = self._names[start.id]
+            going_on = [child for child in chain[-1].children if name is not None and self._names[child] == name]
+            if not going_on:
+                return chain
+            chain.append(self._branches[going_on[0]])
+
+    def _subtree(self, start: Branch) -> Iterator[Branch]:
         waiting = [start.id]
         while waiting:
             branch = self._branches[waiting.pop(0)]
             yield branch
-            waiting += [child for child in branch.children if self._names[child] in (None, name)]
+            waiting += branch.children
 
-    def _along_mm(self, start: Branch, branch_id: int) -> float:
-        length_mm = 0.0
-        at: int | None = branch_id
-        while at is not None:
-            branch = self._branches[at]
-            length_mm += branch.length_mm
-            at = None if at == start.id else branch.parent
+    def _origin(self, name: str, carrier: str, chain: Sequence[Branch]) -> NDArray[np.float64]:
+        """Return the place on its parent where a bronchus should begin."""
+        points = np.concatenate([branch.points for branch in chain])
+        at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        # Without a fork, the right main bronchus and the bronchus intermedius are one branch.
+        if name == "RUL" and carrier == "RMB" and "BI" not in self._names.values() and at[-1] > LONG_MAIN_MM:
+            return np.array([np.interp(UPPER_LOBE_MM, at, points[:, axis]) for axis in range(3)])
+        return np.asarray(points[-1])
+
+    def along_mm(self, start: Branch, branch: Branch, point: NDArray[np.float64]) -> float:
+        """Return the distance of a point of a branch from the start of another one, along the airways."""
+        index = int(np.argmin(np.linalg.norm(branch.points - point, axis=1)))
+        length_mm = float(np.linalg.norm(np.diff(branch.points[: index + 1], axis=0), axis=1).sum())
+        at = branch
+        while at.id != start.id and at.parent is not None:
+            at = self._branches[at.parent]
+            length_mm += at.length_mm
         return length_mm
 
+    def branch(self, branch_id: int) -> Branch:
+        """Return the branch with an id."""
+        return self._branches[branch_id]
 
-def _kind(end: Uncertainty) -> AbsenceKind:
-    match end.kind:
-        case "volume" | "filled" | "leak":
-            return end.kind
-        case _:
+    def slice_of(self, point: NDArray[np.float64]) -> tuple[int, int] | tuple[None, None]:
+        """Return a point's slice and the number of slices; two times None without a CT."""
+        return (None, None) if self._volume is None else slice_from_feet(self._volume, point)
+
+
+@dataclass(frozen=True, slots=True)
+class _Maker:
+    """Absences of one lobe or segment."""
+
+    found: _Found
+    name: str
+    carrier: str
+    start: Branch
+
+    def at(
+        self, kind: AbsenceKind, point: NDArray[np.float64], branch: Branch, *, branch_id: int | None = None
+    ) -> Absence:
+        """Return an absence at a point of a branch."""
+        number, count = self.found.slice_of(point)
+        lps = (float(point[0]), float(point[1]), float(point[2]))
+        beyond_mm = self.found.along_mm(self.start, branch, point)
+        return Absence(self.name, kind, self.carrier, beyond_mm, lps, None, branch_id, number, count)
+
+    def at_place(self, place: Uncertainty, *, kind: AbsenceKind | None = None, branch_id: int | None = None) -> Absence:
+        """Return an absence where an airway ends or is filled."""
+        assert place.branch_id is not None
+        branch = self.found.branch(place.branch_id)
+        point = np.array(place.lps) if place.kind == "filled" else branch.tip_lps
+        beyond_mm = self.found.along_mm(self.start, branch, point)
+        return Absence(
+            self.name,
+            kind or _kind(place),
+            self.carrier,
+            beyond_mm,
+            place.lps,
+            place.width_mm,
+            branch_id,
+            place.slice_number,
+            place.num_slices,
+            place.has_clips,
+        )
+
+
+def _is_at_end(place: Uncertainty, branch: Branch) -> bool:
+    """Return whether a branch ends at a filled place."""
+    off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
+    return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
+
+
+def _kind(place: Uncertainty) -> AbsenceKind:
+    match place.kind:
+        case "volume":
+            return "outside"
+        case "blocked" if place.length_mm is not None:
             return "blocked"
+        case "filled" | "leak":
+            return place.kind
+        case _:
+            return "lost"

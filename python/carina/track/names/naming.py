@@ -24,13 +24,21 @@ from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.calibrated_size import with_limited_confidence
 from carina.volume.model import Note
 
-__all__ = ["LetterRule", "NameWords", "branch_side_and_lobe", "name_tree", "name_words", "segment_readings"]
+__all__ = [
+    "LetterRule",
+    "NameWords",
+    "branch_side_and_lobe",
+    "name_tree",
+    "name_words",
+    "segment_readings",
+    "segments_of_unnamed",
+]
 
 SURE_ENOUGH = 0.5
 """A name is given where it is right at least this often; the lobe alone is told of the rest."""
 UNFIT = -40.0
 """Log odds of a reading that a person's name contradicts."""
-MIRRORED_LOG_ODDS = math.log(1e-3)
+LOG_MIRRORED = math.log(1e-3)
 """Log odds of a mirrored chest: situs inversus is one in 10,000, files with left and right exchanged are more."""
 TURN_SPREAD_RAD = math.radians(15.0)
 """How far patients lie turned and tilted on the table."""
@@ -200,10 +208,31 @@ def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, fl
     return read.fit, found
 
 
+def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
+    """Return the segments to which each branch without a name leads, by branch id, in its likeliest reading.
+
+    These readings are too uncertain for a name. Branches that lie inside a segment and twigs are left out.
+    """
+    tree, _ = seen_part(tree)
+    read = _read(tree, judges_fit=False)
+    found: dict[int, frozenset[str]] = {}
+    for bronchus, reading in zip(read.bronchi, read.solution.readings, strict=True):
+        state = reading.state if reading.settled is None else reading.settled
+        if state is None:
+            continue
+        keys = read.grammar.segments[state]
+        names = {"LB1+2" if key in {"LB1", "LB2"} else key for key in keys if not key.endswith("*")}
+        told = frozenset(_told(name, mirrored=read.mirrored) for name in names)
+        for piece in bronchus.pieces:
+            if tree.branches[piece].name is None:
+                found[tree.branches[piece].id] = told
+    return found
+
+
 # Reading.
 
 
-def _read(tree: AirwayTree) -> _Named:
+def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
     rules = grammar()
     given = {
         number: bare_name(branch.name)
@@ -219,7 +248,7 @@ def _read(tree: AirwayTree) -> _Named:
             rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held, max_forks=COARSE_FORKS
         )
         turn = math.acos(max(-1.0, min(1.0, (float(np.trace(frame)) - 1.0) / 2.0)))
-        return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (MIRRORED_LOG_ODDS if mirrored else 0.0), solver
+        return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (LOG_MIRRORED if mirrored else 0.0), solver
 
     frame = np.eye(3)
     score, best = attempt(frame)
@@ -243,7 +272,7 @@ def _read(tree: AirwayTree) -> _Named:
             break
         score, solution, frame = other, solver.solution(), closer
     solution = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held).solution()
-    fit = fit_of(rules, bronchi, lungs, frame, mirrored=mirrored, max_forks=COARSE_FORKS)
+    fit = fit_of(rules, bronchi, lungs, frame, mirrored=mirrored, max_forks=COARSE_FORKS) if judges_fit else None
     return _Named(bronchi, solution, rules, frame, mirrored, fit)
 
 

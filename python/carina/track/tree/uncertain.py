@@ -1,4 +1,4 @@
-"""What the automatic airways could not follow, and how sure each branch is."""
+"""Places that the automatic airways could not follow, and the confidence of each branch."""
 
 from __future__ import annotations
 
@@ -14,9 +14,19 @@ from carina.commands.fields import AirwayPlace, Count, Part, PointLps
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = ["THREAD_SHARE", "Uncertainty", "UncertaintyKind", "filled_place", "find_uncertain", "with_confidence"]
+__all__ = [
+    "FAINT",
+    "THREAD_SHARE",
+    "Uncertainty",
+    "UncertaintyKind",
+    "filled_place",
+    "slice_from_feet",
+    "slice_text",
+    "with_confidence",
+    "without_unproven_blocks",
+]
 
-UncertaintyKind = Literal["blocked", "filled", "leak", "volume", "faint", "fine"]
+UncertaintyKind = Literal["lost", "blocked", "stump", "filled", "leak", "volume", "faint", "fine"]
 Points = NDArray[np.float64]
 
 FAINT = 0.5
@@ -32,31 +42,27 @@ AIRWAY_SHARE = (
 # 131 such ways that were found in four CTs one was none. A branch is one where half its points lie so near to one.
 THREAD_SHARE = 0.95
 NEAR_THREAD_MM = 1.5
-# Airways thinner than this are at the end of what a CT shows; one that ends wider has been lost on the way.
-FINE_MM = 2.5
-FINE_VOX = 3.0
-# The ball that the flood closes round a breach.
-NEAR_LEAK_MM = 10.0
-# The lumen's end and the filling that it ends at.
-AT_END_MM = 4.0
-# The last stretch of a branch runs into its blind end: its calibre is read before it.
+# The last stretch of a branch runs into its blind end.
 BLUNT_MM = 2.0
-CALIBRE_MM = 8.0
 NUM_SECTIONS = 12
 NUM_SIDES = 16
 
 
 class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
-    """A place where the automatic airways stop short, or should be looked at; the window is sent it as it is.
+    """A place where the automatic airways stop short, or that a person should check.
 
-    Its branch is the one that ends there, or is meant; None for the whole tree.
+    ``branch_id`` is the branch that ends or is uncertain there; None for the whole tree.
     """
 
     kind: UncertaintyKind
-    """``blocked`` (the lumen ends though its calibre says that it goes on), ``filled`` (secretions or something else
-    narrow or fill the lumen, and the bronchus goes on: the place is the middle of that stretch), ``leak`` (following it
-    would have run out into the lung), ``volume`` (the volume ends there), ``faint`` (the branch may be no airway),
-    ``fine`` (from here on the CT is too coarse; once for the whole tree)."""
+    """Kind of the place.
+
+    ``lost``: the search lost the airway though its calibre says that it goes on; the CT proves no disease. ``blocked``:
+    soft tissue continues the bronchus beyond the end of its lumen. ``stump``: a wall closes the bronchus in every
+    direction. ``filled``: secretions or something else narrow or fill the lumen, and the bronchus goes on; the place is
+    the middle of that stretch. ``leak``: the search would have run out into the lung. ``volume``: the scan ends there.
+    ``faint``: the branch may not be an airway. ``fine``: from here on the CT is too coarse; once for the whole tree.
+    """
     width_mm: float
     """Diameter of the airway where it was last seen; of ``fine`` the median of the ends that are that thin; of
     ``filled`` that of the circle with the area of the air that is left, 0 where there is none."""
@@ -67,7 +73,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     voxel_mm: float | None
     """Mean edge of a voxel, where it is ``fine``."""
     length_mm: float | None = None
-    """Over how long it is ``filled``."""
+    """Length of the stretch that is ``filled``, or of the soft tissue where it is ``blocked``."""
     calibre_mm: float | None = None
     """From inner wall to inner wall through what fills it, where it is ``filled``; None where it cannot be measured."""
     calibre_error_mm: float | None = None
@@ -75,26 +81,42 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     beyond_lps: PointLps | None = None
     """A place in the air beyond, where it is ``filled`` and no path leads there: what a bridge leads to."""
 
+    slice_number: Count | None = None
+    """Slice of the place, counted from the feet, from 1; None in cases of earlier versions."""
+    num_slices: Count | None = None
+    """Number of slices of the scan, counted in the same direction."""
+    has_clips: bool = False
+    """Surgical clips are at the end of a ``stump``."""
+
     @property
-    def reason(self) -> str:
-        """Why, in words."""
+    def slice_text(self) -> str:
+        """(slice 37 of 104 from the feet), or nothing where the slice is not known."""
+        return slice_text(self.slice_number, self.num_slices)
+
+    @property
+    def statement(self) -> str:
+        """What is seen at the place; the window, the command line, reports and exports use this text."""
+        width = f"{self.width_mm:.1f} mm wide{self.slice_text}"
         match self.kind:
             case "volume":
-                return f"the scan ends here, but the airway ({self.width_mm:.1f} mm wide) continues"
-            case "leak":
-                return (
-                    f"the airway was lost where its lumen is {self.width_mm:.1f} mm wide: its wall is too thin here, "
-                    "and the search would have leaked into the lung"
-                )
+                return f"the scan ends here, but the airway, {width}, continues"
+            case "leak" | "lost":
+                return f"lost here, {width}"
             case "blocked":
+                if self.length_mm is None:
+                    # Cases of earlier versions stored every lost end as blocked, without evidence.
+                    return f"lost here, {width}"
                 return (
-                    f"the lumen ends where it is {self.width_mm:.1f} mm wide: possibly mucus, a collapsed or narrowed "
-                    "airway, or a wall that the CT does not show"
+                    f"the lumen ends here, {width}; soft tissue continues the bronchus over at least "
+                    f"{self.length_mm:.0f} mm"
                 )
+            case "stump":
+                clips = ", with surgical clips" if self.has_clips else ""
+                return f"the bronchus ends here, {width}, and its end is closed on all sides{clips}"
             case "filled":
-                return _filled_words(self)
+                return _filled_statement(self)
             case "faint":
-                return f"its wall is barely visible (confidence {self.confidence:.2f}): it may not be an airway"
+                return f"its wall is barely visible (confidence {self.confidence:.2f}){self.slice_text}"
             case "fine":
                 ends = "the thinnest branch end" if self.num_ends == 1 else f"the {self.num_ends} thinnest branch ends"
                 return (
@@ -102,9 +124,60 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                     f"{self.width_mm:.1f} mm, the median width at {ends}: there are smaller airways that are not shown"
                 )
 
+    @property
+    def explanation(self) -> str | None:
+        """The possible reasons for the statement; None where the CT gives none. Places of one kind have the same."""
+        match self.kind:
+            case "leak":
+                return "its wall is too thin here, and the search would have leaked into the lung"
+            case "blocked" if self.length_mm is not None:
+                return "possibly mucus, a tumour or a collapsed airway"
+            case "filled":
+                return (
+                    "possibly secretions or a mucus plug; a CT cannot distinguish these from a tumour or a collapsed "
+                    "airway"
+                )
+            case "faint":
+                return "it may not be an airway"
+            case _:
+                return None
 
-def _filled_words(place: Uncertainty) -> str:
-    """Return the text of a place that is narrowed or filled."""
+    @property
+    def reason(self) -> str:
+        """The statement with its explanation."""
+        return self.statement if self.explanation is None else f"{self.statement}: {self.explanation}"
+
+
+def slice_text(number: int | None, count: int | None) -> str:
+    """Return the text of a slice with a leading blank; empty where the slice is not known."""
+    return "" if number is None or count is None else f" (slice {number} of {count} from the feet)"
+
+
+def slice_from_feet(volume: Volume, point_lps: Points) -> tuple[int, int]:
+    """Return the number of a point's slice, counted from the feet, from 1, and the number of slices.
+
+    Slices lie across the axis of the volume that is nearest to the patient's long axis.
+    """
+    up = volume.lps_from_ijk[2, :3] / np.array(volume.spacing_mm)
+    axis = int(np.argmax(np.abs(up)))
+    count = volume.shape_zyx[2 - axis]
+    at = int(np.clip(np.rint(volume.to_ijk(point_lps)[axis]), 0, count - 1))
+    return (at + 1 if up[axis] > 0.0 else count - at), count
+
+
+def without_unproven_blocks(places: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
+    """Return the places with ``lost`` in place of ``blocked`` where no soft tissue was measured.
+
+    Cases of earlier versions store every end that was lost as ``blocked``.
+    """
+    return tuple(
+        msgspec.structs.replace(place, kind="lost") if place.kind == "blocked" and place.length_mm is None else place
+        for place in places
+    )
+
+
+def _filled_statement(place: Uncertainty) -> str:
+    """Return the text of a place that is narrowed or filled, without its possible reasons."""
     if place.calibre_mm is None:
         bronchus = "; its calibre from wall to wall cannot be measured here"
     else:
@@ -112,10 +185,7 @@ def _filled_words(place: Uncertainty) -> str:
         bronchus = f" in a bronchus {width} wide from wall to wall"
     air = "no air is visible" if place.width_mm == 0.0 else f"the air is {place.width_mm:.1f} mm wide"
     beyond = "" if place.beyond_lps is None else "; there is an airway beyond it, which a bridge can reach"
-    return (
-        f"narrowed or filled here over {place.length_mm or 0.0:.0f} mm: {air}{bronchus}{beyond}. Possibly secretions "
-        "or a mucus plug; a CT cannot distinguish these from a tumour or a collapsed airway"
-    )
+    return f"narrowed or filled here over {place.length_mm or 0.0:.0f} mm{place.slice_text}: {air}{bronchus}{beyond}"
 
 
 def filled_place(
@@ -142,102 +212,6 @@ def filled_place(
         calibre_error_mm=calibre_error_mm,
         beyond_lps=None if beyond_lps is None else (float(beyond_lps[0]), float(beyond_lps[1]), float(beyond_lps[2])),
     )
-
-
-def _uncertain(
-    at: Points,
-    kind: UncertaintyKind,
-    branch_id: int | None,
-    width_mm: float,
-    *,
-    confidence: float | None = None,
-    num_ends: int | None = None,
-    voxel_mm: float | None = None,
-) -> Uncertainty:
-    return Uncertainty(
-        lps=(float(at[0]), float(at[1]), float(at[2])),
-        kind=kind,
-        branch_id=branch_id,
-        width_mm=width_mm,
-        confidence=confidence,
-        num_ends=num_ends,
-        voxel_mm=voxel_mm,
-    )
-
-
-def find_uncertain(
-    volume: Volume, tree: AirwayTree, leaks_lps: Points, filled: Sequence[Uncertainty] = ()
-) -> tuple[Uncertainty, ...]:
-    """Say of each end of the tree why it ends there, unless it is as thin as the CT can show.
-
-    Parameters
-    ----------
-    leaks_lps
-        (n, 3) LPS mm, where the growth was stopped because it would have run out into the lung.
-    filled
-        Places where something fills or narrows a lumen, found before. Those that the tree still has are told, of the
-        branch that is there now; an end at such a place has that reason.
-
-    Returns
-    -------
-    tuple of Uncertainty
-        The widest first; last, where the CT stops being trustworthy.
-    """
-    voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
-    fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)
-    told = [place for one in filled if (place := _still_filled(tree, one)) is not None]
-    listed: list[tuple[float, Uncertainty]] = [(one.calibre_mm or one.width_mm, one) for one in told]
-    ends_mm = []
-    for branch in tree.tips():
-        calibre_mm = _calibre_mm(branch)
-        if branch.parent is None or any(_ends_at(branch, one) for one in told):
-            continue
-        kind: UncertaintyKind
-        if _leaves_volume(volume, branch, calibre_mm):
-            kind = "volume"
-        elif calibre_mm < fine_mm:
-            ends_mm.append(calibre_mm)
-            continue
-        elif _is_near(leaks_lps, branch.tip_lps):
-            kind = "leak"
-        else:
-            kind = "blocked"
-        listed.append((calibre_mm, _uncertain(branch.tip_lps, kind, branch.id, calibre_mm)))
-    for branch in tree.branches:
-        if branch.confidence is not None and branch.confidence < FAINT:
-            middle = branch.points[len(branch.points) // 2]
-            calibre_mm = _calibre_mm(branch)
-            faint = _uncertain(middle, "faint", branch.id, calibre_mm, confidence=branch.confidence)
-            listed.append((calibre_mm, faint))
-    listed.sort(key=lambda entry: (-entry[0], entry[1].branch_id))
-    found = [entry for _, entry in listed]
-    if ends_mm:
-        median_mm = float(np.median(ends_mm))
-        at = tree.root.points[0]
-        found.append(_uncertain(at, "fine", None, median_mm, num_ends=len(ends_mm), voxel_mm=voxel_mm))
-    return tuple(found)
-
-
-def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
-    """Return the place with its nearest branch; None if the bronchus was removed or an edit leads beyond the place."""
-    at = np.array(place.lps)
-    branch, index, away_mm = tree.nearest_branch(at)
-    if place.beyond_lps is not None:
-        other, nearest, beyond_mm = tree.nearest_branch(np.array(place.beyond_lps))
-        if beyond_mm <= max(float(other.radius[nearest]), 1.0):
-            # A path leads there now: what is in the way stays told, without a bridge to make.
-            return msgspec.structs.replace(place, branch_id=branch.id, beyond_lps=None)
-    reach_mm = float(branch.radius[index]) + 0.5 * (place.calibre_mm or 0.0)
-    if place.beyond_lps is not None:
-        # The lumen ends where the filling begins.
-        reach_mm += 0.5 * (place.length_mm or 0.0) + AT_END_MM
-    return msgspec.structs.replace(place, branch_id=branch.id) if away_mm <= reach_mm else None
-
-
-def _ends_at(branch: Branch, place: Uncertainty) -> bool:
-    """Whether a branch ends in what fills a place."""
-    off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
-    return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
 
 
 def with_confidence(
@@ -331,24 +305,3 @@ def _values_at(volume: Volume, points: Points) -> Points:
     i, j, k = np.clip(np.floor(volume.to_ijk(points) + 0.5).astype(int), 0, shape - 1).T
     values: Points = volume.hu_zyx[k, j, i].astype(np.float64)
     return values
-
-
-def _calibre_mm(branch: Branch) -> float:
-    """Diameter of the last stretch of a branch before its blind end."""
-    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
-    to_tip = float(steps.sum()) - np.concatenate([[0.0], np.cumsum(steps)])
-    stretch = (to_tip >= min(BLUNT_MM, 0.5 * to_tip[0])) & (to_tip <= CALIBRE_MM)
-    chosen: Sequence[float] | NDArray[np.float64] = branch.radius[stretch] if stretch.any() else branch.radius
-    return 2.0 * float(np.median(chosen))
-
-
-def _leaves_volume(volume: Volume, branch: Branch, calibre_mm: float) -> bool:
-    """Return whether the tip is nearer to a face of the volume than its own radius and a voxel."""
-    ijk = volume.to_ijk(branch.tip_lps)
-    last = np.array(volume.shape_zyx[::-1]) - 1
-    spacing = np.array(volume.spacing_mm)
-    return bool((np.minimum(ijk, last - ijk) * spacing <= 0.5 * calibre_mm + spacing).any())
-
-
-def _is_near(leaks_lps: Points, tip: Points) -> bool:
-    return len(leaks_lps) > 0 and bool((np.linalg.norm(leaks_lps - tip, axis=1) <= NEAR_LEAK_MM).any())

@@ -1,0 +1,169 @@
+"""Ends of the airways: where the search lost an airway, and what the CT proves about each end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.find.across import Across
+from carina.track.find.end_evidence import find_end_evidence
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.track.tree.uncertain import FAINT, Uncertainty, UncertaintyKind, slice_from_feet
+from carina.volume.model import Volume
+
+__all__ = ["find_uncertain"]
+
+Points = NDArray[np.float64]
+
+# Airways thinner than this are at the end of what a CT shows; one that ends wider has been lost on the way.
+FINE_MM = 2.5
+FINE_VOX = 3.0
+# The ball that the flood closes round a breach.
+NEAR_LEAK_MM = 10.0
+# The lumen's end and the filling that it ends at.
+AT_END_MM = 4.0
+# The last stretch of a branch runs into its blind end: its calibre is read before it.
+BLUNT_MM = 2.0
+CALIBRE_MM = 8.0
+
+
+def find_uncertain(
+    volume: Volume, tree: AirwayTree, leaks_lps: Points, filled: Sequence[Uncertainty] = ()
+) -> tuple[Uncertainty, ...]:
+    """List the ends of the tree that are wider than the thinnest airways of the CT, each with its evidence.
+
+    Parameters
+    ----------
+    leaks_lps
+        (n, 3) LPS mm, where the growth was stopped because it would have run out into the lung.
+    filled
+        Places where something fills or narrows a lumen, found before. The result has those that are still at a branch
+        of the tree; an end at such a place is not listed by itself.
+
+    Returns
+    -------
+    tuple of Uncertainty
+        The widest first; last, where the CT stops being trustworthy.
+    """
+    voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
+    fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)
+    told = [place for one in filled if (place := _still_filled(tree, one)) is not None]
+    listed: list[tuple[float, Uncertainty]] = [(one.calibre_mm or one.width_mm, one) for one in told]
+    ends_mm = []
+    look: Across | None = None
+    for branch in tree.tips():
+        calibre_mm = _calibre_mm(branch)
+        if branch.parent is None or any(_ends_at(branch, one) for one in told):
+            continue
+        kind: UncertaintyKind
+        if _leaves_volume(volume, branch, calibre_mm):
+            kind = "volume"
+        elif calibre_mm < fine_mm:
+            ends_mm.append(calibre_mm)
+            continue
+        elif _is_near(leaks_lps, branch.tip_lps):
+            kind = "leak"
+        else:
+            look = look or Across(volume)
+            listed.append((calibre_mm, _end(volume, look, branch, calibre_mm)))
+            continue
+        listed.append((calibre_mm, _uncertain(branch.tip_lps, kind, branch.id, calibre_mm)))
+    for branch in tree.branches:
+        if branch.confidence is not None and branch.confidence < FAINT:
+            middle = branch.points[len(branch.points) // 2]
+            calibre_mm = _calibre_mm(branch)
+            faint = _uncertain(middle, "faint", branch.id, calibre_mm, confidence=branch.confidence)
+            listed.append((calibre_mm, faint))
+    listed.sort(key=lambda entry: (-entry[0], entry[1].branch_id))
+    found = [entry for _, entry in listed]
+    if ends_mm:
+        median_mm = float(np.median(ends_mm))
+        at = tree.root.points[0]
+        found.append(_uncertain(at, "fine", None, median_mm, num_ends=len(ends_mm), voxel_mm=voxel_mm))
+    return tuple(_with_slice(volume, place) for place in found)
+
+
+def _with_slice(volume: Volume, place: Uncertainty) -> Uncertainty:
+    if place.branch_id is None:
+        return place
+    number, count = slice_from_feet(volume, np.array(place.lps))
+    return msgspec.structs.replace(place, slice_number=number, num_slices=count)
+
+
+def _end(volume: Volume, look: Across, branch: Branch, calibre_mm: float) -> Uncertainty:
+    """Return an end that is wide enough to go on: blocked or a stump where the CT proves it, otherwise lost."""
+    evidence = find_end_evidence(volume, look, branch, calibre_mm)
+    if evidence is None:
+        return _uncertain(branch.tip_lps, "lost", branch.id, calibre_mm)
+    if evidence.kind == "tissue":
+        blocked = _uncertain(branch.tip_lps, "blocked", branch.id, calibre_mm)
+        return msgspec.structs.replace(blocked, length_mm=evidence.length_mm)
+    stump = _uncertain(branch.tip_lps, "stump", branch.id, calibre_mm)
+    return msgspec.structs.replace(stump, has_clips=evidence.has_clips)
+
+
+def _uncertain(
+    at: Points,
+    kind: UncertaintyKind,
+    branch_id: int | None,
+    width_mm: float,
+    *,
+    confidence: float | None = None,
+    num_ends: int | None = None,
+    voxel_mm: float | None = None,
+) -> Uncertainty:
+    return Uncertainty(
+        lps=(float(at[0]), float(at[1]), float(at[2])),
+        kind=kind,
+        branch_id=branch_id,
+        width_mm=width_mm,
+        confidence=confidence,
+        num_ends=num_ends,
+        voxel_mm=voxel_mm,
+    )
+
+
+def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
+    """Return the place with its nearest branch; None if the bronchus was removed or an edit leads beyond the place."""
+    at = np.array(place.lps)
+    branch, index, away_mm = tree.nearest_branch(at)
+    if place.beyond_lps is not None:
+        other, nearest, beyond_mm = tree.nearest_branch(np.array(place.beyond_lps))
+        if beyond_mm <= max(float(other.radius[nearest]), 1.0):
+            # A path leads there now: what is in the way stays told, without a bridge to make.
+            return msgspec.structs.replace(place, branch_id=branch.id, beyond_lps=None)
+    reach_mm = float(branch.radius[index]) + 0.5 * (place.calibre_mm or 0.0)
+    if place.beyond_lps is not None:
+        # The lumen ends where the filling begins.
+        reach_mm += 0.5 * (place.length_mm or 0.0) + AT_END_MM
+    return msgspec.structs.replace(place, branch_id=branch.id) if away_mm <= reach_mm else None
+
+
+def _ends_at(branch: Branch, place: Uncertainty) -> bool:
+    """Whether a branch ends in what fills a place."""
+    off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
+    return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
+
+
+def _calibre_mm(branch: Branch) -> float:
+    """Diameter of the last stretch of a branch before its blind end."""
+    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
+    to_tip = float(steps.sum()) - np.concatenate([[0.0], np.cumsum(steps)])
+    stretch = (to_tip >= min(BLUNT_MM, 0.5 * to_tip[0])) & (to_tip <= CALIBRE_MM)
+    chosen: Sequence[float] | NDArray[np.float64] = branch.radius[stretch] if stretch.any() else branch.radius
+    return 2.0 * float(np.median(chosen))
+
+
+def _leaves_volume(volume: Volume, branch: Branch, calibre_mm: float) -> bool:
+    """Return whether the tip is nearer to a face of the volume than its own radius and a voxel."""
+    ijk = volume.to_ijk(branch.tip_lps)
+    last = np.array(volume.shape_zyx[::-1]) - 1
+    spacing = np.array(volume.spacing_mm)
+    return bool((np.minimum(ijk, last - ijk) * spacing <= 0.5 * calibre_mm + spacing).any())
+
+
+def _is_near(leaks_lps: Points, tip: Points) -> bool:
+    return len(leaks_lps) > 0 and bool((np.linalg.norm(leaks_lps - tip, axis=1) <= NEAR_LEAK_MM).any())

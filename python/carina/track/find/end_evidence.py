@@ -1,0 +1,172 @@
+"""What the CT shows beyond the end of an airway: soft tissue in its wall, or a wall that closes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.find.across import Across
+from carina.track.tree.airway_tree import Branch
+from carina.volume.model import Volume
+
+__all__ = ["EndEvidence", "find_end_evidence"]
+
+Points = NDArray[np.float64]
+Floats = NDArray[np.float64]
+
+# The axis at the end of a branch is the direction of its last part before the blunt end.
+BLUNT_MM, AXIS_MM = 2.0, 10.0
+STEP_MM = 0.5
+FARTHEST_MM = 20.0
+BEYOND_END_MM = 3.0
+"""The wall of the end is at most this far beyond the radius from the last point of the centreline."""
+
+# A filled bronchus: soft tissue on the axis, and round it a border against the lung.
+TISSUE_HU = (-150.0, 200.0)
+BLUR_MM = 3.0
+"""Tissue begins within this distance of the wall of the end."""
+LEAST_TISSUE_MM, LEAST_TISSUE_WIDTHS, LEAST_TISSUE_SLICES = 6.0, 1.2, 3.0
+"""Beyond a fork that the search missed, an artery runs on for less than this in the direction of the bronchus."""
+TISSUE_CONE_DEG = (0.0, 10.0)
+USUAL_WALL_MM = 1.2
+LEAST_WIDTH, MOST_WIDTH = 0.75, 1.35
+"""Outer width of the filled bronchus, in outer widths of its open part."""
+SECTIONS = (0.2, 0.4, 0.6, 0.8)
+LEAST_SECTIONS = 3
+
+# A stump: a wall in every direction beyond the end. Where the search lost an open airway, some direction has none.
+LEAST_STUMP_MM = 5.0
+"""Narrower ends are not judged: the next branches may be too thin for the CT."""
+CLOSED_HU = -600.0
+CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
+CLOSED_STEP_DEG = 15.0
+CLIP_HU = 2000.0
+"""Surgical clips are brighter than bone, cartilage with calcium and calcified lymph nodes."""
+CLIP_REACH_MM = 12.0
+LEAST_CLIP_MM3 = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class EndEvidence:
+    """What lies beyond the end of an airway."""
+
+    kind: Literal["tissue", "closed"]
+    """``tissue``: soft tissue continues the bronchus with its outer width. ``closed``: a wall closes the end in every
+    direction."""
+    length_mm: float
+    """Length over which ``tissue`` is seen; 0 for ``closed``."""
+    has_clips: bool
+    """Surgical clips are at the end."""
+
+
+def find_end_evidence(volume: Volume, look: Across, branch: Branch, width_mm: float) -> EndEvidence | None:
+    """Return what the CT shows beyond the end of a branch; None where it proves neither a filling nor a blind end.
+
+    Parameters
+    ----------
+    volume, look
+        The CT, and the same one without its finest noise.
+    branch
+        Without children.
+    width_mm
+        Its diameter before the end.
+    """
+    axis = _axis(branch)
+    if axis is None:
+        return None
+    tissue_mm = _filled_mm(volume, look, branch.tip_lps, axis, width_mm)
+    if tissue_mm is not None:
+        return EndEvidence("tissue", tissue_mm, has_clips=False)
+    if width_mm < LEAST_STUMP_MM:
+        return None
+    if not _is_closed(look, branch.tip_lps, axis, width_mm):
+        return None
+    return EndEvidence("closed", 0.0, has_clips=_has_clips(volume, branch.tip_lps + 0.5 * width_mm * axis))
+
+
+def _axis(branch: Branch) -> Points | None:
+    """Return the unit direction of the last part of a branch."""
+    to_tip = np.linalg.norm(branch.points - branch.tip_lps, axis=1)
+    part = branch.points[(to_tip >= BLUNT_MM) & (to_tip <= AXIS_MM)]
+    if len(part) < 2:
+        part = branch.points
+    direction = part[-1] - part[0]
+    length = float(np.linalg.norm(direction))
+    return None if length < 1.0 else direction / length
+
+
+def _cone(axis: Points, degrees: tuple[float, ...]) -> Points:
+    """Return (n, 3) unit vectors at these angles round an axis."""
+    one = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    one /= np.linalg.norm(one)
+    two = np.cross(axis, one)
+    found = []
+    for angle in np.radians(degrees):
+        num = max(round(360.0 * float(np.sin(angle)) / CLOSED_STEP_DEG), 1 if angle == 0.0 else 8)
+        turns = 2.0 * np.pi * np.arange(num) / num
+        ring = np.cos(turns)[:, None] * one + np.sin(turns)[:, None] * two
+        found.append(np.cos(angle) * axis + np.sin(angle) * ring)
+    return np.concatenate(found)
+
+
+def _wall_at(values: Floats, half: float, width_mm: float) -> int | None:
+    """Return the sample at which the air of the end meets its wall; None where none is near."""
+    wall = np.flatnonzero(values >= half)
+    most = 0.5 * width_mm + BEYOND_END_MM
+    return int(wall[0]) if len(wall) and wall[0] * STEP_MM <= most else None
+
+
+def _filled_mm(volume: Volume, look: Across, tip: Points, axis: Points, width_mm: float) -> float | None:
+    """Return the length of soft tissue that continues a bronchus with its outer width; None without evidence."""
+    low, high = (float(look.scale.level(hu)) for hu in TISSUE_HU)
+    at = np.arange(0.0, FARTHEST_MM, STEP_MM)
+    outer_mm = width_mm + 2.0 * USUAL_WALL_MM
+    least_mm = max(LEAST_TISSUE_MM, LEAST_TISSUE_WIDTHS * width_mm, LEAST_TISSUE_SLICES * max(volume.spacing_mm))
+    best: float | None = None
+    for direction in _cone(axis, TISSUE_CONE_DEG):
+        places = tip + at[:, None] * direction
+        values = look.along(places, direction)
+        wall = _wall_at(values, look.half, width_mm)
+        if wall is None:
+            continue
+        solid = np.flatnonzero((values[wall:] >= low) & (values[wall:] <= high)) + wall
+        if not len(solid) or (solid[0] - wall) * STEP_MM > BLUR_MM:
+            continue
+        after = np.flatnonzero((values < low) | (values > high))
+        stop = int(after[after > solid[0]][0]) if (after > solid[0]).any() else len(values)
+        length_mm = (stop - int(solid[0])) * STEP_MM
+        if length_mm < least_mm or (best is not None and length_mm <= best):
+            continue
+        seen = 0
+        for share in SECTIONS:
+            middle = look.middle(places[int(solid[0])] + share * length_mm * direction, direction, outer_mm + 4.0)
+            seen += middle is not None and LEAST_WIDTH * outer_mm <= middle[1] <= MOST_WIDTH * outer_mm
+        if seen >= LEAST_SECTIONS:
+            best = length_mm
+    return best
+
+
+def _is_closed(look: Across, tip: Points, axis: Points, width_mm: float) -> bool:
+    """Return whether there is a wall in every direction beyond an end, so that no open airway leaves it."""
+    level = float(look.scale.level(CLOSED_HU))
+    at = np.arange(0.0, 0.65 * width_mm + BEYOND_END_MM, STEP_MM)
+    return all(
+        float(look.along(tip + at[:, None] * direction, direction).max()) >= level
+        for direction in _cone(axis, CLOSED_CONE_DEG)
+    )
+
+
+def _has_clips(volume: Volume, point: Points) -> bool:
+    """Return whether metal is near a point."""
+    if not volume.is_hu:
+        return False
+    spacing = np.array(volume.spacing_mm)
+    reach = np.ceil(CLIP_REACH_MM / spacing).astype(int)
+    middle = np.rint(volume.to_ijk(point)).astype(int)
+    low = np.maximum(middle - reach, 0)
+    high = np.minimum(middle + reach + 1, np.array(volume.shape_zyx[::-1]))
+    box = volume.hu_zyx[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
+    return bool((box >= CLIP_HU).sum() * float(np.prod(spacing)) >= LEAST_CLIP_MM3)

@@ -1,0 +1,135 @@
+"""Evidence at the end of an airway: soft tissue in its wall, a closed end, or none where the search lost it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina.track import Branch
+from carina.track.find.across import Across
+from carina.track.find.end_evidence import find_end_evidence
+from carina.volume import Volume
+
+LUNG_HU, WALL_HU, AIR_HU, TISSUE_HU, CLIP_HU = -860.0, 20.0, -1000.0, 30.0, 3000.0
+RADIUS_MM, WALL_MM = 3.2, 1.2
+END_Z = 30.0
+"""The open lumen comes from above and ends at this height; the airway lies along z at x = y = 16 mm."""
+
+
+def painted(paint, spacing=(0.8, 0.8, 0.8), noise=20.0):
+    """Return a CT of 32 x 32 x 60 mm: ``paint`` takes points (n, 3) and values, sampled three times as finely."""
+    fine = 3
+    shape = np.ceil(np.array([32.0, 32.0, 60.0]) / spacing).astype(int)
+    axes = [(np.arange(n * fine) + 0.5) / fine * s - 0.5 * s for n, s in zip(shape, spacing, strict=True)]
+    values = np.empty((len(axes[2]) // fine, *shape[1::-1]))
+    across = np.stack(np.meshgrid(axes[0], axes[1], indexing="ij"), axis=-1).reshape(-1, 2)
+    for k in range(shape[2]):
+        slab = np.zeros(shape[1::-1])
+        for z in axes[2][k * fine : (k + 1) * fine]:
+            points = np.column_stack([across, np.full(len(across), z)])
+            plane = paint(points, np.full(len(points), LUNG_HU))
+            slab += plane.reshape(shape[0], fine, shape[1], fine).mean(axis=(1, 3)).T / fine
+        values[k] = slab
+    values += np.random.default_rng(1).normal(0.0, noise, values.shape)
+    return Volume(np.rint(values).astype(np.int16), np.diag([*spacing, 1.0]))
+
+
+def tube(points, start, end, radius):
+    """Return which points lie in a tube with flat ends."""
+    a, b = np.array(start, dtype=float), np.array(end, dtype=float)
+    length = np.linalg.norm(b - a)
+    along = (points - a) @ (b - a) / length
+    off = np.linalg.norm(points - a - along[:, None] * (b - a) / length, axis=1)
+    return (along >= 0.0) & (along <= length) & (off <= radius)
+
+
+TOP, END, BOTTOM = (16.0, 16.0, 59.0), (16.0, 16.0, END_Z), (16.0, 16.0, 8.0)
+SIDES = ((8.0, 16.0, 12.0), (24.0, 16.0, 12.0))
+
+
+def plugged(points, values):
+    """Soft tissue fills the lumen from the end on."""
+    values[tube(points, TOP, BOTTOM, RADIUS_MM + WALL_MM)] = WALL_HU
+    values[tube(points, END, BOTTOM, RADIUS_MM)] = TISSUE_HU
+    values[tube(points, TOP, END, RADIUS_MM)] = AIR_HU
+    return values
+
+
+def stump(points, values):
+    """The lumen ends in a wall, with lung beyond it."""
+    values[tube(points, TOP, (16.0, 16.0, END_Z - 2.6), RADIUS_MM + WALL_MM)] = WALL_HU
+    values[tube(points, TOP, END, RADIUS_MM)] = AIR_HU
+    return values
+
+
+def stump_with_clips(points, values):
+    """Two clips are at the closed end."""
+    values = stump(points, values)
+    for x in (14.0, 18.0):
+        values[tube(points, (x, 13.5, END_Z - 3.5), (x, 18.5, END_Z - 3.5), 0.8)] = CLIP_HU
+    return values
+
+
+def forked(points, values):
+    """Two open airways go on, with an artery between them; the search missed both."""
+    for side in SIDES:
+        values[tube(points, END, side, 2.0 + WALL_MM)] = WALL_HU
+    values[tube(points, TOP, END, RADIUS_MM + WALL_MM)] = WALL_HU
+    values[tube(points, (16.0, 16.0, END_Z - 4.0), BOTTOM, 3.0)] = TISSUE_HU
+    for side in SIDES:
+        values[tube(points, END, side, 2.0)] = AIR_HU
+    values[tube(points, TOP, END, RADIUS_MM)] = AIR_HU
+    return values
+
+
+def narrowing(points, values):
+    """One open airway of half the width goes on."""
+    values[tube(points, TOP, END, RADIUS_MM + WALL_MM)] = WALL_HU
+    values[tube(points, (16.0, 16.0, END_Z + 1.0), BOTTOM, 1.6 + WALL_MM)] = WALL_HU
+    values[tube(points, TOP, END, RADIUS_MM)] = AIR_HU
+    values[tube(points, (16.0, 16.0, END_Z + 1.0), BOTTOM, 1.6)] = AIR_HU
+    return values
+
+
+BRANCH = Branch(
+    1,
+    0,
+    (),
+    1,
+    None,
+    "tracked",
+    np.column_stack([np.full(25, 16.0), np.full(25, 16.0), np.linspace(56.0, END_Z + 1.5, 25)]),
+    np.full(25, RADIUS_MM),
+)
+
+
+def evidence(paint, spacing):
+    volume = painted(paint, spacing)
+    return find_end_evidence(volume, Across(volume), BRANCH, 2.0 * RADIUS_MM)
+
+
+THIN, THICK = (0.8, 0.8, 0.8), (0.7, 0.7, 3.0)
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+def test_soft_tissue_in_the_continuing_wall_is_seen_with_its_length(spacing):
+    found = evidence(plugged, spacing)
+    assert found.kind == "tissue"
+    assert 12.0 <= found.length_mm <= 20.0
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+def test_a_wall_across_the_end_closes_it(spacing):
+    found = evidence(stump, spacing)
+    assert (found.kind, found.has_clips) == ("closed", False)
+
+
+def test_clips_at_a_closed_end_are_seen_in_thin_slices():
+    found = evidence(stump_with_clips, THIN)
+    assert (found.kind, found.has_clips) == ("closed", True)
+
+
+@pytest.mark.parametrize("spacing", [THIN, THICK])
+@pytest.mark.parametrize("paint", [forked, narrowing])
+def test_an_airway_that_goes_on_is_neither_blocked_nor_closed(paint, spacing):
+    assert evidence(paint, spacing) is None
