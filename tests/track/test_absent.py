@@ -293,3 +293,12 @@ def test_the_bundled_patient_lacks_the_segments_of_a_middle_lobe_whose_bronchus_
         assert absence.carrier == "RML"
         assert absence.beyond_mm > 5.0
         assert absence.words in airways._repr_html_()
+
+
+@pytest.mark.parametrize("spacing_mm", [(1.0, 1.0, 4.0), 2.5, 3.0])
+def test_misses_in_coarse_scans_of_a_healthy_chest_are_never_reported_as_a_disease(spacing_mm):
+    airways = carina.find_airways(made_phantom(seed=3, spacing_mm=spacing_mm, noise_hu=25.0).volume)
+    assert len(airways.tree) < 120, "the search misses airways that the phantom has"
+    told = [*(absence.words for absence in airways.absent), *(place.reason for place in airways.uncertain)]
+    assert told
+    assert [words for words in told if DISEASE.search(words)] == []

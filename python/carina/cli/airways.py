@@ -125,6 +125,9 @@ def _absence_row(absence: Absence) -> dict[str, Any]:
         "beyond_mm": absence.beyond_mm,
         "lps": None if absence.lps is None else list(absence.lps),
         "width_mm": absence.width_mm,
+        "branch_id": absence.branch_id,
+        "slice_from_feet": absence.slice_number,
+        "num_slices": absence.num_slices,
         "words": absence.words,
     }
 
