@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.volume import Volume, VolumeSource
+from carina_bench.paint_fine_vessels import FineVessel, add_fine_vessels
 from carina_bench.paint_scanner import Kernel, noise_of_slice, reach_mm, sampled_weights, sharpened_slice, step_weights
 from carina_bench.paint_tubes import Segment, Tube, covers_of, segments_of
 
-__all__ = ["KERNELS", "PaintOptions", "Painted", "Scene", "paint"]
+__all__ = ["KERNELS", "PaintOptions", "Painted", "Scanned", "Scene", "paint", "scanned"]
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ KERNELS = {
     "soft": Kernel(sigma_mm=0.55),
     "medium": Kernel(sigma_mm=0.40),
     "sharp": Kernel(sigma_mm=0.28, overshoot=0.18, surround_mm=0.65),
+    "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.025, surround_mm=0.65),
 }
 """50 % of the transfer at 3.4 and 4.7 line pairs per cm (body and lung standard), and an edge-enhancing lung kernel."""
 
@@ -80,6 +82,12 @@ class PaintOptions:
     """Airways that mucus closes over 5 to 10 mm."""
     half_filled: int = 0
     """Airways along which fluid fills the lower half of the lumen."""
+    terminal_airways: bool = False
+    """Airways grown beyond the masks' tips (:mod:`carina_bench.paint_terminal`)."""
+    terminal_least_mm: tuple[float, float] = (0.45, 1.1)
+    """Range of the least lumen radius beyond one tip; drawn once for each tip."""
+    fine_vessels_per_ml: float = 0.0
+    """Vessels of 0.3 to 0.6 mm radius in each millilitre of lung (:mod:`carina_bench.paint_fine_vessels`)."""
 
     def scanner(self) -> Kernel:
         """The kernel by its name."""
@@ -96,6 +104,8 @@ class Scene:
     """4x4, of that grid; its axes are at right angles."""
     tubes: tuple[Tube, ...]
     """In LPS, mm."""
+    fine_vessels: tuple[FineVessel, ...] = ()
+    """In LPS, mm; thinner than the blur, so that only their sections' areas matter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +117,19 @@ class Painted:
     """True centrelines and radii where the image shows them: LPS mm, breathing included. No arteries."""
     cover_zyx: NDArray[np.uint8]
     """Share of each voxel that is lumen (wall to wall, fluid included), 255 the whole of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scanned:
+    """A scene as blurred by the scanner, without the kernel's overshoot and without noise."""
+
+    values_zyx: NDArray[np.float32]
+    """HU."""
+    lps_from_ijk: Floats
+    airways: tuple[Tube, ...]
+    """As :attr:`Painted.airways`."""
+    cover_zyx: NDArray[np.uint8]
+    """As :attr:`Painted.cover_zyx`."""
 
 
 @dataclass(slots=True)
@@ -161,39 +184,46 @@ def paint(scene: Scene, options: PaintOptions, say: Callable[[str], None] | None
     """
     tell = say or (lambda _words: None)
     kernel = options.scanner()
+    made = scanned(scene, options, tell)
+    tell("kernel and noise")
+    hu = np.empty(made.values_zyx.shape, np.int16)
+    pixel_mm = float(np.linalg.norm(scene.lps_from_ijk[:3, 0]))
+    for k in range(len(hu)):
+        plane = sharpened_slice(made.values_zyx[k], kernel, pixel_mm)
+        if options.noise_hu > 0.0:
+            plane = plane + noise_of_slice(plane.shape, kernel, pixel_mm, options.noise_hu, (options.seed, 7, k))
+        hu[k] = np.clip(np.rint(plane), -1024, 3071)
+    hu.flags.writeable = False
+    source = VolumeSource(format="array", title="painted chest")
+    return Painted(Volume(hu, made.lps_from_ijk, source=source), made.airways, made.cover_zyx)
+
+
+def scanned(scene: Scene, options: PaintOptions, say: Callable[[str], None]) -> Scanned:
+    """Return a scene blurred by the kernel's Gaussian and the slice profile; see :func:`paint`."""
     spacing = np.linalg.norm(scene.lps_from_ijk[:3, :3], axis=0)
     axes = _axes(scene, options, spacing)
     frame = scene.lps_from_ijk.copy()
     frame[:3, :3] /= spacing
     into = np.linalg.inv(frame)
     tubes = [tube.moved(tube.points @ into[:3, :3].T + into[:3, 3]) for tube in scene.tubes]
-    tell("tissue")
+    say("tissue")
     values = _blurred_tissue(scene.hu_zyx, axes)
     cover = np.zeros(values.shape, np.uint8)
-    tell(f"{len(tubes)} tubes")
+    if scene.fine_vessels:
+        say(f"{len(scene.fine_vessels)} fine vessels")
+        vessels = [FineVessel(v.points @ into[:3, :3].T + into[:3, 3], v.radius_mm) for v in scene.fine_vessels]
+        add_fine_vessels(values, scene.hu_zyx, vessels, axes, options.vessel_hu)
+    say(f"{len(tubes)} tubes")
     _add_tubes(values, cover, scene.hu_zyx, tubes, axes, options, down=into[:3, :3] @ np.array([0.0, 1.0, 0.0]))
-    tell("kernel and noise")
-    hu = np.empty(values.shape, np.int16)
-    pixel_mm = float(spacing[0])
-    for k in range(len(values)):
-        plane = sharpened_slice(values[k], kernel, pixel_mm)
-        if options.noise_hu > 0.0:
-            plane = plane + noise_of_slice(plane.shape, kernel, pixel_mm, options.noise_hu, (options.seed, 7, k))
-        hu[k] = np.clip(np.rint(plane), -1024, 3071)
     lps_from_ijk = scene.lps_from_ijk.copy()
     lps_from_ijk[:3, 2] *= axes[2].voxel_mm / axes[2].cell_mm
     lps_from_ijk[:3, 3] = frame[:3, :3] @ [0.0, 0.0, _first_mm(axes[2])] + frame[:3, 3]
-    hu.flags.writeable = False
-    source = VolumeSource(format="array", title="painted chest")
-    return Painted(
-        volume=Volume(hu, lps_from_ijk, source=source),
-        airways=tuple(
-            replace(tube, points=_where_shown(tube.points, axes[2], options) @ frame[:3, :3].T + frame[:3, 3])
-            for tube in tubes
-            if not tube.is_artery
-        ),
-        cover_zyx=cover,
+    airways = tuple(
+        replace(tube, points=_where_shown(tube.points, axes[2], options) @ frame[:3, :3].T + frame[:3, 3])
+        for tube in tubes
+        if not tube.is_artery
     )
+    return Scanned(values, lps_from_ijk, airways, cover)
 
 
 def _first_mm(axis: _Axis) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Kernel", "noise_of_slice", "reach_mm", "sampled_weights", "sharpened_slice", "step_weights"]
+__all__ = ["Kernel", "noise_of_slice", "normal_share", "reach_mm", "sampled_weights", "sharpened_slice", "step_weights"]
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +63,8 @@ class Kernel:
         return result
 
 
-def _normal(x: Floats) -> Floats:
+def normal_share(x: Floats) -> Floats:
+    """Return the share of the standard normal distribution below each x."""
     result: Floats = np.interp(x, _AT, _NORMAL)
     return result
 
@@ -73,7 +74,7 @@ def _ramp(x: Floats, sigma_mm: float) -> Floats:
     if sigma_mm <= 0.0:
         return np.maximum(x, 0.0)
     s = x / sigma_mm
-    result: Floats = x * _normal(s) + sigma_mm * np.exp(-0.5 * s * s) / math.sqrt(2.0 * math.pi)
+    result: Floats = x * normal_share(s) + sigma_mm * np.exp(-0.5 * s * s) / math.sqrt(2.0 * math.pi)
     return result
 
 
@@ -100,7 +101,7 @@ def sampled_weights(at_mm: Floats, cells_mm: Floats, cell_mm: float, box_mm: flo
     """Weights (m, n) of n samples ``cell_mm`` apart, in m voxels, with no blur of their own; for cells below sigma."""
     u = (at_mm[:, None] - cells_mm[None, :]) / sigma_mm
     half = 0.5 * box_mm / sigma_mm
-    weights: Floats = (_normal(u + half) - _normal(u - half)) * (cell_mm / box_mm)
+    weights: Floats = (normal_share(u + half) - normal_share(u - half)) * (cell_mm / box_mm)
     return weights
 
 

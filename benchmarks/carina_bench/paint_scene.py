@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 import carina
 from carina.volume import Volume
 from carina_bench.paint import PaintOptions, Scene
+from carina_bench.paint_fine_vessels import FineVessel, fine_vessels
+from carina_bench.paint_terminal import terminal_airways
 from carina_bench.paint_tubes import Tube, wall_mm
 from carina_bench.track_truth import truth_of_mask
 
@@ -168,10 +170,28 @@ def scene_of_masks(masks: Masks, options: PaintOptions) -> Scene:
     space = _Space(masks, grid)
     if options.twigs_per_tip:
         tubes += _twigs(tubes, space, options, rng)
+    if options.terminal_airways:
+        of_terminal = np.random.default_rng((options.seed, 4))
+        tubes += terminal_airways(tubes, space, options.terminal_least_mm, of_terminal)
     if options.plugs or options.half_filled:
         tubes = _filled(tubes, options, rng)
     arteries = _arteries(tubes, space, rng) if options.vessels_beside else []
-    return Scene(_tissue(masks, grid, options), masks.lps_from_ijk, (*tubes, *arteries))
+    every = (*tubes, *arteries)
+    thin: tuple[FineVessel, ...] = ()
+    if options.fine_vessels_per_ml > 0.0:
+        lung_lps = _places_in(masks.lungs, grid, np.random.default_rng((options.seed, 5)))
+        lung_ml = 1e-3 * float(masks.lungs.sum() * np.prod(grid.spacing_mm))
+        num = round(options.fine_vessels_per_ml * lung_ml)
+        thin = fine_vessels(every, space, lung_lps, num, np.random.default_rng((options.seed, 6)))
+    return Scene(_tissue(masks, grid, options), masks.lps_from_ijk, every, thin)
+
+
+def _places_in(mask: Mask, grid: Volume, rng: np.random.Generator, num: int = 50_000) -> Floats:
+    """Return places (n, 3) drawn evenly from a mask, LPS mm."""
+    voxels = np.flatnonzero(mask)
+    chosen = np.stack(np.unravel_index(voxels[rng.integers(len(voxels), size=num)], mask.shape)[::-1], axis=1)
+    result: Floats = grid.to_lps(chosen + rng.uniform(-0.5, 0.5, chosen.shape))
+    return result
 
 
 class _Space:
@@ -190,9 +210,10 @@ class _Space:
         result: Mask = mask[k, j, i] & inside
         return result
 
-    def in_lung(self, points: Floats, margin_mm: float) -> Mask:
-        """Whether the lung is all around each point, as far as this."""
-        around = points[:, None, :] + margin_mm * self._sphere[None]
+    def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> Mask:
+        """Return whether the lung is around each point as far as the margin, asked in ``num`` directions."""
+        sphere = self._sphere if num == len(self._sphere) else _sphere(num)
+        around = points[:, None, :] + margin_mm * sphere[None]
         inside = self._ask(self._masks.lungs, around.reshape(-1, 3)).reshape(len(points), -1)
         return np.asarray(inside.all(axis=1), np.bool_)
 
@@ -309,7 +330,7 @@ def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> lis
     """An artery beside each small airway along which the masks have no vessel: as wide as the airway with its wall."""
     found: list[Tube] = []
     for tube in tubes:
-        outer = tube.radius_mm + wall_mm(tube.radius_mm)
+        outer = tube.outer_mm()
         if tube.generation < 3 or len(tube.points) < 6 or float(np.median(tube.radius_mm)) > 2.5:
             continue
         if space.at_vessel(tube.points, float(np.median(outer)) + 2.5).mean() > 0.5:

@@ -49,6 +49,14 @@ class Tube:
     """(n,) how high fluid stands, in radii over the axis: 1 fills the lumen, 0 half of it, -1 leaves it empty."""
     true_from: int = 0
     """Points before this one lie in the parent's lumen: no centreline of this airway's own."""
+    thickness_mm: float | None = None
+    """Thickness of the wall; None: by the radius of the lumen (:func:`wall_mm`)."""
+
+    def outer_mm(self) -> Floats:
+        """Return the radius (n,) of the outside: of the wall, or of an artery."""
+        if self.is_artery:
+            return self.radius_mm
+        return self.radius_mm + (wall_mm(self.radius_mm) if self.thickness_mm is None else self.thickness_mm)
 
     def moved(self, points: Floats) -> Tube:
         """The same tube elsewhere."""
@@ -83,7 +91,7 @@ def segments_of(tubes: Sequence[Tube], cell_mm: float) -> list[Segment]:
     for place, tube in enumerate(tubes):
         points, radius, level = _cut(tube)
         inner = np.sqrt(np.maximum(radius**2 - cell_mm**2 / 12.0, 1e-6))
-        outside = radius if tube.is_artery else radius + wall_mm(radius)
+        outside = replace(tube, radius_mm=radius).outer_mm()
         outer = np.sqrt(np.maximum(outside**2 - cell_mm**2 / 12.0, 1e-6))
         merge = 0.0 if tube.is_artery else MERGE_SHARE * float(np.median(radius))
         for n in range(len(points) - 1):

@@ -1,0 +1,207 @@
+"""Vessels thinner than those of the masks: their courses beside and between airways, and their share of voxels.
+
+A vessel of 0.3 to 0.6 mm radius is thinner than the blur of any kernel, so an image shows only the area of its section:
+each piece of its axis is added to the image as a Gaussian of the kernel's width, without a grid of fine cells.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina_bench.paint_scanner import normal_share
+from carina_bench.paint_tubes import Tube
+
+__all__ = ["FineVessel", "add_fine_vessels", "fine_vessels"]
+
+Floats = NDArray[np.float64]
+
+RADII_MM = (0.3, 0.6)
+RADIUS_POWER = -2.9
+"""Exponent of the count density by radius: 5,861, 2,290 and 675 arteries of 0.26, 0.43 and 0.67 mm (Singhal 1973)."""
+LENGTH_RADII = (7.0, 14.0)
+"""Length of a vessel between two forks, in radii."""
+STEP_MM = 0.5
+SAMPLE_MM = 0.25
+REACH_SIGMAS = 3.2
+LUNG_MM = 1.5
+CLEAR_MM = 0.15
+"""Least gap between a vessel and the wall of an airway."""
+BESIDE_SHARE = 0.25
+"""Share of vessels that run along an airway, at most :data:`BESIDE_MM` from its wall."""
+BESIDE_MM = 1.2
+LEAST_POINTS = 4
+NUM_AT_ONCE = 4000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FineVessel:
+    """A vessel thinner than the blur."""
+
+    points: Floats
+    """(n, 3) mm."""
+    radius_mm: float
+
+
+class Axis(Protocol):
+    """One axis of the image."""
+
+    at_mm: Floats
+    voxel_mm: float
+    sigma_mm: float
+    cell_mm: float
+    num_cells: int
+
+
+class Space(Protocol):
+    """Masks of a patient, asked at points."""
+
+    def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> NDArray[np.bool_]:
+        """Return whether the lung surrounds each point as far as the margin."""
+        ...
+
+    def at_vessel(self, points: Floats, reach_mm: float) -> NDArray[np.bool_]:
+        """Return whether a vessel of the masks comes this near to each point."""
+        ...
+
+
+def fine_vessels(
+    tubes: Sequence[Tube], space: Space, lung_lps: Floats, num: int, rng: np.random.Generator
+) -> tuple[FineVessel, ...]:
+    """Return vessels between and beside airways, drawn from a generator of random numbers.
+
+    Parameters
+    ----------
+    tubes
+        Airways and arteries, LPS mm. No vessel enters one.
+    lung_lps
+        (n, 3) places in the lung, mm; vessels that do not run beside an airway begin at one of them.
+    num
+        Vessels to draw; those that would leave the lung or meet an airway at once are left out.
+    """
+    spatial: Any = importlib.import_module("scipy.spatial")
+    low, high = (radius ** (RADIUS_POWER + 1.0) for radius in RADII_MM)
+    radius = (low + rng.random(num) * (high - low)) ** (1.0 / (RADIUS_POWER + 1.0))
+    start = lung_lps[rng.integers(len(lung_lps), size=num)]
+    heading = _unit(rng.standard_normal((num, 3)))
+    num_beside = _begin_beside(tubes, start, heading, radius, rng)
+    length = radius * rng.uniform(*LENGTH_RADII, num)
+    length[:num_beside] *= 2.0
+    bend = 0.05 * rng.standard_normal((num, 3))
+    steps = math.ceil(2.0 * RADII_MM[1] * LENGTH_RADII[1] / STEP_MM)
+    points = np.empty((num, steps + 1, 3))
+    points[:, 0] = start
+    for n in range(steps):
+        points[:, n + 1] = points[:, n] + STEP_MM * heading
+        heading = _unit(heading + STEP_MM * bend)
+    flat = points.reshape(-1, 3)
+    clear = space.in_lung(flat, LUNG_MM, num=6)
+    there = np.concatenate([tube.points for tube in tubes])
+    outer = np.concatenate([tube.outer_mm() for tube in tubes])
+    # Points of a tube are half a millimetre apart, so that between two of them the tube is nearer by less than 0.1 mm.
+    tree = spatial.cKDTree(there)
+    gap, nearest = tree.query(flat, k=4, distance_upper_bound=float(outer.max()) + 2.0 * RADII_MM[1])
+    nearest = np.minimum(nearest, len(there) - 1)
+    clear &= ((gap - outer[nearest]).min(axis=1) - np.repeat(radius, steps + 1)) > CLEAR_MM
+    clear = clear.reshape(num, steps + 1) & (STEP_MM * np.arange(steps + 1) <= length[:, None])
+    end = np.where(clear.all(axis=1), steps + 1, clear.argmin(axis=1))
+    return tuple(FineVessel(points[n, : end[n]], float(radius[n])) for n in np.flatnonzero(end >= LEAST_POINTS))
+
+
+def _begin_beside(
+    tubes: Sequence[Tube], start: Floats, heading: Floats, radius: Floats, rng: np.random.Generator
+) -> int:
+    """Move the first vessels beside small airways, along these; return how many."""
+    small = [tube for tube in tubes if not tube.is_artery and tube.generation >= 3 and len(tube.points) > 2]
+    num = round(BESIDE_SHARE * len(start)) if small else 0
+    places = np.concatenate([tube.points[:-1] for tube in small]) if small else np.empty((0, 3))
+    along = np.concatenate([np.diff(tube.points, axis=0) for tube in small]) if small else np.empty((0, 3))
+    outer = np.concatenate([tube.outer_mm()[:-1] for tube in small]) if small else np.empty(0)
+    # No more than one vessel begins at each 1.5 mm of an airway.
+    num = min(num, len(places) // 3)
+    chosen = rng.permutation(len(places))[:num]
+    direction = _unit(along[chosen])
+    side = rng.standard_normal((num, 3))
+    side = _unit(side - (side * direction).sum(axis=1, keepdims=True) * direction)
+    away = outer[chosen] + radius[:num] + CLEAR_MM + 0.1 + rng.uniform(0.0, BESIDE_MM, num)
+    start[:num] = places[chosen] + away[:, None] * side
+    heading[:num] = _unit(direction + 0.15 * rng.standard_normal((num, 3)))
+    return num
+
+
+def _unit(rows: Floats) -> Floats:
+    result: Floats = rows / np.maximum(np.linalg.norm(rows, axis=-1, keepdims=True), 1e-12)
+    return result
+
+
+def add_fine_vessels(
+    values: NDArray[np.float32],
+    hu_zyx: NDArray[np.int16],
+    vessels: Iterable[FineVessel],
+    axes: tuple[Axis, Axis, Axis],
+    vessel_hu: float,
+) -> None:
+    """Add vessels (mm from the first source cell's centre) to a blurred image ``values`` (nz, ny, nx).
+
+    The blood takes the place of the tissue in the source cell, so that nothing is added inside a vessel of the masks.
+    """
+    places, masses, radii = _samples(vessels)
+    cells = [
+        np.clip(np.rint(places[:, n] / axis.cell_mm).astype(int), 0, axis.num_cells - 1) for n, axis in enumerate(axes)
+    ]
+    masses = masses * (vessel_hu - hu_zyx[cells[2], cells[1], cells[0]])
+    flat = values.reshape(-1)
+    for first in range(0, len(places), NUM_AT_ONCE):
+        part = slice(first, first + NUM_AT_ONCE)
+        index, weight = [], []
+        for n, axis in enumerate(axes):
+            at, share = _weights(places[part, n], radii[part], axis)
+            index.append(at)
+            weight.append(share)
+        added = (
+            masses[part, None, None, None]
+            * weight[2][:, :, None, None]
+            * weight[1][:, None, :, None]
+            * weight[0][:, None, None, :]
+        )
+        shape = values.shape
+        to = (index[2][:, :, None, None] * shape[1] + index[1][:, None, :, None]) * shape[2] + index[0][
+            :, None, None, :
+        ]
+        low, high = int(to.min()), int(to.max()) + 1
+        flat[low:high] += np.bincount(to.ravel() - low, added.ravel(), high - low).astype(np.float32)
+
+
+def _samples(vessels: Iterable[FineVessel]) -> tuple[Floats, Floats, Floats]:
+    """Return places along all vessels from the lowest slice up, the volume in mm3 at each, and the radius."""
+    places, masses, radii = [], [], []
+    for vessel in vessels:
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vessel.points, axis=0), axis=1))])
+        num = max(math.ceil(along[-1] / SAMPLE_MM), 1)
+        at = (np.arange(num) + 0.5) * (along[-1] / num)
+        places.append(np.stack([np.interp(at, along, vessel.points[:, n]) for n in range(3)], axis=1))
+        masses.append(np.full(num, math.pi * vessel.radius_mm**2 * along[-1] / num))
+        radii.append(np.full(num, vessel.radius_mm))
+    order = np.argsort(np.concatenate(places)[:, 2], kind="stable")
+    return np.concatenate(places)[order], np.concatenate(masses)[order], np.concatenate(radii)[order]
+
+
+def _weights(places: Floats, radii: Floats, axis: Axis) -> tuple[NDArray[np.int64], Floats]:
+    """Return the voxels (n, m) along an axis that see each place, and what each sees of 1 mm3 there, per mm."""
+    # A disc's variance along a line across it is a quarter of the square of its radius.
+    sigma = np.sqrt(axis.sigma_mm**2 + 0.25 * radii**2)
+    reach = math.ceil((0.5 * axis.voxel_mm + REACH_SIGMAS * float(sigma.max())) / axis.voxel_mm)
+    middle = np.searchsorted(axis.at_mm, places - 0.5 * axis.voxel_mm)
+    index = middle[:, None] + np.arange(-reach, reach + 1)
+    inside = (index >= 0) & (index < len(axis.at_mm))
+    index = np.clip(index, 0, len(axis.at_mm) - 1)
+    scaled = (axis.at_mm[index] - places[:, None]) / sigma[:, None]
+    half = 0.5 * (axis.voxel_mm / sigma)[:, None]
+    share = normal_share(scaled + half) - normal_share(scaled - half)
+    return index, np.where(inside, share / axis.voxel_mm, 0.0)

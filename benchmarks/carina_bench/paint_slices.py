@@ -1,0 +1,101 @@
+"""Slices of a thinly sliced image: reconstructed as means over their thickness, or resampled between thin slices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina_bench.paint_scanner import Kernel, noise_of_slice, sharpened_slice
+
+__all__ = ["Slices", "noisy_slices", "slice_weights", "sliced"]
+
+Floats = NDArray[np.float64]
+
+SAME_MM = 0.15
+"""Slices whose thickness differs by no more from that of the thin slices are the thin slices."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slices:
+    """Thickness and distance of the slices of an image."""
+
+    thickness_mm: float
+    increment_mm: float | None = None
+    """Distance of two slices; slices overlap where the distance is less than the thickness. None: the thickness."""
+    is_resampled: bool = False
+    """The thin slices are interpolated linearly at the distance: nothing is averaged."""
+
+    @property
+    def distance_mm(self) -> float:
+        """Distance of two slices."""
+        return self.thickness_mm if self.increment_mm is None else self.increment_mm
+
+    def are_thin(self, thin_mm: float) -> bool:
+        """Return whether thin slices of this thickness stand for these."""
+        return abs(self.distance_mm - thin_mm) <= SAME_MM and self.thickness_mm <= thin_mm + SAME_MM
+
+
+def slice_weights(num_thin: int, thin_mm: float, slices: Slices) -> tuple[Floats, float, float]:
+    """Return the weights (m, n) of n thin slices, the first slice's place and the distance of slices, both in mm.
+
+    Places are measured from the centre of the first thin slice. A mean over the thickness of slices that are a mean
+    over ``thin_mm`` themselves has a trapezoid as its profile.
+    """
+    if slices.are_thin(thin_mm):
+        return np.eye(num_thin), 0.0, thin_mm
+    step = slices.distance_mm
+    if slices.is_resampled:
+        at = np.arange(0.0, (num_thin - 1) * thin_mm + 1e-6, step) / thin_mm
+        return np.maximum(1.0 - np.abs(at[:, None] - np.arange(num_thin)), 0.0), 0.0, step
+    first = 0.5 * (slices.thickness_mm - thin_mm)
+    last = num_thin * thin_mm - 0.5 * (slices.thickness_mm + thin_mm)
+    at = np.arange(first, max(last, first) + 1e-6, step)
+    edges = (np.arange(num_thin + 1) - 0.5) * thin_mm
+    low, high = at[:, None] - 0.5 * slices.thickness_mm, at[:, None] + 0.5 * slices.thickness_mm
+    weights = np.maximum(np.minimum(edges[1:], high) - np.maximum(edges[:-1], low), 0.0)
+    return weights / weights.sum(axis=1, keepdims=True), first, step
+
+
+def sliced(thin_zyx: NDArray[np.float32], weights: Floats) -> NDArray[np.float32]:
+    """Return slices (m, ny, nx) of n thin ones by their weights (m, n)."""
+    result = np.zeros((len(weights), *thin_zyx.shape[1:]), np.float32)
+    for k, row in enumerate(weights):
+        for n in np.flatnonzero(row):
+            result[k] += np.float32(row[n]) * thin_zyx[n]
+    return result
+
+
+def noisy_slices(
+    values_zyx: NDArray[np.float32],
+    weights: Floats,
+    kernel: Kernel,
+    pixel_mm: float,
+    noise_hu: float,
+    seed: tuple[int, ...],
+    *,
+    is_resampled: bool = False,
+) -> NDArray[np.int16]:
+    """Return HU of slices with the kernel's overshoot and noise.
+
+    The noise is that of thin slices, drawn one by one, and averaged as the slices are: slices that overlap share a part
+    of their noise. The dose is one at which each reconstructed slice has the standard deviation ``noise_hu``; slices
+    resampled from thin ones have the noise of these, less what the interpolation averages.
+    """
+    shape: tuple[int, int] = (values_zyx.shape[1], values_zyx.shape[2])
+    result = np.empty(values_zyx.shape, np.int16)
+    drawn: dict[int, NDArray[np.float32]] = {}
+    for k, row in enumerate(weights):
+        used = [int(n) for n in np.flatnonzero(row)]
+        if noise_hu <= 0.0:
+            used = []
+        drawn = {
+            n: drawn[n] if n in drawn else noise_of_slice(shape, kernel, pixel_mm, noise_hu, (*seed, n)) for n in used
+        }
+        plane = sharpened_slice(values_zyx[k], kernel, pixel_mm)
+        share = 1.0 if is_resampled else float(np.linalg.norm(row))
+        for n in used:
+            plane = plane + np.float32(row[n] / share) * drawn[n]
+        result[k] = np.clip(np.rint(plane), -1024, 3071)
+    return result

@@ -1,0 +1,153 @@
+"""Terminal airways: forks grown beyond the tips of a mask's airways, down to lumens of 0.45 mm radius.
+
+Each fork divides the flow of its parent in two shares. The lumens follow Murray's rule with an exponent of 2.8, the
+narrower airway turns farther from the parent's course than the wider one, and the plane of a fork stands across that of
+the fork before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina_bench.paint_fine_vessels import Space
+from carina_bench.paint_tubes import Tube
+
+__all__ = ["LEAST_RADIUS_MM", "terminal_airways"]
+
+Floats = NDArray[np.float64]
+
+LEAST_RADIUS_MM = 0.45
+FLOW_EXPONENT = 2.8
+LEAST_FLOW = 0.3
+LENGTH_RADII = (5.0, 9.0)
+"""Length of an airway between two forks, in radii of its lumen."""
+TURN_DEG = 70.0
+"""Sum of the angles of both airways of a fork with the parent's course."""
+WALL_MM = (0.2, 0.3)
+STEP_MM = 0.5
+FREE_MM = 0.35
+"""Least gap between the walls of two airways that do not share a fork."""
+LUNG_MM = 1.5
+TRIALS = 8
+MOST_GENERATIONS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """The end of an airway, from which a fork may grow."""
+
+    tube: Tube
+    towards: Floats
+    plane: Floats
+    """Unit vector in the plane of the fork before, at right angles to the course."""
+    least_mm: float
+    num_forks: int
+
+
+def terminal_airways(
+    tubes: Sequence[Tube], space: Space, least_mm: tuple[float, float], rng: np.random.Generator
+) -> list[Tube]:
+    """Return airways beyond the tips of ``tubes``; each keeps clear of the lung's border and of other airways.
+
+    Parameters
+    ----------
+    tubes
+        Airways of the masks, LPS mm, each with its own place among them as its id.
+    least_mm
+        Range from which the least radius beyond each tip is drawn, mm.
+    """
+    parents = {tube.parent for tube in tubes}
+    ends = [_end_of(tube, least_mm, rng) for tube in tubes if tube.id not in parents]
+    everything = list(tubes)
+    found: list[Tube] = []
+    while ends:
+        end = ends.pop(0)
+        fork = _fork(end, everything, len(tubes) + len(found), space, rng)
+        for tube, plane in fork:
+            found.append(tube)
+            everything.append(tube)
+            if end.num_forks + 1 < MOST_GENERATIONS:
+                ends.append(_End(tube, _course(tube), plane, end.least_mm, end.num_forks + 1))
+    return found
+
+
+def _end_of(tube: Tube, least_mm: tuple[float, float], rng: np.random.Generator) -> _End:
+    towards = _course(tube)
+    return _End(tube, towards, _across(towards, rng), max(rng.uniform(*least_mm), LEAST_RADIUS_MM), 0)
+
+
+def _course(tube: Tube) -> Floats:
+    towards = tube.points[-1] - tube.points[max(len(tube.points) - 7, 0)]
+    result: Floats = towards / np.linalg.norm(towards)
+    return result
+
+
+def _across(direction: Floats, rng: np.random.Generator) -> Floats:
+    other = rng.standard_normal(3)
+    other -= (other @ direction) * direction
+    result: Floats = other / np.linalg.norm(other)
+    return result
+
+
+def _fork(
+    end: _End, everything: Sequence[Tube], first_id: int, space: Space, rng: np.random.Generator
+) -> list[tuple[Tube, Floats]]:
+    """Return up to two airways from an end, each with the direction that lay across the fork's plane."""
+    start = end.tube.points[-1]
+    before = float(end.tube.radius_mm[-1])
+    flow = rng.uniform(LEAST_FLOW, 0.5)
+    # Where the mask's tip is wide, the airway narrows along the first terminal one.
+    radii = [before * share ** (1.0 / FLOW_EXPONENT) for share in (1.0 - flow, flow)]
+    near = [
+        tube for tube in everything if tube is not end.tube and np.abs(tube.points - start).max(axis=1).min() < 25.0
+    ]
+    there = np.concatenate([tube.points for tube in near]) if near else np.full((1, 3), 1e6)
+    outer = np.concatenate([tube.outer_mm() for tube in near]) if near else np.zeros(1)
+    found: list[tuple[Tube, Floats]] = []
+    plane = np.cross(end.towards, end.plane)
+    plane /= np.linalg.norm(plane)
+    for radius, other, side in ((radii[0], radii[1], 1.0), (radii[1], radii[0], -1.0)):
+        if radius < end.least_mm:
+            continue
+        thickness = float(rng.uniform(*WALL_MM)) * max(1.0, radius / 0.8)
+        for _ in range(TRIALS):
+            angle = math.radians(TURN_DEG) * other**2 / (radius**2 + other**2) * rng.uniform(0.75, 1.25)
+            turned = math.cos(angle) * end.towards + side * math.sin(angle) * plane
+            points = _line(start, turned, rng.uniform(*LENGTH_RADII) * radius, rng)
+            along = np.linalg.norm(points - start, axis=1)
+            gap = (np.linalg.norm(points[:, None] - there, axis=2) - outer).min(axis=1)
+            clear = gap > radius + thickness + FREE_MM
+            clear &= space.in_lung(points, LUNG_MM) & ~space.at_vessel(points, radius + thickness + 0.2)
+            # Beside the fork an airway is in its parent; its neighbours there were kept clear of when that grew.
+            clear |= along < before + 0.5
+            if clear.all():
+                tube = Tube(
+                    points,
+                    np.linspace(radius, max(0.95 * radius, LEAST_RADIUS_MM), len(points)),
+                    id=first_id + len(found),
+                    parent=end.tube.id,
+                    generation=end.tube.generation + 1,
+                    true_from=min(max(math.ceil(before / STEP_MM), 1), len(points) - 2),
+                    thickness_mm=thickness,
+                )
+                found.append((tube, plane))
+                break
+            plane = _across(end.towards, rng)
+    return found
+
+
+def _line(start: Floats, heading: Floats, length_mm: float, rng: np.random.Generator) -> Floats:
+    """Return a line (n, 3) that bends evenly, with points :data:`STEP_MM` apart."""
+    num = max(round(length_mm / STEP_MM), 4)
+    bend = _across(heading, rng) * rng.uniform(0.0, 0.06)
+    points = [start]
+    for _ in range(num):
+        points.append(points[-1] + STEP_MM * heading)
+        heading = heading + STEP_MM * bend
+        heading = heading / np.linalg.norm(heading)
+    return np.array(points)

@@ -1,0 +1,306 @@
+"""The hard cases of ``carina bench track``: kernels, slices, terminal airways, fine vessels and what is measured."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from carina.track.find.kernel import edge_undershoot_hu
+from carina.track.levels import AirScale
+from carina_bench import track, track_hard
+from carina_bench.paint import PaintOptions, Scanned, Scene, _axes, paint, scanned
+from carina_bench.paint_fine_vessels import FineVessel, add_fine_vessels, fine_vessels
+from carina_bench.paint_slices import Slices, noisy_slices, slice_weights, sliced
+from carina_bench.paint_terminal import LEAST_RADIUS_MM, terminal_airways
+from carina_bench.paint_tubes import Tube
+from carina_bench.track_hard_cases import KERNELS, OPTIONS, cached, imaged
+from carina_bench.track_truth import TrueBranch, Truth
+
+VOXEL = 0.6
+LUNG = -860
+QUIET = PaintOptions(noise_hu=0.0, kernel="rimmed-medium")
+
+
+class Lung:
+    """Lung without a border and without vessels."""
+
+    def in_lung(self, points: np.ndarray, margin_mm: float, *, num: int = 26) -> np.ndarray:
+        return np.ones(len(points), np.bool_)
+
+    def at_vessel(self, points: np.ndarray, reach_mm: float) -> np.ndarray:
+        return np.zeros(len(points), np.bool_)
+
+
+def empty(size: int, *tubes: Tube) -> Scene:
+    return Scene(np.full((size,) * 3, LUNG, np.int16), np.diag([VOXEL, VOXEL, VOXEL, 1.0]), tubes)
+
+
+def a_tip(radius_mm: float = 1.1) -> Tube:
+    """A trunk that ends in the middle of a cube of 40 mm."""
+    points = np.array([20.0, 20.0, 39.0]) + np.linspace(0.0, -18.0, 37)[:, None] * [0.0, 0.0, 1.0]
+    return Tube(points, np.full(37, radius_mm), id=0)
+
+
+def grown(seed: int, least_mm: float = LEAST_RADIUS_MM) -> list[Tube]:
+    return terminal_airways([a_tip()], Lung(), (least_mm, least_mm), np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"), [("soft", -60.0, 0.0), ("medium", 3.0, 15.0), ("sharp", 15.0, 200.0)]
+)
+@pytest.mark.parametrize("voxel", [0.5, 0.6, 0.7])
+def test_each_kernel_lays_a_rim_of_its_depth_beside_vessels(name, least, most, voxel):
+    size = 72
+    turns = np.linspace(0.0, 2.0 * math.pi, 9)[:-1]
+    middle = 0.5 * size * voxel
+    vessels = [
+        Tube(
+            np.array([[middle + 14 * math.cos(t), middle + 14 * math.sin(t), z] for z in (-2.0, size * voxel)]),
+            np.full(2, 2.0),
+            is_artery=True,
+        )
+        for t in turns
+    ]
+    scene = Scene(np.full((size,) * 3, LUNG, np.int16), np.diag([voxel, voxel, voxel, 1.0]), tuple(vessels))
+    made = paint(scene, replace(QUIET, kernel=KERNELS[name]))
+    rim = edge_undershoot_hu(made.volume, AirScale(-1000.0, 0.0))
+    assert rim is not None and least <= rim <= most
+
+
+@pytest.mark.parametrize(
+    "slices", [Slices(1.0), Slices(1.5), Slices(3.0), Slices(5.0), Slices(3.0, 2.0), Slices(2.0, is_resampled=True)]
+)
+def test_slices_keep_the_mean_of_a_constant_and_of_a_slope(slices):
+    weights, first_mm, step_mm = slice_weights(100, 0.7, slices)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
+    # A slope along z reads at each slice's middle what it is there.
+    at_mm = first_mm + step_mm * np.arange(len(weights))
+    np.testing.assert_allclose(weights @ (0.7 * np.arange(100)), at_mm, atol=0.18)
+    assert step_mm == slices.distance_mm
+    assert at_mm[-1] <= 0.7 * 99.5
+
+
+def test_reconstructed_slices_keep_the_sum_and_resampled_ones_show_thin_slices():
+    thin = np.zeros((60, 2, 2), np.float32)
+    thin[23] = 100.0
+    weights, _, step = slice_weights(60, 0.5, Slices(3.0))
+    thick = sliced(thin, weights)
+    assert step == 3.0 and len(thick) == 10
+    assert float(thick[:, 0, 0].sum()) * 3.0 == pytest.approx(100.0 * 0.5)
+    weights, _, _ = slice_weights(60, 0.5, Slices(1.0, is_resampled=True))
+    assert sliced(thin, weights)[:, 0, 0].max() == 0.0  # the bright slice lies between two of them
+
+
+def test_overlapping_slices_show_one_structure_in_two_slices():
+    thin = np.zeros((60, 1, 1), np.float32)
+    thin[30] = 100.0
+    apart, _, _ = slice_weights(60, 0.5, Slices(3.0))
+    overlapping, _, _ = slice_weights(60, 0.5, Slices(3.0, 1.5))
+    assert (sliced(thin, apart) > 0.0).sum() == 1
+    assert (sliced(thin, overlapping) > 0.0).sum() == 2
+
+
+@pytest.mark.parametrize("slices", [Slices(0.7), Slices(2.0), Slices(3.0, 1.0)])
+def test_noise_has_the_asked_deviation_and_is_shared_by_slices_that_overlap(slices):
+    weights, _, _ = slice_weights(40, 0.7, slices)
+    values = np.full((len(weights), 64, 64), -300, np.float32)
+    hu = noisy_slices(values, weights, QUIET.scanner(), VOXEL, 30.0, (1, 7)) + 300.0
+    assert hu.std() == pytest.approx(30.0, rel=0.05)
+    likeness = float((hu[1:] * hu[:-1]).mean() / hu.var())
+    assert likeness == pytest.approx(2.0 / 3.0 if slices.increment_mm else 0.0, abs=0.08)
+
+
+@pytest.mark.parametrize("direction", [(0, 0, 1), (1, 0, 0), (1, 2, 3)])
+def test_a_fine_vessel_looks_like_a_tube_of_its_radius(direction):
+    size, radius = 30, 0.4
+    along = np.array(direction) / np.linalg.norm(direction)
+    points = (0.5 * (size - 1) + np.array([0.3, 0.1, 0.2])) * VOXEL + np.linspace(-5.0, 5.0, 21)[:, None] * along
+    tube = Tube(points, np.full(21, radius), is_artery=True)
+    said: list[str] = []
+    as_tube = scanned(empty(size, tube), QUIET, said.append).values_zyx
+    as_line = scanned(replace(empty(size), fine_vessels=(FineVessel(points, radius),)), QUIET, said.append).values_zyx
+    # A tube's ends are round: half a ball more at each.
+    rise = as_tube.max() - LUNG
+    assert rise > 200.0
+    middle = size // 2
+    near = np.s_[middle - 4 : middle + 5, middle - 4 : middle + 5, middle - 4 : middle + 5]
+    assert np.abs(as_tube[near] - as_line[near]).max() <= 0.06 * rise
+    volume_mm3 = float((as_line - LUNG).sum()) * VOXEL**3 / (QUIET.vessel_hu - LUNG)
+    assert volume_mm3 == pytest.approx(math.pi * radius**2 * 10.0, rel=0.02)
+
+
+def test_a_fine_vessel_adds_nothing_inside_a_vessel_of_the_masks():
+    scene = empty(20)
+    axes = scanned(scene, QUIET, lambda _step: None)
+    values = axes.values_zyx.copy()
+    hu = np.full(scene.hu_zyx.shape, QUIET.vessel_hu, np.int16)
+    line = FineVessel(np.array([[5.0, 6.0, 3.0], [6.0, 6.0, 8.0]]), 0.5)
+    add_fine_vessels(values, hu, [line], _axes(scene, QUIET, np.full(3, VOXEL)), QUIET.vessel_hu)
+    np.testing.assert_array_equal(values, axes.values_zyx)
+
+
+def test_fine_vessels_keep_clear_of_airways_and_some_run_beside_them():
+    pytest.importorskip("scipy")
+    trunk = replace(a_tip(0.8), generation=4)
+    places = np.random.default_rng(0).uniform(2.0, 38.0, (400, 3))
+    vessels = fine_vessels([trunk], Lung(), places, 300, np.random.default_rng(3))
+    assert len(vessels) > 150
+    reach = float(trunk.outer_mm()[0])
+    gaps = []
+    for vessel in vessels:
+        assert 0.3 <= vessel.radius_mm <= 0.6
+        off = np.linalg.norm(vessel.points[:, None] - trunk.points, axis=2).min(axis=1)
+        gaps.append(float(off.min()) - reach - vessel.radius_mm)
+    assert min(gaps) > 0.0
+    assert sum(gap < 1.5 for gap in gaps) >= 5
+
+
+def test_terminal_airways_narrow_by_the_rule_and_keep_clear_of_each_other():
+    found = grown(5)
+    every = {tube.id: tube for tube in (a_tip(), *found)}
+    assert len(found) >= 8 and len(every) == len(found) + 1
+    for tube in found:
+        parent = every[tube.parent]
+        assert tube.radius_mm.min() >= LEAST_RADIUS_MM and tube.radius_mm.max() < parent.radius_mm.min()
+        assert np.allclose(tube.points[0], parent.points[-1])
+        assert 0.2 <= tube.thickness_mm <= 0.42
+        assert tube.generation == parent.generation + 1
+        turn = math.degrees(
+            math.acos(float(np.clip(direction(tube.points[:2]) @ direction(parent.points[-7:]), -1.0, 1.0)))
+        )
+        assert 5.0 < turn < 75.0
+    siblings = [[tube for tube in found if tube.parent == parent] for parent in every]
+    for fork in siblings:
+        if len(fork) == 2:
+            flow = sum(float(tube.radius_mm[0]) ** 2.8 for tube in fork)
+            assert flow == pytest.approx(float(every[fork[0].parent].radius_mm[-1]) ** 2.8, rel=0.2)
+    for one in found:
+        for other in found:
+            if one.id < other.id and len({one.id, one.parent, other.id, other.parent}) == 4:
+                gap = np.linalg.norm(one.points[:, None] - other.points, axis=2).min()
+                assert gap > one.outer_mm()[-1] + other.outer_mm()[-1]
+
+
+def direction(points: np.ndarray) -> np.ndarray:
+    way = points[-1] - points[0]
+    return way / np.linalg.norm(way)
+
+
+def test_true_places_of_terminal_airways_are_dark_and_their_walls_are_brighter():
+    tubes = [a_tip(), *grown(5)]
+    # The blur of the medium kernel and of wider voxels hides lumens of 0.45 mm even without noise.
+    scene = Scene(np.full((134,) * 3, LUNG, np.int16), np.diag([0.3, 0.3, 0.3, 1.0]), tuple(tubes))
+    made = paint(scene, replace(QUIET, kernel="sharp", slice_sigma_mm=0.2))
+    for tube in made.airways[1:]:
+        middle = len(tube.points) // 2 + tube.true_from // 2
+        at, course = tube.points[middle], direction(tube.points[middle - 1 : middle + 2])
+        side = np.cross(course, [0.3, 0.8, 0.5])
+        side /= np.linalg.norm(side)
+        away = float(tube.radius_mm[middle]) + 0.3
+        ring = [at + away * turned for turned in (side, -side, np.cross(course, side), -np.cross(course, side))]
+        axis, wall = hu_at(made.volume, at[None])[0], hu_at(made.volume, np.array(ring)).mean()
+        assert axis < -650.0 and axis < wall - 25.0, (tube.radius_mm[middle], axis, wall)
+
+
+def hu_at(volume, points: np.ndarray) -> np.ndarray:
+    ijk = volume.to_ijk(points)
+    base = np.floor(ijk).astype(int)
+    share = ijk - base
+    result = np.zeros(len(points))
+    for corner in np.ndindex(2, 2, 2):
+        i, j, k = (base + corner).T
+        result += np.prod(np.where(corner, share, 1.0 - share), axis=1) * volume.hu_zyx[k, j, i]
+    return result
+
+
+def test_true_radii_are_those_of_the_painted_lumen():
+    """The lumen's share of voxels adds up to the true area along a terminal airway."""
+    for radius in (0.45, 0.7):
+        points = np.array([[9.1, 9.3, -3.0], [9.1, 9.3, 21.0]])
+        tube = Tube(points, np.full(2, radius), thickness_mm=0.25)
+        cover = paint(empty(30, tube), QUIET).cover_zyx
+        area = cover[8:-8].sum(axis=(1, 2)) / 255.0 * VOXEL**2
+        np.testing.assert_allclose(area, math.pi * radius**2, rtol=0.03)
+
+
+def test_the_same_seed_grows_and_paints_the_same_and_another_seed_does_not():
+    one, again, other = grown(5), grown(5), grown(6)
+    assert len(one) == len(again)
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(one, again, strict=True))
+    assert len(one) != len(other) or not np.array_equal(one[0].points, other[0].points)
+    thin = scanned(empty(40, a_tip()), OPTIONS, lambda _step: None)
+    volumes = [imaged(thin, replace(OPTIONS, seed=seed), Slices(1.5))[0].hu_zyx for seed in (1, 1, 2)]
+    assert np.array_equal(volumes[0], volumes[1]) and not np.array_equal(volumes[0], volumes[2])
+
+
+def test_a_painted_volume_is_painted_once_and_read_from_the_folder_again(tmp_path):
+    calls = []
+
+    def paint_thin() -> Scanned:
+        calls.append(1)
+        return scanned(empty(30, a_tip()), OPTIONS, lambda _step: None)
+
+    first, second = (cached("key", paint_thin, tmp_path) for _ in range(2))
+    assert len(calls) == 1
+    np.testing.assert_array_equal(first.values_zyx, second.values_zyx)
+    exact = paint_thin()
+    assert np.abs(first.values_zyx - exact.values_zyx).max() <= 1 / 32 + 1e-3
+    np.testing.assert_array_equal(first.airways[0].points, exact.airways[0].points)
+    np.testing.assert_array_equal(first.lps_from_ijk, exact.lps_from_ijk)
+
+
+def test_slices_lie_where_the_truth_is():
+    tip = a_tip(2.0)
+    points = np.array([[3.0, 12.0, 8.0], [30.0, 12.0, 16.0]])
+    thin = scanned(empty(60, replace(tip, points=points, radius_mm=np.full(2, 2.0))), OPTIONS, lambda _step: None)
+    for slices in (Slices(0.7), Slices(2.0), Slices(3.0, 2.0), Slices(2.0, is_resampled=True)):
+        volume, truth, clean = imaged(thin, OPTIONS, slices)
+        i, j, k = np.rint(volume.to_ijk(truth.branches[0].points[20:-20])).astype(int).T
+        assert np.median(clean[k, j, i]) < -900.0
+        assert truth.lumen_zyx[k, j, i].mean() > 0.9
+
+
+def test_detection_is_measured_by_class_of_radius():
+    size = 40
+    hu = np.zeros((size,) * 3, np.int16)
+    thin = Scanned(hu.astype(np.float32), np.diag([VOXEL, VOXEL, VOXEL, 1.0]), (), hu.astype(np.uint8))
+    volume = imaged(thin, QUIET, Slices(VOXEL))[0]
+    lines = [np.stack([np.linspace(2.0, 20.0, 73), np.full(73, y), np.full(73, y)], axis=1) for y in (6.0, 16.0)]
+    branches = tuple(TrueBranch(p, np.full(73, r), 3) for p, r in zip(lines, (0.5, 0.9), strict=True))
+    found = np.zeros((size,) * 3, np.bool_)
+    found[10, 10, :] = True
+    i, j, k = np.rint(lines[1][:37] / VOXEL).astype(int).T
+    found[k, j, i] = True
+    done = track_hard.detected_airways(volume, Truth(found, branches, knows_radius=True), found)
+    assert done.by_radius_mm["0.45-0.6"] == 1.0
+    assert done.by_radius_mm["0.8-1"] == pytest.approx(0.5, abs=0.05)
+    assert done.td == pytest.approx(0.75, abs=0.03) and done.bd == 0.5
+    assert len(done.missed[0].points) == 0 and done.missed[1].points[:, 0].min() > 10.0
+
+
+def test_precision_counts_a_voxel_beside_the_lumen_as_right():
+    touched = np.zeros((7, 7, 7), np.bool_)
+    touched[3, 3, 3] = True
+    found = touched.copy()
+    found[2, 2, 2] = True  # touches it by a corner
+    assert track_hard.within_a_voxel(found, touched) == 1.0
+    found[1, 3, 3] = True
+    assert track_hard.within_a_voxel(found, touched) == pytest.approx(2 / 3)
+
+
+def test_the_cases_of_the_part_are_those_that_can_be_painted():
+    assert track.PARTS["hard"].cases == track_hard.CASES
+
+
+def test_means_of_patients_are_judged_by_the_aims():
+    rows = [
+        {"condition": "medium 0.7mm", "td": td, "bd": 0.96, "precision": 0.99, "false_branches": num}
+        for td, num in ((0.99, 0), (0.95, 4))
+    ]
+    means = {row["what"]: row for row in track_hard._means(rows)}
+    assert means["TD"]["figure"] == pytest.approx(0.97) and not track.gate_of(means["TD"]).passed
+    assert track.gate_of(means["BD"]).passed
+    assert means["false branches, most"]["figure"] == 4 and not track.gate_of(means["false branches, most"]).passed
