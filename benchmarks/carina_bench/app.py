@@ -96,7 +96,8 @@ def bench_track(
         list[str] | None,
         typer.Option(
             "--case",
-            help="With --only evidence: patient, QIN-LSC-0003, phantom-24, phantom-22 or phantom-29; may be given "
+            help="With --only evidence: patient, QIN-LSC-0003, phantom-24, phantom-22 or phantom-29; with --only hard: "
+            "a patient (Patient1), a kernel (medium), a slice thickness (2.5mm), without-softening. May be given "
             "several times.",
         ),
     ] = None,
@@ -105,8 +106,9 @@ def bench_track(
 ) -> None:
     """The path tracker beside its peers, and the airway tree beside the truth.
 
-    Parts: speed, paper, quality, names, measures, evidence. A part that this version does not have, or whose peers or
-    data are missing, is named and left out. A missed limit is a result and no failure: the exit code is 0.
+    Parts: speed, paper, quality, hard (only if it is named), visible, names, measures, evidence. A part that this
+    version does not have, or whose peers or data are missing, is named and left out. A missed limit is a result and no
+    failure: the exit code is 0.
 
     Example: carina bench track --only speed --quick
     """

@@ -84,8 +84,8 @@ class PaintOptions:
     """Airways along which fluid fills the lower half of the lumen."""
     terminal_airways: bool = False
     """Airways grown beyond the masks' tips (:mod:`carina_bench.paint_terminal`)."""
-    terminal_least_mm: tuple[float, float] = (0.45, 1.1)
-    """Range of the least lumen radius beyond one tip; drawn once for each tip."""
+    terminal_least_mm: tuple[float, float] = (0.45, 1.4)
+    """Range of the least lumen radius, drawn for each terminal airway: thinner ones do not grow."""
     fine_vessels_per_ml: float = 0.0
     """Vessels of 0.3 to 0.6 mm radius in each millilitre of lung (:mod:`carina_bench.paint_fine_vessels`)."""
 

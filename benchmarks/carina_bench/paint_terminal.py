@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 LEAST_RADIUS_MM = 0.45
 FLOW_EXPONENT = 2.8
 LEAST_FLOW = 0.3
-LENGTH_RADII = (5.0, 9.0)
+LENGTH_RADII = (9.0, 16.0)
 """Length of an airway between two forks, in radii of its lumen."""
 TURN_DEG = 70.0
 """Sum of the angles of both airways of a fork with the parent's course."""
@@ -45,7 +45,6 @@ class _End:
     towards: Floats
     plane: Floats
     """Unit vector in the plane of the fork before, at right angles to the course."""
-    least_mm: float
     num_forks: int
 
 
@@ -59,26 +58,26 @@ def terminal_airways(
     tubes
         Airways of the masks, LPS mm, each with its own place among them as its id.
     least_mm
-        Range from which the least radius beyond each tip is drawn, mm.
+        Range from which the least radius of each airway is drawn, mm: an airway that would be thinner does not grow.
     """
     parents = {tube.parent for tube in tubes}
-    ends = [_end_of(tube, least_mm, rng) for tube in tubes if tube.id not in parents]
+    ends = [_end_of(tube, rng) for tube in tubes if tube.id not in parents]
     everything = list(tubes)
     found: list[Tube] = []
     while ends:
         end = ends.pop(0)
-        fork = _fork(end, everything, len(tubes) + len(found), space, rng)
+        fork = _fork(end, everything, len(tubes) + len(found), space, least_mm, rng)
         for tube, plane in fork:
             found.append(tube)
             everything.append(tube)
             if end.num_forks + 1 < MOST_GENERATIONS:
-                ends.append(_End(tube, _course(tube), plane, end.least_mm, end.num_forks + 1))
+                ends.append(_End(tube, _course(tube), plane, end.num_forks + 1))
     return found
 
 
-def _end_of(tube: Tube, least_mm: tuple[float, float], rng: np.random.Generator) -> _End:
+def _end_of(tube: Tube, rng: np.random.Generator) -> _End:
     towards = _course(tube)
-    return _End(tube, towards, _across(towards, rng), max(rng.uniform(*least_mm), LEAST_RADIUS_MM), 0)
+    return _End(tube, towards, _across(towards, rng), 0)
 
 
 def _course(tube: Tube) -> Floats:
@@ -95,13 +94,17 @@ def _across(direction: Floats, rng: np.random.Generator) -> Floats:
 
 
 def _fork(
-    end: _End, everything: Sequence[Tube], first_id: int, space: Space, rng: np.random.Generator
+    end: _End,
+    everything: Sequence[Tube],
+    first_id: int,
+    space: Space,
+    least_mm: tuple[float, float],
+    rng: np.random.Generator,
 ) -> list[tuple[Tube, Floats]]:
     """Return up to two airways from an end, each with the direction that lay across the fork's plane."""
     start = end.tube.points[-1]
     before = float(end.tube.radius_mm[-1])
     flow = rng.uniform(LEAST_FLOW, 0.5)
-    # Where the mask's tip is wide, the airway narrows along the first terminal one.
     radii = [before * share ** (1.0 / FLOW_EXPONENT) for share in (1.0 - flow, flow)]
     near = [
         tube for tube in everything if tube is not end.tube and np.abs(tube.points - start).max(axis=1).min() < 25.0
@@ -112,7 +115,7 @@ def _fork(
     plane = np.cross(end.towards, end.plane)
     plane /= np.linalg.norm(plane)
     for radius, other, side in ((radii[0], radii[1], 1.0), (radii[1], radii[0], -1.0)):
-        if radius < end.least_mm:
+        if radius < max(rng.uniform(*least_mm), LEAST_RADIUS_MM):
             continue
         thickness = float(rng.uniform(*WALL_MM)) * max(1.0, radius / 0.8)
         for _ in range(TRIALS):

@@ -295,6 +295,15 @@ def test_the_cases_of_the_part_are_those_that_can_be_painted():
     assert track.PARTS["hard"].cases == track_hard.CASES
 
 
+def test_the_part_runs_only_where_it_is_named(carina, monkeypatch, tmp_path):
+    monkeypatch.setattr(track, "built_parts", lambda: ["speed", "hard"])
+    monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [])
+    all_parts = carina("bench", "track", "--json", "-o", tmp_path / "all").json()["parts"]
+    assert "speed" in all_parts and "hard" not in all_parts
+    named = carina("bench", "track", "--only", "hard", "--case", "medium", "--json", "-o", tmp_path / "hard")
+    assert list(named.json()["parts"]) == ["hard"]
+
+
 def test_means_of_patients_are_judged_by_the_aims():
     rows = [
         {"condition": "medium 0.7mm", "td": td, "bd": 0.96, "precision": 0.99, "false_branches": num}
