@@ -27,7 +27,7 @@ KERNELS = {
     "soft": Kernel(sigma_mm=0.55),
     "medium": Kernel(sigma_mm=0.40),
     "sharp": Kernel(sigma_mm=0.28, overshoot=0.18, surround_mm=0.65),
-    "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.025, surround_mm=0.65),
+    "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.022, surround_mm=0.65),
 }
 """50 % of the transfer at 3.4 and 4.7 line pairs per cm (body and lung standard), and an edge-enhancing lung kernel."""
 
@@ -82,10 +82,9 @@ class PaintOptions:
     """Airways that mucus closes over 5 to 10 mm."""
     half_filled: int = 0
     """Airways along which fluid fills the lower half of the lumen."""
-    terminal_airways: bool = False
-    """Airways grown beyond the masks' tips (:mod:`carina_bench.paint_terminal`)."""
-    terminal_least_mm: tuple[float, float] = (0.45, 1.4)
-    """Range of the least lumen radius, drawn for each terminal airway: thinner ones do not grow."""
+    terminal_share_per_mm2: float = 0.0
+    """Share of the airways possible beyond the masks' tips that grow, for each mm2 of the square of their lumen's
+    radius (:mod:`carina_bench.paint_terminal`)."""
     fine_vessels_per_ml: float = 0.0
     """Vessels of 0.3 to 0.6 mm radius in each millilitre of lung (:mod:`carina_bench.paint_fine_vessels`)."""
 

@@ -170,9 +170,9 @@ def scene_of_masks(masks: Masks, options: PaintOptions) -> Scene:
     space = _Space(masks, grid)
     if options.twigs_per_tip:
         tubes += _twigs(tubes, space, options, rng)
-    if options.terminal_airways:
+    if options.terminal_share_per_mm2 > 0.0:
         of_terminal = np.random.default_rng((options.seed, 4))
-        tubes += terminal_airways(tubes, space, options.terminal_least_mm, of_terminal)
+        tubes += terminal_airways(tubes, space, options.terminal_share_per_mm2, of_terminal)
     if options.plugs or options.half_filled:
         tubes = _filled(tubes, options, rng)
     arteries = _arteries(tubes, space, rng) if options.vessels_beside else []

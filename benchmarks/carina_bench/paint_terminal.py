@@ -48,17 +48,16 @@ class _End:
     num_forks: int
 
 
-def terminal_airways(
-    tubes: Sequence[Tube], space: Space, least_mm: tuple[float, float], rng: np.random.Generator
-) -> list[Tube]:
+def terminal_airways(tubes: Sequence[Tube], space: Space, share_per_mm2: float, rng: np.random.Generator) -> list[Tube]:
     """Return airways beyond the tips of ``tubes``; each keeps clear of the lung's border and of other airways.
 
     Parameters
     ----------
     tubes
         Airways of the masks, LPS mm, each with its own place among them as its id.
-    least_mm
-        Range from which the least radius of each airway is drawn, mm: an airway that would be thinner does not grow.
+    share_per_mm2
+        Share of the possible airways that grow, for each mm2 of the square of their lumen's radius; none below
+        :data:`LEAST_RADIUS_MM`.
     """
     parents = {tube.parent for tube in tubes}
     ends = [_end_of(tube, rng) for tube in tubes if tube.id not in parents]
@@ -66,7 +65,7 @@ def terminal_airways(
     found: list[Tube] = []
     while ends:
         end = ends.pop(0)
-        fork = _fork(end, everything, len(tubes) + len(found), space, least_mm, rng)
+        fork = _fork(end, everything, len(tubes) + len(found), space, share_per_mm2, rng)
         for tube, plane in fork:
             found.append(tube)
             everything.append(tube)
@@ -98,7 +97,7 @@ def _fork(
     everything: Sequence[Tube],
     first_id: int,
     space: Space,
-    least_mm: tuple[float, float],
+    share_per_mm2: float,
     rng: np.random.Generator,
 ) -> list[tuple[Tube, Floats]]:
     """Return up to two airways from an end, each with the direction that lay across the fork's plane."""
@@ -115,7 +114,7 @@ def _fork(
     plane = np.cross(end.towards, end.plane)
     plane /= np.linalg.norm(plane)
     for radius, other, side in ((radii[0], radii[1], 1.0), (radii[1], radii[0], -1.0)):
-        if radius < max(rng.uniform(*least_mm), LEAST_RADIUS_MM):
+        if radius < LEAST_RADIUS_MM or rng.random() >= share_per_mm2 * radius**2:
             continue
         thickness = float(rng.uniform(*WALL_MM)) * max(1.0, radius / 0.8)
         for _ in range(TRIALS):

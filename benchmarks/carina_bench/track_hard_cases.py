@@ -30,7 +30,7 @@ __all__ = ["KERNELS", "QUICK", "SLICES", "HardCase", "around_carina", "cached", 
 
 Say = Callable[[str], None]
 
-OPTIONS = PaintOptions(terminal_airways=True, fine_vessels_per_ml=2.4)
+OPTIONS = PaintOptions(terminal_share_per_mm2=0.3, fine_vessels_per_ml=2.4)
 KERNELS = {"soft": "soft", "medium": "rimmed-medium", "sharp": "sharp"}
 """Kernels of :data:`carina_bench.paint.KERNELS`, by the names of the cases."""
 SLICES: dict[str, Slices] = {

@@ -44,8 +44,8 @@ def a_tip(radius_mm: float = 1.1) -> Tube:
     return Tube(points, np.full(37, radius_mm), id=0)
 
 
-def grown(seed: int, least_mm: float = LEAST_RADIUS_MM) -> list[Tube]:
-    return terminal_airways([a_tip()], Lung(), (least_mm, least_mm), np.random.default_rng(seed))
+def grown(seed: int, share_per_mm2: float = 10.0) -> list[Tube]:
+    return terminal_airways([a_tip()], Lung(), share_per_mm2, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(
@@ -189,13 +189,22 @@ def direction(points: np.ndarray) -> np.ndarray:
     return way / np.linalg.norm(way)
 
 
+def test_the_share_of_airways_that_grow_follows_their_radius():
+    counts = [sum(len(grown(seed, share)) for seed in range(12)) for share in (0.0, 0.3, 10.0)]
+    assert counts[0] == 0 and 0 < counts[1] < 0.4 * counts[2]
+
+
 def test_true_places_of_terminal_airways_are_dark_and_their_walls_are_brighter():
     tubes = [a_tip(), *grown(5)]
     # The blur of the medium kernel and of wider voxels hides lumens of 0.45 mm even without noise.
     scene = Scene(np.full((134,) * 3, LUNG, np.int16), np.diag([0.3, 0.3, 0.3, 1.0]), tuple(tubes))
     made = paint(scene, replace(QUIET, kernel="sharp", slice_sigma_mm=0.2))
+    num_compared = 0
     for tube in made.airways[1:]:
         middle = len(tube.points) // 2 + tube.true_from // 2
+        if tube.points[middle].min() < 2.0 or tube.points[middle].max() > 38.0:
+            continue  # beyond the scene
+        num_compared += 1
         at, course = tube.points[middle], direction(tube.points[middle - 1 : middle + 2])
         side = np.cross(course, [0.3, 0.8, 0.5])
         side /= np.linalg.norm(side)
@@ -203,6 +212,7 @@ def test_true_places_of_terminal_airways_are_dark_and_their_walls_are_brighter()
         ring = [at + away * turned for turned in (side, -side, np.cross(course, side), -np.cross(course, side))]
         axis, wall = hu_at(made.volume, at[None])[0], hu_at(made.volume, np.array(ring)).mean()
         assert axis < -650.0 and axis < wall - 25.0, (tube.radius_mm[middle], axis, wall)
+    assert num_compared >= 6
 
 
 def hu_at(volume, points: np.ndarray) -> np.ndarray:
