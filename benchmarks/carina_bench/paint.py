@@ -27,7 +27,7 @@ KERNELS = {
     "soft": Kernel(sigma_mm=0.55),
     "medium": Kernel(sigma_mm=0.40),
     "sharp": Kernel(sigma_mm=0.28, overshoot=0.18, surround_mm=0.65),
-    "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.025, surround_mm=0.65),
+    "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.027, surround_mm=0.65),
 }
 """50 % of the transfer at 3.4 and 4.7 line pairs per cm (body and lung standard), and an edge-enhancing lung kernel."""
 
