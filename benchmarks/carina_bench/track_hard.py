@@ -237,9 +237,13 @@ def _means(rows: Sequence[Row]) -> list[Row]:
         own = [row for row in rows if row["condition"] == condition]
         kernel, slices = condition.split(" ")
         aims = AIMS.get((kernel, slices), (None, None))
-        case = f"{condition}, mean of {len(own)} patients"
+        case = f"{condition}, patients: {len(own)}"
         for what, aim in zip(("td", "bd"), aims, strict=True):
-            row: Row = {"what": what.upper(), "case": case, "figure": float(np.mean([one[what] for one in own]))}
+            row: Row = {
+                "what": f"{what.upper()}, mean",
+                "case": case,
+                "figure": float(np.mean([one[what] for one in own])),
+            }
             result.append(row if aim is None else row | {"limit": aim, "aim": True})
         precisions = [one["precision"] for one in own if one["precision"] is not None]
         if precisions:
