@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 from carina.config import load_settings
 from carina.errors import CarinaError, NoResultError
 from carina.track import find_airways
-from carina.track.find import softened
+from carina.track.find import growth
 from carina.track.find.kernel import edge_undershoot_hu
+from carina.track.find.softened import SOFT_HU
 from carina.track.levels import air_scale
 from carina.volume import Volume
 from carina_bench.track_hard_cases import KERNELS, QUICK, SLICES, HardCase, hard_cases
@@ -87,12 +89,8 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
 @contextmanager
 def _softening(is_on: bool) -> Iterator[None]:
     """Switch the softening of medium and sharp kernels off."""
-    limit = softened.SOFT_HU
-    softened.SOFT_HU = limit if is_on else 1e9
-    try:
+    with patch.object(growth, "SOFT_HU", SOFT_HU if is_on else 1e9):
         yield
-    finally:
-        softened.SOFT_HU = limit
 
 
 def _measured(case: HardCase) -> Row:

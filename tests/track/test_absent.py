@@ -109,7 +109,7 @@ def test_a_branch_without_a_name_in_the_place_of_a_segment_is_reported_as_such(c
     )
     (absence,) = find_absent(dataclasses.replace(airways.tree, branches=bare), [narrowed], made.volume)
     assert (absence.name, absence.kind, absence.branch_id) == (name, "unnamed", branch.id)
-    assert f"an unnamed branch is in its place: branch {branch.id}" in absence.words
+    assert f"an unnamed branch runs where it is expected: branch {branch.id}" in absence.words
     assert not DISEASE.search(absence.words)
 
 

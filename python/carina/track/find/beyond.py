@@ -35,7 +35,7 @@ HALF_WALL_HU = -500.0
 
 # What tells a search that runs out (docs/decisions/0040). Rims darker than this beside every edge look like airways; a
 # soft kernel leaves none. Where there is noise, edges are found where it makes them steep: that pretends a part of it.
-SHARP_HU = 6.0
+SHARP_HU = 4.0
 NOISE_SHARE = 0.15
 # What a rim of that depth pretends: a way must be so many times as enclosed.
 SHARP_BAR = 1.5

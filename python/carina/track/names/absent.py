@@ -122,7 +122,7 @@ class Absence:
             case "lost":
                 return f"lost{branch} {where}, {width}"
             case "unnamed":
-                return f"an unnamed branch is in its place: branch {self.branch_id}, which begins {where}{at}"
+                return f"an unnamed branch runs where it is expected: branch {self.branch_id}, which begins {where}{at}"
             case "fine":
                 return f"beyond {self.carrier}{at}, airways are narrower than this CT shows reliably"
             case "nothing":
