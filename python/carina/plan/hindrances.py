@@ -45,7 +45,7 @@ def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
 
 
 def notes_of_target(volume: Volume, airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> tuple[str, ...]:
-    """What must be known of the target and of the airways near it, whether or not there is a route."""
+    """Return notes on a target and the airways near it; they apply whether or not there is a route."""
     found = []
     shown_hu = _mean_hu(volume, nodule)
     if shown_hu is not None and shown_hu < 0.5 * (LUNG_HU + nodule.density_hu):
@@ -60,7 +60,7 @@ def notes_of_target(volume: Volume, airways: Airways, nodule: Nodule, nearest: N
 
 
 def notes_of_tools(scope: ScopePreset, tool: Tool) -> tuple[str, ...]:
-    """That the tool does not go through the scope, or that this cannot be said."""
+    """Return a note if a tool does not pass the working channel of a scope, or if this is unknown."""
     if scope.channel_mm is None:
         return (f"the working channel of {scope.title} is not known: it cannot be said which tools pass",)
     if tool.passes(scope.channel_mm):

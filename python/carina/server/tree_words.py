@@ -16,7 +16,7 @@ __all__ = ["branch_detail_message", "branch_measures", "tree_message"]
 
 
 def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
-    """The airway tree in the format of its files, with its titles, its measures once they are ready, and its open ends.
+    """Return the airway tree in the format of its files, with titles, measures once they are ready, and open ends.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:
 
 
 def branch_measures(measures: Any) -> wire.BranchMeasures:
-    """The summary of :class:`carina.track.BranchMeasures`."""
+    """Return the summary of :class:`carina.track.BranchMeasures`."""
     summary = measures.summary
     widths = np.where(measures.is_usable, measures.equivalent_mm, np.nan)
     least, most = (None, None) if np.isnan(widths).all() else (int(np.nanargmin(widths)), int(np.nanargmax(widths)))
@@ -79,7 +79,7 @@ def branch_measures(measures: Any) -> wire.BranchMeasures:
 
 
 def branch_detail_message(message: wire.AskBranchDetail, measures: Any) -> wire.BranchDetail:
-    """What was measured along a branch, for the panel's chart; nulls where it is not ready."""
+    """Return the measurements along a branch for the chart; they are null until they are ready."""
     if measures is None:
         return wire.BranchDetail(message.request_id, message.branch_id, None, None)
     profile = wire.BranchProfile(

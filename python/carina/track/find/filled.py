@@ -289,7 +289,7 @@ class _Search:
         return float(np.median(thick)) if len(thick) >= 8 else None
 
     def _followed(self, gap: _Gap, after: float | None) -> tuple[Points, list[float]]:
-        """The axis of the filled stretch, moved to the middle between its borders, and its outer widths there."""
+        """Return the axis of a filled stretch, centred between its borders, and the outer widths along it."""
         direction = gap.near_lps - gap.far_lps
         reach = max(MOST_OUTER_MM, 0.9 * (after or 0.0) + 3.0)
         axis = gap.far_lps + np.array(CROSS)[:, None] * direction

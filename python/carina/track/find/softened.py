@@ -64,7 +64,7 @@ class Softened:
     """Whether the caller searches a softened copy if this search leaks."""
 
     def smoothed(self, sigma_mm: float) -> Softened:
-        """The same with less noise: smoothed by a Gaussian of ``sigma_mm``, or of as many voxels if they are larger."""
+        """Return a copy smoothed by a Gaussian of ``sigma_mm``, or of as many voxels if they are larger than 1 mm."""
         sigma_mm *= max(min(self.volume.spacing_mm), 1.0)
         values = mix_with_blurs(
             self.volume.hu_zyx,
@@ -77,7 +77,7 @@ class Softened:
         return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None, left_hu=None)
 
     def walled(self, wall: Callable[[NDArray[np.int16]], None]) -> Softened:
-        """The same with some air made tissue: ``wall`` writes it into the values (nz, ny, nx) that it is given."""
+        """Return a copy in which ``wall`` has made some air tissue; it changes the values (nz, ny, nx) in place."""
         values = self.volume.hu_zyx.copy()
         wall(values)
         volume = dataclasses.replace(self.volume, hu_zyx=values)

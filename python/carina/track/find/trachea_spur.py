@@ -1,4 +1,4 @@
-"""Spurs at the upper end of the trachea: parts of its own section that look like a branch."""
+"""Remove short false branches at the upper end of the trachea, where the scan cuts through it."""
 
 from __future__ import annotations
 
