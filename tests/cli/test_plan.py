@@ -83,7 +83,7 @@ def test_plan_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrored_c
     result = run(path, place, "--json", "-o", str(output))
     assert result.exit_code == 0, result.output
     assert [badge["code"] for badge in json.loads(result.stdout)["badges"]] == ["track.mirrored"]
-    assert result.stderr.count("note: this chest is mirrored: the three-lobed lung is on the patient's left") == 1
+    assert result.stderr.count("note: the airways are mirrored: the three-lobed lung is on the patient's left") == 1
 
 
 def test_airways_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrored_chest, found_once, tmp_path) -> None:
@@ -92,8 +92,8 @@ def test_airways_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrore
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     assert [badge["code"] for badge in document["badges"]] == ["track.mirrored"]
-    assert any(note.startswith("this chest is mirrored") for note in document["notes"])
-    assert result.stderr.count("note: this chest is mirrored") == 1
+    assert any(note.startswith("the airways are mirrored") for note in document["notes"])
+    assert result.stderr.count("note: the airways are mirrored") == 1
     assert [badge["code"] for badge in json.loads(tree.read_text(encoding="utf-8"))["badges"]] == ["track.mirrored"]
 
 

@@ -200,7 +200,7 @@ def test_a_mirrored_chest_is_said_to_be_one_and_keeps_its_sides():
         assert "mirrored" in (named.root.variant or "")
         (badge,) = [note for note in named.notes if note.code == "track.mirrored"]
         assert badge.badge
-        assert badge.words.startswith("this chest is mirrored: the three-lobed lung is on the patient's left")
+        assert badge.words.startswith("the airways are mirrored: the three-lobed lung is on the patient's left")
         assert name_tree(named).notes == named.notes
         lobes = branch_side_and_lobe(moved(tree, np.diag([-1.0, 1.0, 1.0])))
         for b in named.branches:

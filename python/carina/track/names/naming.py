@@ -137,7 +137,7 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
         names, notes = _kept_of_misfit(names), {}
         lasting = (*lasting, misfit_note())
     elif read.mirrored:
-        lasting = (*lasting, Note(MIRRORED, f"this chest is {notes[0]}", badge=True))
+        lasting = (*lasting, Note(MIRRORED, f"the airways are {notes[0]}", badge=True))
     made = []
     for number, branch in enumerate(tree.branches):
         if branch.name_from == "person":
@@ -385,8 +385,8 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
     if read.mirrored:
         notes = {number: _told_note(note) for number, note in notes.items()}
         notes[0] = (
-            f"{MIRRORED_CHEST}: the three-lobed lung is on the patient's left. Check whether this is situs inversus or "
-            "left and right are swapped in the volume"
+            f"{MIRRORED_CHEST}: the three-lobed lung is on the patient's left. Check whether this is situs inversus, "
+            "or left and right are swapped in the volume or in the segmentation"
         )
     return names, notes
 
