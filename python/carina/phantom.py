@@ -34,6 +34,7 @@ from carina.argument_checks import (
 from carina.config import load_settings
 from carina.disk import Draft, make_folder
 from carina.errors import CancelledError, UsageError
+from carina.leaning_phantom import MOST_LEAN_DEG, lean_chest, moved_mm
 from carina.volume import Volume, VolumeSource, write_grid_to
 
 __all__ = ["Phantom", "demo_phantom", "generate_phantom", "lumen_distance_at", "write_phantom"]
@@ -59,7 +60,7 @@ class Phantom:
     """``(nz, ny, nx)``: 1 where a voxel's *centre* lies in an airway's lumen."""
     truth: dict[str, Any]
     """The document of ``truth.json``: a ``carina-tree`` (LPS, mm), exact; with ``nodule`` and ``stenosis``, or None;
-    ``cricoid_lps`` and ``tube`` where they were asked for."""
+    ``cricoid_lps``, ``tube`` and ``lean_deg`` where they were requested."""
     lumen_distance_mm: NDArray[np.float32] | None = None
     """``(nz, ny, nx)`` signed distance to the lumen's surface, negative inside, at least 5 where no airway is near;
     None unless asked for."""
@@ -69,6 +70,11 @@ class Phantom:
 
     def __repr__(self) -> str:
         return f"Phantom({self.volume!r}, branches={len(self.truth['branches'])})"
+
+
+def _check_lean(where: str, name: str, value: object) -> None:
+    """Refuse anything but two angles that a leaning trachea may have."""
+    each(number_from(-MOST_LEAN_DEG, MOST_LEAN_DEG, unit="degrees"), least=2, most=2)(where, name, value)
 
 
 def _check_spacing(where: str, name: str, value: object) -> None:
@@ -85,6 +91,7 @@ def _check_spacing(where: str, name: str, value: object) -> None:
     nodule=flag,
     noise_hu=number_from(0.0, 200.0, unit="HU"),
     neck=flag,
+    lean_deg=_check_lean,
     tube=choice("endotracheal", "tracheostomy", optional=True),
     resected=choice("RUL", "RML", "RLL", "LUL", "LLL", optional=True),
     box_lps=array_of(2, 3, optional=True, what="two corners of three finite numbers in mm (LPS)"),
@@ -101,6 +108,7 @@ def generate_phantom(
     nodule: bool = False,
     noise_hu: float = 20.0,
     neck: bool = False,
+    lean_deg: Sequence[float] = (0.0, 0.0),
     tube: str | None = None,
     resected: str | None = None,
     box_lps: Sequence[Sequence[float]] | None = None,
@@ -131,6 +139,10 @@ def generate_phantom(
         Go on above the chest, to 195 mm above the carina: larynx with the vocal cords, piriform sinuses, throat and the
         neck round them. The trachea then ends at the lower border of the cricoid, ``truth["cricoid_lps"]``, 104 to
         126 mm above the carina; the air above it is ``upper_airway_zyx``, and no part of the tree.
+    lean_deg
+        Angles, -35 to 35 degrees, by which everything above the carina leans to the patient's left and to the back: the
+        trachea with its neck, as in a patient with scoliosis. The slices above the carina are moved in their planes;
+        the chest below it stays the same. Not together with a nodule or ``with_distance``.
     tube
         Put a tube into the trachea: "endotracheal" (through the larynx where there is a neck, with its cuff and fluid
         on it) or "tracheostomy" (through the front of the neck, open to the air outside; it needs the neck). Its tip is
@@ -183,6 +195,21 @@ def generate_phantom(
             raise UsageError(msg, code="phantom.option")
         box = corners.tolist()
 
+    leans = any(lean_deg)
+    if leans and (nodule or with_distance):
+        what = "nodule" if nodule else "distance"
+        raise UsageError(
+            f"lean: expected a chest without a {what}; found both; leave one of them out", code="phantom.option"
+        )
+    # The parts of the neck that move into the box come from outside it.
+    beside: tuple[int, ...] = (0, 0)
+    if leans and box is not None:
+        most_mm = moved_mm(lean_deg, np.array([box[1][2]]))[0]
+        beside = tuple(int(np.ceil(abs(most_mm[a]) / spacing[a])) + 2 for a in range(2))
+        for a in range(2):
+            box[0][a] -= beside[a] * spacing[a]
+            box[1][a] += beside[a] * spacing[a]
+
     def proceed(fraction: float) -> bool:
         if cancel is not None and cancel():
             raise CancelledError("stopped while generating the phantom")
@@ -201,9 +228,11 @@ def generate_phantom(
         tube,
         resected,
         box,
-        with_distance,
+        with_distance or leans,
         proceed,
     )
+    if leans:
+        lean_chest(made, lean_deg, beside)
     branches = [
         {
             "id": b["id"],
@@ -230,7 +259,7 @@ def generate_phantom(
         "nodule": made.get("nodule"),
         "stenosis": made.get("stenosis"),
     }
-    truth |= {key: made[key] for key in ("cricoid_lps", "tube") if key in made}
+    truth |= {key: made[key] for key in ("cricoid_lps", "tube", "lean_deg") if key in made}
     return Phantom(
         volume=_volume(made["hu_zyx"], np.array(made["lps_from_ijk"]), seed),
         lumen_zyx=_frozen(made["lumen_zyx"]),
