@@ -25,12 +25,13 @@ from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.canonical import CanonicalOrder
 from carina.track.find.filled import find_filled
 from carina.track.find.found import Airways
-from carina.track.find.growth import doubts_of_given, given_lumen, grow, trachea_in
+from carina.track.find.growth import doubts_of_given, given_lumen, grow
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
 from carina.track.find.size import thread_confidence
 from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
 from carina.track.find.totals import doubt_of_totals
+from carina.track.find.trachea_search import trachea_in
 from carina.track.find.trachea_spur import without_trachea_spurs
 from carina.track.levels import AirScale
 from carina.track.names.naming import name_tree
@@ -74,7 +75,8 @@ def find_airways(
     volume
         A chest CT, in HU or not.
     root_lps
-        Where the paths begin, LPS mm; the top of the trachea unless told. A point outside the lumen is moved to the
+        Where the paths begin, LPS mm; by default the top of the trachea. A point in the trachea, or in the larynx and
+        throat above it, selects that trachea: the paths begin at its top. A point outside the lumen is moved to the
         nearest lumen voxel within 5 mm. Needed where the trachea is not in view.
     lumen_threshold
         Value at which the lumen ends, in the volume's own numbers; -800 HU unless told, or from the histogram where the

@@ -11,7 +11,14 @@ from carina.track.paths.tracker import as_point, words
 from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
-__all__ = ["LUNG_HU", "UP_FIRST_MM", "refuse_a_root_below_the_carina", "refuse_a_root_of_one_lung"]
+__all__ = [
+    "LUNG_HU",
+    "SURE_TRACHEA_MM",
+    "UP_FIRST_MM",
+    "has_lung",
+    "refuse_a_root_below_the_carina",
+    "refuse_a_root_of_one_lung",
+]
 
 # Inspiration to expiration, emphysema in part: there must be some of it on both sides of the trachea's split.
 LUNG_HU = (-950.0, -600.0)
@@ -25,6 +32,10 @@ MIDDLE_MM = 10.0
 LEAST_SIDE = 0.05
 # Lung is told from the air outside on blocks of about this size: noise and the skin's blurred edge go under.
 BLOCK_MM = 4.0
+# Lung is more even than this within a block (HU); the blurred edge between air and skin is not. Less lung than this is
+# none: the cells of the mastoid, bowel.
+EVEN_HU = 150.0
+LEAST_LUNG_MM3 = 40_000.0
 
 
 def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...]) -> None:
@@ -116,6 +127,23 @@ def _middle_between_the_lungs(volume: Volume) -> float | None:
         found.append(volume.to_lps(ijk)[:, 0])
     x = np.concatenate(found)
     return float(np.quantile(x, [0.1, 0.9]).mean()) if len(x) else None
+
+
+def has_lung(volume: Volume, scale: AirScale) -> bool:
+    """Whether a CT shows lung: much tissue that is about as dark as lung, without the edges between air and tissue."""
+    size = np.maximum(np.rint(BLOCK_MM / np.array(volume.spacing_mm)), 1).astype(int)
+    counts = np.array(volume.shape_zyx[::-1]) // size
+    low, high = scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])
+    (ni, nj, nk), (si, sj, sk) = counts.tolist(), size.tolist()
+    block_mm3 = float(np.prod(np.array(volume.spacing_mm) * size))
+    found = 0
+    for k in range(nk):
+        slab = volume.hu_zyx[k * sk : (k + 1) * sk, : nj * sj, : ni * si].astype(np.float32)
+        blocks = slab.reshape(sk, nj, sj, ni, si)
+        means = blocks.mean(axis=(0, 2, 4))
+        is_even = blocks.std(axis=(0, 2, 4)) <= scale.span(EVEN_HU)
+        found += int(((means >= low) & (means <= high) & is_even).sum())
+    return found * block_mm3 >= LEAST_LUNG_MM3
 
 
 def _is_in_lung(volume: Volume, point: NDArray[np.float64], scale: AirScale) -> bool:

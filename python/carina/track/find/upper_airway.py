@@ -12,13 +12,15 @@ from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, Section, disc, 
 from carina.track.levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = ["Cords", "Tube", "as_one_trachea", "opening_in_front", "the_cords", "tube_in"]
+__all__ = ["Cords", "Tube", "as_one_trachea", "opening_in_front", "sees_a_larynx", "the_cords", "tube_in"]
 
 # The cords are not looked for nearer to the carina than so many diameters of the trachea: an adult's lie 7 of them up,
 # a newborn's 8.
 LEAST_DIAMETERS = 4.0
 # What is followed from a place in a tube begins above its tip, some way above the carina.
 LEAST_DIAMETERS_IN_A_TUBE = 2.0
+# Where little trachea is visible, its lowest part is compared.
+SHORT_MM = 15.0
 # Narrower than this share of the trachea, from side to side or in area: the cone under the cords, or a stenosis.
 NARROW_WIDTH = 0.7
 NARROW_AREA = 0.6
@@ -86,10 +88,12 @@ def _heights(sections: list[Section]) -> NDArray[np.float64]:
     return np.array([section.centre_lps[2] for section in sections])
 
 
-def _typical(sections: list[Section], heights: NDArray[np.float64], tube: Tube | None) -> tuple[float, float, float]:
+def _typical(
+    sections: list[Section], heights: NDArray[np.float64], tube: Tube | None, *, within_mm: float = 60.0
+) -> tuple[float, float, float]:
     """Width, depth and area of the trachea: the median over its lower part, below a tube's tip where there is one."""
     stop = len(sections) if tube is None else max(tube.first - 1, 1)
-    lower = [s for s, z in zip(sections[:stop], heights[:stop], strict=True) if z - heights[0] <= 60.0]
+    lower = [s for s, z in zip(sections[:stop], heights[:stop], strict=True) if z - heights[0] <= within_mm]
     rows = np.array([[s.width_mm, s.depth_mm, s.area_mm2] for s in lower])
     width, depth, area = np.median(rows, axis=0)
     return float(width), float(depth), float(area)
@@ -144,34 +148,11 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
     length.
     """
     heights = _heights(sections)
-    width, depth, area = _typical(sections, heights, tube)
-    diameter = 2.0 * float(np.sqrt(area / np.pi))
+    typical = _typical(sections, heights, tube)
+    diameter = 2.0 * float(np.sqrt(typical[2] / np.pi))
     up = heights - heights[0]
-    narrow = np.array([s.width_mm < NARROW_WIDTH * width or s.area_mm2 < NARROW_AREA * area for s in sections])
-    # Cords that are shut show as missing slices.
-    steps = np.diff(heights)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    for n in np.flatnonzero(steps > 2.5 * usual):
-        narrow[n] = True
-    runs = _runs(narrow, heights, gap_mm=1.5)
     least = LEAST_DIAMETERS_IN_A_TUBE if tube is not None and tube.first == 0 else LEAST_DIAMETERS
-    for number, (first, last) in enumerate(runs):
-        if up[first] < least * diameter or first == 0:
-            continue
-        end = float(heights[last])
-        above = [s for s, z in zip(sections[last + 1 :], heights[last + 1 :], strict=True) if z - end <= ABOVE_MM]
-        if _is_trachea_again(above, width, depth, area):
-            continue
-        # Fluid that stands on a tube's cuff leaves the tube's own lumen alone; above it there is some trachea again.
-        if tube is not None and number + 1 < len(runs):
-            following = heights[runs[number + 1][0]] - end
-            if AGAIN_BY_A_TUBE_MM <= following <= ABOVE_MM:
-                continue
-        is_slit = min(s.width_mm / s.depth_mm for s in sections[first : last + 1]) <= SLIT
-        is_throat = any(s.width_mm >= THROAT_WIDTH * width for s in above)
-        is_shut = bool((steps[first : last + 1] > 2.5 * usual).any())
-        if not is_slit and not is_throat and not (is_shut and above):
-            continue
+    for first, last in _larynges(sections, tube, typical, least * diameter):
         # The true cords: the first least area, for the false ones lie above; not far above where the cone begins.
         areas = np.array([s.area_mm2 for s in sections[first : last + 1]])
         near = heights[first : last + 1] - heights[first] <= CONE_MM
@@ -188,6 +169,49 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
         root = int(np.flatnonzero(up <= USUAL_TRACHEA_MM)[-1])
         return Cords(len(sections) - 1, root, float(up[-1] - up[root]), are_seen=False)
     return None
+
+
+def sees_a_larynx(sections: list[Section]) -> bool:
+    """Whether the sections, from a place in the trachea up, pass a larynx; the scan may show little trachea."""
+    if len(sections) < 3:
+        return False
+    typical = _typical(sections, _heights(sections), None, within_mm=SHORT_MM)
+    return bool(_larynges(sections, None, typical, 0.0))
+
+
+def _larynges(
+    sections: list[Section], tube: Tube | None, typical: tuple[float, float, float], least_mm: float
+) -> list[tuple[int, int]]:
+    """The first and last places of the narrow stretches that are like a larynx, at least so far up."""
+    heights = _heights(sections)
+    width, depth, area = typical
+    up = heights - heights[0]
+    found: list[tuple[int, int]] = []
+    narrow = np.array([s.width_mm < NARROW_WIDTH * width or s.area_mm2 < NARROW_AREA * area for s in sections])
+    # Cords that are shut show as missing slices.
+    steps = np.diff(heights)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    for n in np.flatnonzero(steps > 2.5 * usual):
+        narrow[n] = True
+    runs = _runs(narrow, heights, gap_mm=1.5)
+    for number, (first, last) in enumerate(runs):
+        if up[first] < least_mm or first == 0:
+            continue
+        end = float(heights[last])
+        above = [s for s, z in zip(sections[last + 1 :], heights[last + 1 :], strict=True) if z - end <= ABOVE_MM]
+        if _is_trachea_again(above, width, depth, area):
+            continue
+        # Fluid that stands on a tube's cuff leaves the tube's own lumen alone; above it there is some trachea again.
+        if tube is not None and number + 1 < len(runs):
+            following = heights[runs[number + 1][0]] - end
+            if AGAIN_BY_A_TUBE_MM <= following <= ABOVE_MM:
+                continue
+        is_slit = min(s.width_mm / s.depth_mm for s in sections[first : last + 1]) <= SLIT
+        is_throat = any(s.width_mm >= THROAT_WIDTH * width for s in above)
+        is_shut = bool((steps[first : last + 1] > 2.5 * usual).any())
+        if is_slit or is_throat or (is_shut and above):
+            found.append((first, last))
+    return found
 
 
 def _is_trachea_again(above: list[Section], width: float, depth: float, area: float) -> bool:

@@ -1,0 +1,131 @@
+"""A start of the airways that a user gave: the air at it, and whether that air belongs to the airways."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import NoResultError
+from carina.track.find.air_upwards import grown
+from carina.track.find.root_checks import SURE_TRACHEA_MM
+from carina.track.find.top_of_trachea import TopOfTrachea
+from carina.track.find.trachea_search import Trachea
+from carina.track.levels import AirScale
+from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
+from carina.volume.model import Volume
+
+__all__ = ["air_round", "is_in_trachea", "nearest_in", "refuse_air_beside_the_airways", "refuse_open_air"]
+
+# Air in an airway's section is enclosed at one of these levels (HU); lung with emphysema is only just brighter.
+ENCLOSED_HU = (-800.0, -900.0, -950.0)
+# The largest section of an airway along a slice: a main bronchus that lies in it.
+MOST_SECTION_MM2 = 1500.0
+# From the middle of the trachea to its wall, at most.
+IN_TRACHEA_MM = 18.0
+# A point this far above the top of the trachea that was found may lie in the true one.
+ABOVE_MM = 5.0
+
+
+def air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
+    """Return the voxels of air nearest to a root that a user gave: the nearest one and those within 2 mm of it."""
+    centre = volume.to_ijk(np.array(root))
+    shape = np.array(volume.shape_zyx[::-1])
+    reach = np.ceil((SNAP_MM + 2.0) / np.array(volume.spacing_mm)) + 1
+    low = np.clip(np.floor(centre - reach), 0, shape - 1).astype(int)
+    high = np.clip(np.ceil(centre + reach), 0, shape - 1).astype(int)
+    grid = np.stack(np.meshgrid(*(np.arange(low[a], high[a] + 1) for a in range(3)), indexing="ij"), axis=-1)
+    voxels = grid.reshape(-1, 3)
+    values = volume.hu_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]]
+    points = volume.to_lps(voxels.astype(np.float64))
+    distance = np.linalg.norm(points - np.array(root), axis=1)
+    air = (values <= scale.level(-850.0)) & (distance <= SNAP_MM)
+    if not air.any():
+        msg = (
+            f"the root {words(root)} is not in an airway: no voxel within {SNAP_MM:g} mm is as dark as air; "
+            "choose a point inside the trachea"
+        )
+        raise NoResultError(msg, code="track.outside-lumen")
+    nearest = points[air][int(np.argmin(distance[air]))]
+    chosen = air & (np.linalg.norm(points - nearest, axis=1) <= 2.0)
+    # The nearest first: it is the root.
+    order = np.argsort(np.linalg.norm(points[chosen] - nearest, axis=1), kind="stable")
+    return [(int(i), int(j), int(k)) for i, j, k in voxels[chosen][order]]
+
+
+def nearest_in(volume: Volume, lumen: NDArray[np.uint8], point: Point) -> tuple[Point, float] | None:
+    """Return the centre of the nearest voxel of a mask within the snapping distance, and that distance (0 inside)."""
+    centre = volume.to_ijk(np.array(point))
+    shape = np.array(volume.shape_zyx[::-1])
+    here = np.clip(np.floor(centre + 0.5), 0, shape - 1).astype(int)
+    if lumen[here[2], here[1], here[0]]:
+        return as_point(volume.to_lps(here.astype(np.float64))), 0.0
+    reach = np.ceil(SNAP_MM / np.array(volume.spacing_mm)) + 1
+    low = np.clip(here - reach, 0, shape - 1).astype(int)
+    high = np.clip(here + reach, 0, shape - 1).astype(int)
+    block = lumen[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1]
+    voxels = np.argwhere(block)[:, ::-1] + low
+    if not len(voxels):
+        return None
+    points = volume.to_lps(voxels.astype(np.float64))
+    distance = np.linalg.norm(points - np.array(point), axis=1)
+    nearest = int(np.argmin(distance))
+    if distance[nearest] > SNAP_MM:
+        return None
+    return as_point(points[nearest]), float(distance[nearest])
+
+
+def is_in_trachea(volume: Volume, trachea: Trachea, top: TopOfTrachea | None, point: Point) -> bool:
+    """Whether a point of the lumen lies in the trachea, above the carina."""
+    if point[2] <= trachea.carina_lps[2]:
+        return False
+    places = volume.to_lps(np.array(trachea.seeds if top is None else top.seeds, dtype=np.float64))
+    nearest = places[int(np.argmin(np.abs(places[:, 2] - point[2])))]
+    return float(np.hypot(*(nearest - np.array(point))[:2])) <= IN_TRACHEA_MM
+
+
+def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[int, int, int]) -> None:
+    """Refuse a root in the lung or in the air outside the body, where the air of a slice is wider than an airway.
+
+    Raises
+    ------
+    NoResultError
+        If that is so.
+    """
+    i, j, k = voxel
+    values = volume.hu_zyx[k]
+    dx, dy, _ = volume.spacing_mm
+    for level in ENCLOSED_HU:
+        if values[j, i] >= scale.level(level):
+            break
+        start = np.zeros(values.shape, dtype=np.bool_)
+        start[j, i] = True
+        section = grown(start, values < scale.level(level))
+        if float(section.sum()) * dx * dy <= MOST_SECTION_MM2:
+            return
+    msg = (
+        f"the root {words(root)} is not in an airway: the air there merges with the lung or lies outside the body; "
+        "choose a point inside the trachea, or let the trachea be found automatically"
+    )
+    raise NoResultError(msg, code="track.outside-lumen")
+
+
+def refuse_air_beside_the_airways(root: Point, trachea: Trachea, top: Point) -> None:
+    """Refuse a root that is not connected to a trachea that is beyond doubt: air in the gullet, the bowel or a bulla.
+
+    Parameters
+    ----------
+    top
+        The upper end of that trachea.
+
+    Raises
+    ------
+    NoResultError
+        If that is so.
+    """
+    is_sure = not trachea.notes and trachea.split_mm is not None and trachea.split_mm >= SURE_TRACHEA_MM
+    if is_sure and root[2] <= top[2] + ABOVE_MM:
+        msg = (
+            f"the root {words(root)} is not in the airways: the air there is not connected to the trachea, which was "
+            f"found at {words(top)}; choose a point inside it, or let it be found automatically"
+        )
+        raise NoResultError(msg, code="track.outside-lumen")

@@ -1,0 +1,229 @@
+"""The trachea: found by its anatomy, then followed so that all of it is found."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import find_trachea_voxels
+from carina.errors import NoResultError
+from carina.track.find.air_upwards import Section, follow_up
+from carina.track.find.root_checks import LUNG_HU, UP_FIRST_MM, has_lung
+from carina.track.find.whole_trachea import (
+    AIR_END_HU,
+    MISSED_MM,
+    begins_late,
+    down_to_the_carina,
+    only_the_air_of,
+    sections_like_it,
+)
+from carina.track.levels import AirScale
+from carina.track.paths.tracker import Point, as_point
+from carina.track.stages import Stages
+from carina.volume.model import Volume
+
+__all__ = ["NO_LUNGS", "Trachea", "found_trachea", "trachea_in", "trachea_round", "whole_trachea"]
+
+# HU levels, read on the volume's own scale (AirScale).
+# The first that shows a trachea counts: lower where its wall to the lung is thin, higher where the slices blur it.
+TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
+TISSUE_HU = -450.0
+
+# What is missing where a trachea was found all the same, in words.
+TRACHEA_DOUBTS = {
+    "cut-off": "the scan begins just above the carina and shows little of the trachea",
+    "narrow-bronchus": (
+        "the trachea may not have been identified correctly: one main bronchus is short or narrow; check the trachea "
+        "and the main bronchi in the slices"
+    ),
+    "one-bronchus": (
+        "the trachea may not have been identified correctly: it continues into only one main bronchus (the search "
+        "lost the other one, or it is outside the scan); check the trachea and the main bronchi in the slices"
+    ),
+    "one-lung": (
+        "the trachea may not have been identified correctly: there is aerated lung on one side only; check the "
+        "trachea and the main bronchi in the slices"
+    ),
+}
+
+# A trachea is 100 to 140 mm long; higher up it is larynx and throat.
+MAX_TRACHEA_MM = 150.0
+
+
+NO_LUNGS = (
+    "this scan shows no lungs, so the airways cannot be found: it may be a CT of the head or neck, where only the "
+    "throat, the larynx and the upper trachea are visible; open a chest CT that includes the trachea and the lungs"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trachea:
+    seeds: list[tuple[int, int, int]]
+    """Voxels (i, j, k) of its air, from the top down."""
+    top: Point
+    notes: list[str]
+    split_mm: float | None
+    """Length above the carina; None where a main bronchus or a lung is missing."""
+    diameters_mm: NDArray[np.float64]
+    """(n,) equivalent diameter in each of its slices."""
+    carina_lps: NDArray[np.float64]
+
+
+def trachea_in(
+    values: NDArray[np.int16], volume: Volume, scale: AirScale, stage: Stages, *, painted: bool = False
+) -> Trachea:
+    """Find the trachea by its anatomy: a tube that divides into two main bronchi between the lungs.
+
+    Parameters
+    ----------
+    values
+        (nz, ny, nx) on the volume's grid: its own values, or a copy in which some air was replaced by tissue.
+    painted
+        The values are a drawn lumen, which shows no lungs.
+
+    Raises
+    ------
+    NoResultError
+        If no tube is like a trachea; the message names what is missing.
+    """
+    stage.begin("finding the trachea")
+    lung = None if painted else (scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1]))
+    found, problem = None, ""
+    for air_hu in TRACHEA_AIR_HU:
+        try:
+            other = find_trachea_voxels(
+                values,
+                volume.lps_from_ijk,
+                air=scale.level(air_hu),
+                tissue=scale.level(TISSUE_HU),
+                lung=lung,
+                cancel=stage.cancel,
+            )
+        except NoResultError as error:
+            problem = problem or str(error)
+            continue
+        if found is None or (
+            len(other["doubts"]) < len(found["doubts"])
+            # Not a bronchus of the same airway, which may look the part better.
+            and _top_z(volume, other) >= _top_z(volume, found) - UP_FIRST_MM
+        ):
+            found = other
+        if not found["doubts"]:
+            break
+    if found is None:
+        if not volume.is_hu:
+            problem += ". The volume is not in HU: if its lowest values are clipped, lung and airway look alike"
+        raise NoResultError(problem)
+    voxels = found["voxels_ijk"]
+    points = volume.to_lps(voxels)
+    near = np.linalg.norm(points - found["carina_lps"], axis=1) <= MAX_TRACHEA_MM
+    voxels, points = voxels[near], points[near]
+    seeds = [(int(i), int(j), int(k)) for i, j, k in voxels]
+    notes = [TRACHEA_DOUBTS[doubt] for doubt in found["doubts"]]
+    is_whole = not {"one-bronchus", "one-lung"} & set(found["doubts"])
+    length_mm = float(found["length_mm"]) if is_whole else None
+    return Trachea(
+        seeds, as_point(points[0]), notes, length_mm, found["diameters_mm"][near], np.asarray(found["carina_lps"])
+    )
+
+
+def _top_z(volume: Volume, found: dict[str, Any]) -> float:
+    return float(volume.to_lps(found["voxels_ijk"][0])[2])
+
+
+def found_trachea(volume: Volume, scale: AirScale, stage: Stages) -> Trachea:
+    """Find the trachea of a CT, and all of it.
+
+    Raises
+    ------
+    NoResultError
+        If there is none; where the scan shows no lungs either, the message says so.
+    """
+    try:
+        trachea = trachea_in(volume.hu_zyx, volume, scale, stage)
+    except NoResultError as error:
+        if volume.is_hu and not has_lung(volume, scale):
+            raise NoResultError(f"no trachea was found: {NO_LUNGS}") from error
+        raise
+    return whole_trachea(volume, scale, trachea, stage)
+
+
+def whole_trachea(volume: Volume, scale: AirScale, trachea: Trachea, stage: Stages) -> Trachea:
+    """Correct a trachea that was found to end above the carina or to begin below its top.
+
+    Where the trachea leans, air beside it (in the gullet or the top of a lung) diverges from it like a main bronchus.
+    The trachea's own air is followed down to the carina, and the trachea is searched again without the air beside it.
+    """
+    area = float(np.pi / 4.0 * np.median(trachea.diameters_mm) ** 2)
+    down = down_to_the_carina(volume, scale, trachea.seeds[-1], stage, area_mm2=area)
+    ends_early = down is not None and down.length_mm >= MISSED_MM
+    top_k = trachea.seeds[0][2]
+    reaches_top = (volume.shape_zyx[0] - 1 - top_k) * volume.spacing_mm[2] < MISSED_MM
+    if not ends_early and reaches_top:
+        return trachea
+    lowest = down.sections[-1].voxel if down is not None and ends_early else trachea.seeds[-1]
+    sections = follow_up(volume, scale, scale.level(AIR_END_HU), lowest, stage)
+    is_late = not reaches_top and begins_late(sections, top_k, area)
+    if not ends_early and not is_late:
+        return trachea
+    try:
+        again = trachea_in(only_the_air_of(volume, scale, sections), volume, scale, stage)
+    except NoResultError:
+        again = None
+    num_more = MISSED_MM / 2.0 / volume.spacing_mm[2]
+    if (
+        again is not None
+        and len(again.notes) <= len(trachea.notes)
+        and (not ends_early or again.seeds[-1][2] <= trachea.seeds[-1][2] - num_more)
+        and (not is_late or again.seeds[0][2] >= top_k + num_more)
+    ):
+        return again
+    return _along(volume, trachea, sections_like_it(sections, max(top_k, sections[0].k), area))
+
+
+def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], stage: Stages) -> Trachea | None:
+    """Find the trachea that a voxel (i, j, k) of air lies in, or the larynx or throat above it.
+
+    Returns
+    -------
+    Trachea or None
+        None where the air below does not divide into two main bronchi between the lungs.
+    """
+    down = down_to_the_carina(volume, scale, start, stage)
+    if down is None or not down.divides:
+        return None
+    sections = follow_up(volume, scale, scale.level(AIR_END_HU), down.sections[-1].voxel, stage)
+    if not sections:
+        return None
+    try:
+        return trachea_in(only_the_air_of(volume, scale, sections), volume, scale, stage)
+    except NoResultError:
+        return None
+
+
+def _along(volume: Volume, trachea: Trachea, sections: list[Section]) -> Trachea:
+    """The trachea with the sections that it was followed in."""
+    if not sections:
+        return trachea
+    own = {section.k for section in sections}
+    diameters = {seed[2]: float(d) for seed, d in zip(trachea.seeds, trachea.diameters_mm, strict=True)}
+    voxels = {seed[2]: seed for seed in trachea.seeds if seed[2] not in own}
+    for section in sections:
+        voxels[section.k] = section.voxel
+        diameters.setdefault(section.k, 2.0 * float(np.sqrt(section.area_mm2 / np.pi)))
+    order = sorted(voxels, reverse=True)
+    seeds = [voxels[k] for k in order]
+    ends = volume.to_lps(np.array([seeds[0], seeds[-1]], dtype=np.float64))
+    carina = trachea.carina_lps if ends[1][2] >= trachea.carina_lps[2] else ends[1]
+    return dataclasses.replace(
+        trachea,
+        seeds=seeds,
+        top=as_point(ends[0]),
+        split_mm=None if trachea.split_mm is None else float(np.linalg.norm(ends[0] - ends[1])),
+        diameters_mm=np.array([diameters[k] for k in order]),
+        carina_lps=carina,
+    )

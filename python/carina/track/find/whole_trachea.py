@@ -1,0 +1,160 @@
+"""The whole trachea in a scan: its air followed down to the carina, and the air beside it left out of the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.find.air_upwards import Section, disc, follow_up, grown, spread
+from carina.track.levels import AirScale
+from carina.track.stages import Stages
+from carina.volume.model import Volume
+
+__all__ = [
+    "AIR_END_HU",
+    "MISSED_MM",
+    "DownToCarina",
+    "begins_late",
+    "down_to_the_carina",
+    "only_the_air_of",
+    "sections_like_it",
+]
+
+AIR_END_HU = -800.0
+WALL_HU = 40.0
+# Two main bronchi: each has at least this area, and they lie this far apart from side to side and diverge this much
+# over the distance that both are followed.
+LEAST_PART_MM2 = 12.0
+LEAST_APART_MM = 7.0
+FOLLOWED_MM = 6.0
+DIVERGE_MM = 2.0
+# A main bronchus has less than this share of the trachea's area.
+LEAST_AREA = 0.7
+# A stretch of trachea that is shorter than this was not missed.
+MISSED_MM = 10.0
+# Sections like the trachea's, as shares of its area.
+LIKE_IT = (0.6, 1.5)
+LONGEST_TRACHEA_MM = 150.0
+# Around the trachea's air, its own wall stays as it is; air of the gullet and of the lung lies farther out.
+OWN_WALL_MM = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class DownToCarina:
+    """The trachea's air below a place in it."""
+
+    sections: list[Section]
+    """From that place down to the last section above the carina."""
+    divides: bool
+    """Two main bronchi follow below; False where the air ends, narrows or leaves the scan first."""
+
+    @property
+    def length_mm(self) -> float:
+        """Height of the first section above the last one."""
+        return float(self.sections[0].centre_lps[2] - self.sections[-1].centre_lps[2])
+
+
+def down_to_the_carina(
+    volume: Volume, scale: AirScale, start: tuple[int, int, int], stage: Stages, *, area_mm2: float | None = None
+) -> DownToCarina | None:
+    """Follow the trachea's air from a voxel (i, j, k) down to the carina.
+
+    Air that is only beside the trachea, in the gullet or in the top of a lung, is not followed, so it is never mistaken
+    for a main bronchus.
+
+    Parameters
+    ----------
+    area_mm2
+        Area of the trachea's section, if it is known: what is much smaller is a bronchus, and ends the trachea.
+
+    Returns
+    -------
+    DownToCarina or None
+        None where there is no air at ``start``.
+    """
+    sections = follow_up(volume, scale, scale.level(AIR_END_HU), start, stage, down=True)
+    if not sections:
+        return None
+    heights = np.array([section.centre_lps[2] for section in sections])
+    apart = [_parts_apart_mm(volume, section) for section in sections]
+    end, divides = len(sections), False
+    for n, now in enumerate(apart):
+        if now is None or now < LEAST_APART_MM:
+            continue
+        below = [m for m in range(n, len(sections)) if heights[n] - heights[m] >= FOLLOWED_MM]
+        then = apart[below[0]] if below else None
+        if then is not None and then - now >= DIVERGE_MM:
+            end, divides = n, True
+            break
+    if area_mm2 is not None:
+        small = np.array([section.area_mm2 < LEAST_AREA * area_mm2 for section in sections])
+        for n in range(end):
+            if small[n : n + 1 + int(np.sum(heights[n] - heights[n:] < FOLLOWED_MM))].all():
+                end, divides = n, False
+                break
+    return DownToCarina(sections[: max(end, 1)], divides)
+
+
+def _parts_apart_mm(volume: Volume, section: Section) -> float | None:
+    """Distance from side to side of the two largest parts of a section's air; None where the air is in one part."""
+    dx, dy, _ = volume.spacing_mm
+    left = section.air.copy()
+    parts: list[tuple[float, float]] = []
+    while left.any():
+        first = np.zeros_like(left)
+        first[np.unravel_index(int(left.argmax()), left.shape)] = True
+        part = grown(first, left)
+        left &= ~part
+        area = float(part.sum() * dx * dy)
+        if area >= LEAST_PART_MM2:
+            parts.append((area, float(np.argwhere(part)[:, 1].mean() * dx)))
+    if len(parts) < 2:
+        return None
+    (_, one), (_, other) = sorted(parts)[-2:]
+    return abs(one - other)
+
+
+def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
+    """Whether sections like the trachea's go on above the slice in which it was found to begin.
+
+    Parameters
+    ----------
+    sections
+        From the carina up.
+    """
+    z = next((s.centre_lps[2] for s in sections if s.k >= top_k), None)
+    if z is None or z - sections[0].centre_lps[2] > LONGEST_TRACHEA_MM - MISSED_MM:
+        return False
+    above = [s for s in sections if s.k > top_k and s.centre_lps[2] - z <= MISSED_MM]
+    low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
+    reaches = bool(above) and sections[-1].centre_lps[2] - z >= MISSED_MM
+    return reaches and all(low <= section.area_mm2 <= high for section in above)
+
+
+def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> list[Section]:
+    """The sections up to a slice, and those above it for as long as they are like the trachea's."""
+    low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
+    limit = sections[0].centre_lps[2] + LONGEST_TRACHEA_MM
+    for n, section in enumerate(sections):
+        if section.centre_lps[2] > limit or (section.k > top_k and not low <= section.area_mm2 <= high):
+            return sections[:n]
+    return sections
+
+
+def only_the_air_of(volume: Volume, scale: AirScale, sections: list[Section]) -> NDArray[np.int16]:
+    """The values (nz, ny, nx) with soft tissue beside the sections, in their slices.
+
+    Air in the gullet, in the top of a lung or outside the body then cannot be taken for a part of the trachea.
+    """
+    values = volume.hu_zyx.copy()
+    dx, dy, _ = volume.spacing_mm
+    own_wall = disc(OWN_WALL_MM + 0.5 * max(dx, dy), (dy, dx))
+    wall = round(scale.level(WALL_HU))
+    for section in sections:
+        inside = spread(section.whole, own_wall)
+        kept = section.window_of(values)[inside]
+        values[section.k] = wall
+        section.window_of(values)[inside] = kept
+    return values

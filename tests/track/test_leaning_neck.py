@@ -1,0 +1,162 @@
+"""Scans with the neck in which the trachea leans: where the tree begins, with and without a given start."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from leaning_neck import LeaningNeck, leaning_neck
+from numpy.typing import NDArray
+
+from carina.errors import NoResultError
+from carina.track import Airways, find_airways
+
+SPACING_MM = 1.6
+BELOW_THE_NECK_MM = 85.0
+
+
+@cache
+def a_neck() -> LeaningNeck:
+    return leaning_neck(1, (-25.0, 0.0), spacing_mm=SPACING_MM)
+
+
+@cache
+def found_in_the_neck() -> Airways:
+    return find_airways(a_neck().volume)
+
+
+def begins_below_the_cricoid(neck: LeaningNeck, found: Airways) -> None:
+    cricoid_z = neck.cricoid_lps[2]
+    # The level is estimated from the vocal cords, to a slice.
+    assert 0.0 <= cricoid_z - found.root_lps[2] <= 10.0 + 0.5 * neck.volume.spacing_mm[2]
+    assert all(branch.points[:, 2].max() <= cricoid_z for branch in found.tree.branches)
+    trunk = found.tree.branches[0]
+    assert trunk.name == "Trachea"
+    assert trunk.points[0][2] - trunk.points[-1][2] > 0.8 * cricoid_z, "the trachea is one branch"
+    assert "track.larynx" in {note.code for note in found.badges}
+
+
+def right_side(found: Airways) -> dict[str, NDArray[np.float64]]:
+    """Where each named branch of the right lung ends."""
+    return {
+        branch.name: branch.points[-1]
+        for branch in found.tree.branches
+        if branch.name is not None and (branch.name.startswith(("R", "Right")) or branch.name == "BI")
+    }
+
+
+def named_as_without_the_neck(neck: LeaningNeck, found: Airways) -> None:
+    names = right_side(found)
+    cropped = right_side(find_airways(neck.cropped(below_mm=BELOW_THE_NECK_MM)))
+    assert {"RMB", "BI", "RUL", "RML", "RLL"} <= set(cropped)
+    assert set(names) == set(cropped)
+    for name, end in cropped.items():
+        assert np.linalg.norm(names[name] - end) <= 5.0, name
+
+
+def test_a_leaning_trachea_is_found_whole_beside_air_in_the_gullet() -> None:
+    neck, found = a_neck(), found_in_the_neck()
+    begins_below_the_cricoid(neck, found)
+    upper = found.upper_airway_zyx
+    assert upper is not None
+    assert not (upper & found.lumen_zyx).any()
+
+
+def test_a_scan_with_the_neck_has_the_names_of_the_same_scan_without_it() -> None:
+    named_as_without_the_neck(a_neck(), found_in_the_neck())
+
+
+@pytest.mark.slow
+def test_a_child_whose_trachea_leans_to_the_left_and_the_back() -> None:
+    neck = leaning_neck(2, (22.0, 10.0), scale=0.75, spacing_mm=1.2)
+    begins_below_the_cricoid(neck, find_airways(neck.volume))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("above_carina_mm", [15.0, 90.0])
+def test_a_start_in_the_trachea_gives_the_tree_of_the_whole_trachea(above_carina_mm: float) -> None:
+    neck = a_neck()
+    found = find_airways(neck.volume, root_lps=neck.trachea_at(above_carina_mm))
+    begins_below_the_cricoid(neck, found)
+    assert right_side(found).keys() == right_side(found_in_the_neck()).keys()
+    moved = any("is in the trachea: the start was moved" in note for note in found.notes)
+    assert moved == (np.linalg.norm(found.root_lps - neck.trachea_at(above_carina_mm)) > 5.0)
+
+
+def in_the_throat(neck: LeaningNeck) -> NDArray[np.float64]:
+    upper = neck.made.upper_airway_zyx
+    assert upper is not None
+    voxels = np.argwhere(upper)[:, ::-1]
+    highest = voxels[voxels[:, 2] >= voxels[:, 2].max() - 2]
+    middle = highest[int(np.argmin(np.linalg.norm(highest - highest.mean(axis=0), axis=1)))]
+    return neck.volume.to_lps(middle.astype(np.float64))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["larynx", "throat"])
+def test_a_start_in_the_larynx_or_the_throat_is_moved_to_the_trachea(place: str) -> None:
+    neck = a_neck()
+    root = neck.in_larynx if place == "larynx" else in_the_throat(neck)
+    found = find_airways(neck.volume, root_lps=root)
+    begins_below_the_cricoid(neck, found)
+    assert any("is in the larynx or the throat: the start was moved" in note for note in found.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("gullet", "not connected to the trachea.*choose a point inside it"),
+        ("air outside", "merges with the lung or lies outside the body; choose a point inside the trachea"),
+        ("lung", "merges with the lung or lies outside the body; choose a point inside the trachea"),
+        ("tissue", "no voxel within 5 mm is as dark as air; choose a point inside the trachea"),
+    ],
+)
+def test_a_start_outside_the_airways_is_refused_with_a_remedy(place: str, message: str) -> None:
+    neck = a_neck()
+    root = {
+        "gullet": neck.in_gullet(62.0),
+        "air outside": np.array([120.0, -100.0, 180.0]),
+        "lung": np.array([80.0, 0.0, -20.0]),
+        "tissue": np.array([0.0, 45.0, 40.0]),
+    }[place]
+    with pytest.raises(NoResultError, match=message) as refused:
+        find_airways(neck.volume, root_lps=root)
+    assert refused.value.code == "track.outside-lumen"
+
+
+@pytest.mark.parametrize("start", [None, "trachea", "larynx", "throat"])
+def test_a_ct_of_head_and_neck_is_refused_as_one_without_lungs(start: str | None) -> None:
+    neck = a_neck()
+    head = neck.cropped(above_mm=88.0)
+    root = {
+        None: None,
+        "trachea": neck.trachea_at(95.0),
+        "larynx": neck.in_larynx,
+        "throat": in_the_throat(neck),
+    }[start]
+    with pytest.raises(NoResultError, match=r"shows no lungs.*head or neck.*open a chest CT"):
+        find_airways(head, root_lps=root)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(20))
+def test_leaning_tracheas_of_twenty_people(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    lean, azimuth = random.uniform(10.0, 30.0), random.uniform(0.0, 2.0 * np.pi)
+    scale = random.uniform(0.7, 1.2)
+    neck = leaning_neck(
+        seed,
+        (float(lean * np.cos(azimuth)), float(lean * np.sin(azimuth))),
+        scale=float(scale),
+        spacing_mm=float(random.uniform(1.0, 1.5) * min(scale, 1.0)),
+        gullet=bool(seed % 4),
+    )
+    found = find_airways(neck.volume)
+    begins_below_the_cricoid(neck, found)
+    named_as_without_the_neck(neck, found)
+    for above_carina_mm in (15.0, 50.0, 90.0):
+        started = find_airways(neck.volume, root_lps=neck.trachea_at(above_carina_mm))
+        begins_below_the_cricoid(neck, started)
+        assert right_side(started).keys() == right_side(found).keys()
