@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,9 @@ from leaning_neck import LeaningNeck, leaning_neck
 from numpy.typing import NDArray
 
 from carina.errors import NoResultError
+from carina.phantom import Phantom, generate_phantom
 from carina.track import Airways, find_airways
+from carina.volume import Volume
 
 SPACING_MM = 1.6
 BELOW_THE_NECK_MM = 85.0
@@ -138,6 +141,31 @@ def test_a_ct_of_head_and_neck_is_refused_as_one_without_lungs(start: str | None
     }[start]
     with pytest.raises(NoResultError, match=r"shows no lungs.*head or neck.*open a chest CT"):
         find_airways(head, root_lps=root)
+
+
+def with_a_web(made: Phantom, above_carina_mm: float) -> Volume:
+    """A short, tight stenosis of the trachea."""
+    volume = made.volume
+    matrix, values = volume.lps_from_ijk, volume.hu_zyx.copy()
+    nk, nj, ni = volume.shape_zyx
+    x, y = (matrix[a, 3] + matrix[a, a] * np.arange(n) for a, n in ((0, ni), (1, nj)))
+    points = np.array(made.truth["branches"][0]["points"])
+    for k in range(nk):
+        z = matrix[2, 3] + matrix[2, 2] * k
+        if abs(z - above_carina_mm) <= 2.0:
+            middle = points[int(np.argmin(np.abs(points[:, 2] - z)))]
+            off = np.hypot(x[None, :] - middle[0], y[:, None] - middle[1])
+            values[k][(off > 4.2) & (off < 12.0)] = 40
+    return dataclasses.replace(volume, hu_zyx=values)
+
+
+def test_a_tree_begins_at_the_top_of_the_scan_though_the_trachea_is_narrow_half_way() -> None:
+    made = generate_phantom(
+        seed=4, spacing_mm=1.8, generations=4, box_lps=((-130.0, -105.0, -110.0), (130.0, 105.0, 110.0))
+    )
+    found = find_airways(with_a_web(made, 54.0))
+    assert abs(found.root_lps[2] - 110.0) <= 2.0
+    assert all(branch.points[0][2] >= branch.points[-1][2] for branch in found.tree.branches[:3])
 
 
 @pytest.mark.soak

@@ -38,8 +38,12 @@ ABOVE_CORDS_MM = 20.0
 # The cords lie 18 to 25 mm above the lower border of an adult's cricoid; the tree begins this far below them, and so
 # below the cricoid. In smaller tracheas, children's, all that is smaller.
 BELOW_THE_CORDS_MM = 26.5
-ADULT_DIAMETER_MM = 15.0
-LEAST_SIZE = 0.4
+# An adult's trachea, and the height of its cords above the lowest section, which lies just below the carina.
+ADULT_DIAMETER_MM = 17.3
+ADULT_CORDS_MM = 146.0
+# Within these sizes the larynx is that of an adult; beyond them it grows with the trachea.
+ADULT_SIZES = (0.92, 1.0)
+SIZES = (0.4, 1.2)
 # The cone under the cords begins to narrow so far below them, at most.
 CONE_MM = 9.0
 # A trachea is 100 to 140 mm long; what is followed farther is more than that, whether cords are seen or not.
@@ -160,7 +164,8 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
         if tube is not None and heights[last] - heights[first] > LONGEST_MM:
             # Fluid up to the cords: the upper end of the larynx is all that shows.
             at = int(np.flatnonzero(heights <= heights[last] - ABOVE_CORDS_MM)[-1])
-        size = min(max(diameter / ADULT_DIAMETER_MM, LEAST_SIZE), 1.0)
+        starts_in_it = tube is not None and tube.first == 0
+        size = _larynx_size(diameter, None if starts_in_it else float(heights[at] - heights[0]))
         begins = np.flatnonzero(heights <= heights[at] - BELOW_THE_CORDS_MM * size)
         if len(begins):
             root = int(begins[-1])
@@ -169,6 +174,21 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
         root = int(np.flatnonzero(up <= USUAL_TRACHEA_MM)[-1])
         return Cords(len(sections) - 1, root, float(up[-1] - up[root]), are_seen=False)
     return None
+
+
+def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
+    """The size of the larynx relative to an adult's, from the trachea's diameter and length.
+
+    Parameters
+    ----------
+    cords_mm
+        Height of the cords above the lowest section; None where that is not at the carina.
+    """
+    size = diameter_mm / ADULT_DIAMETER_MM
+    if cords_mm is not None:
+        size = 0.5 * (size + cords_mm / ADULT_CORDS_MM)
+    size = min(size / ADULT_SIZES[0], 1.0) if size < ADULT_SIZES[1] else size / ADULT_SIZES[1]
+    return min(max(size, SIZES[0]), SIZES[1])
 
 
 def sees_a_larynx(sections: list[Section]) -> bool:

@@ -36,6 +36,8 @@ LEAST_AREA = 0.7
 MISSED_MM = 10.0
 # Sections like the trachea's, as shares of its area.
 LIKE_IT = (0.6, 1.5)
+# Share of the sections above that are like the trachea's where it goes on.
+MOSTLY = 0.65
 LONGEST_TRACHEA_MM = 150.0
 # Around the trachea's air, its own wall stays as it is; air of the gullet and of the lung lies farther out.
 OWN_WALL_MM = 2.0
@@ -78,22 +80,22 @@ def down_to_the_carina(
     if not sections:
         return None
     heights = np.array([section.centre_lps[2] for section in sections])
-    apart = [_parts_apart_mm(volume, section) for section in sections]
     end, divides = len(sections), False
-    for n, now in enumerate(apart):
-        if now is None or now < LEAST_APART_MM:
-            continue
-        below = [m for m in range(n, len(sections)) if heights[n] - heights[m] >= FOLLOWED_MM]
-        then = apart[below[0]] if below else None
-        if then is not None and then - now >= DIVERGE_MM:
-            end, divides = n, True
-            break
     if area_mm2 is not None:
         small = np.array([section.area_mm2 < LEAST_AREA * area_mm2 for section in sections])
         for n in range(end):
             if small[n : n + 1 + int(np.sum(heights[n] - heights[n:] < FOLLOWED_MM))].all():
-                end, divides = n, False
+                end = n
                 break
+    for n in range(end):
+        below = np.flatnonzero(heights[n] - heights >= FOLLOWED_MM)
+        now = _parts_apart_mm(volume, sections[n]) if len(below) else None
+        if now is None or now < LEAST_APART_MM:
+            continue
+        then = _parts_apart_mm(volume, sections[int(below[0])])
+        if then is not None and then - now >= DIVERGE_MM:
+            end, divides = n, True
+            break
     return DownToCarina(sections[: max(end, 1)], divides)
 
 
@@ -127,20 +129,26 @@ def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
     z = next((s.centre_lps[2] for s in sections if s.k >= top_k), None)
     if z is None or z - sections[0].centre_lps[2] > LONGEST_TRACHEA_MM - MISSED_MM:
         return False
-    above = [s for s in sections if s.k > top_k and s.centre_lps[2] - z <= MISSED_MM]
+    above = [s for s in sections if s.k > top_k and s.centre_lps[2] - z <= 3.0 * MISSED_MM]
+    if not above or above[-1].centre_lps[2] - z < MISSED_MM:
+        return False
+    # A short stenosis, which the search by anatomy does not pass, may lie between.
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
-    reaches = bool(above) and sections[-1].centre_lps[2] - z >= MISSED_MM
-    return reaches and all(low <= section.area_mm2 <= high for section in above)
+    return sum(low <= section.area_mm2 <= high for section in above) >= MOSTLY * len(above)
 
 
 def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> list[Section]:
-    """The sections up to a slice, and those above it for as long as they are like the trachea's."""
+    """The sections up to a slice, and those above it up to the last one before a long stretch unlike the trachea."""
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
-    limit = sections[0].centre_lps[2] + LONGEST_TRACHEA_MM
+    last = 0
     for n, section in enumerate(sections):
-        if section.centre_lps[2] > limit or (section.k > top_k and not low <= section.area_mm2 <= high):
-            return sections[:n]
-    return sections
+        if section.centre_lps[2] - sections[0].centre_lps[2] > LONGEST_TRACHEA_MM:
+            break
+        if section.k <= top_k or low <= section.area_mm2 <= high:
+            last = n
+        elif section.centre_lps[2] - sections[last].centre_lps[2] > MISSED_MM:
+            break
+    return sections[: last + 1]
 
 
 def only_the_air_of(volume: Volume, scale: AirScale, sections: list[Section]) -> NDArray[np.int16]:
