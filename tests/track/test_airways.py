@@ -236,6 +236,22 @@ def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
     assert {branch.name for branch in result.tree.branches if branch.generation < 2} == {"Trachea", "RMB", "LMB"}
 
 
+def test_paths_begin_at_a_start_given_in_the_trachea_or_in_a_bronchus(chest):
+    """The search itself begins the tree at the top of the trachea for any start in the trachea."""
+    (top, end, _), tip = chest.tubes[0], chest.tubes[3][1]
+    whole = find_airways(chest.volume)
+    middle = 0.5 * (top + end)
+    np.testing.assert_array_equal(find_airways(chest.volume, root_lps=middle).root_lps, whole.root_lps)
+    in_bronchus = 0.5 * (chest.tubes[1][0] + chest.tubes[1][1])
+    lengths = [track_paths(chest.volume, targets=[tip]).targets[0].path.length_mm]
+    for start in (middle, in_bronchus):
+        path = track_paths(chest.volume, root=start, targets=[tip]).targets[0].path
+        assert np.linalg.norm(path.points_lps[0] - start) <= 3.0
+        lengths.append(path.length_mm)
+    assert lengths[0] - lengths[1] == pytest.approx(np.linalg.norm(middle - whole.root_lps), abs=3.0)
+    assert lengths[1] - lengths[2] > 0.4 * np.linalg.norm(end - top)
+
+
 def test_an_island_of_lumen_has_no_path(chest):
     lumen = np.array(find_airways(chest.volume).lumen_zyx)
     # Cut the left main bronchus in two.

@@ -36,7 +36,11 @@ def airways(
     seed: Annotated[
         str | None,
         typer.Option(
-            "--seed", help=("Point in the trachea, x,y,z in mm (LPS), if the trachea is not found automatically.")
+            "--seed",
+            help=(
+                "Point in the trachea, x,y,z in mm (LPS), if the trachea is not found automatically. The tree begins "
+                "at the upper end of the trachea."
+            ),
         ),
     ] = None,
     from_mask: FromMaskOption = None,

@@ -75,7 +75,7 @@ export function BranchList() {
             <Act
               icon="target"
               label={arming ? "Click in a view\u2026" : "Mark the trachea"}
-              words="Click inside the trachea in any view to segment the airways from there"
+              words="Click inside the trachea in any view to segment the airways"
               keys={keyOf("arm_root")}
               onPress={() => station.act("arm_root")}
             />

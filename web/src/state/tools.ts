@@ -77,7 +77,7 @@ const MARK_WORDS: Readonly<Record<"target" | "root" | "start" | LesionTool, Pick
   "lesion-cut": { label: "Erase target", hint: "Draw in a slice over what is not target." },
   root: {
     label: "Mark the trachea",
-    hint: "Click inside the trachea. The airways are segmented again from there; your edits are discarded (undo restores them).",
+    hint: "Click inside the trachea. The airways are segmented again from its upper end; your edits are discarded (undo restores them).",
   },
 };
 

@@ -77,7 +77,8 @@ def find_airways(
     root_lps
         Where the paths begin, LPS mm; by default the top of the trachea. A point in the trachea, or in the larynx and
         throat above it, selects that trachea: the paths begin at its top. A point outside the lumen is moved to the
-        nearest lumen voxel within 5 mm. Needed where the trachea is not in view.
+        nearest lumen voxel within 5 mm. Needed where the trachea is not in view. In ``lumen_zyx`` the paths begin at
+        the point itself.
     lumen_threshold
         Value at which the lumen ends, in the volume's own numbers; -800 HU unless told, or from the histogram where the
         volume is not in HU. Where it is told, the lumen is not followed beyond it by its shape.

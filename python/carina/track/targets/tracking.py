@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from carina.argument_checks import check_arguments, choice, each, function, instance, lps_point, number_from
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
+from carina.track.edit.edits import edit_airways
+from carina.track.edit.kinds import MoveRoot
 from carina.track.find.airways import Airways, find_airways
-from carina.track.paths.tracker import SNAP_MM, as_point, words
+from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
 from carina.track.stages import Cancel
 from carina.track.targets.paper import COSTS, GRAPHS, check_choice, track_on_graph
 from carina.track.targets.results import TargetResult, TrackResult
@@ -57,8 +59,9 @@ def track_paths(
     Parameters
     ----------
     root
-        LPS mm, or "auto" for the top of the trachea. The costs ``walls`` and ``paper`` begin at the given point itself,
-        in any volume; without a lumen there, ``airways`` of the result is None.
+        LPS mm, or "auto" for the top of the trachea. A point in the larynx or the throat is moved to the top of the
+        trachea. The costs ``walls`` and ``paper`` begin at the given point itself, in any volume; without a lumen
+        there, ``airways`` of the result is None.
     targets
         Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result
         says so.
@@ -125,6 +128,8 @@ def track_paths(
         airways = find_airways(
             volume, root_lps=start, lumen_threshold=lumen_threshold, progress=progress, cancel=cancel
         )
+        if start is not None:
+            airways = _starting_at(volume, airways, as_point(start), cancel)
     if graph != "voxel":
         return track_on_graph(
             volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=heard(progress), cancel=cancel
@@ -146,6 +151,17 @@ def track_paths(
     if found:
         tree = dataclasses.replace(airways.tracker.tree_to(found), notes=airways.badges)
     return TrackResult(tree, tuple(results), airways)
+
+
+def _starting_at(volume: Volume, airways: Airways, start: Point, cancel: Cancel | None) -> Airways:
+    """Return the airways with their paths from a given start in the trachea; the search begins at the trachea's top."""
+    if np.linalg.norm(airways.root_lps - np.array(start)) <= SNAP_MM:
+        return airways
+    try:
+        return edit_airways(volume, airways, MoveRoot(start), cancel=cancel)
+    except NoResultError:
+        # The start is in the larynx or the throat, which the tree does not include.
+        return airways
 
 
 def _airways_at(

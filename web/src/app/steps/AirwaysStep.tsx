@@ -80,7 +80,7 @@ function Root() {
       <SwitchKey
         icon="target"
         label={armed ? "Click in a view\u2026" : "Mark the trachea"}
-        words="Click to set a new start point. This will discard your edits (Undo restores them)."
+        words="Click inside the trachea to segment the airways again from its upper end. This will discard your edits (Undo restores them)."
         keys={keyOf("arm_root")}
         on={armed}
         onChange={() => station.act("arm_root")}
