@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from carina.errors import NoResultError
 from carina.phantom import Phantom, generate_phantom
 from carina.track import Airways, find_airways
+from carina.track.find.trachea_search import found_trachea, whole_trachea
+from carina.track.levels import air_scale
+from carina.track.stages import Stages
 from carina.volume import Volume
 
 SPACING_MM = 1.6
@@ -68,6 +71,24 @@ def test_a_leaning_trachea_is_found_whole_beside_air_in_the_gullet() -> None:
 
 def test_a_scan_with_the_neck_has_the_names_of_the_same_scan_without_it() -> None:
     named_as_without_the_neck(a_neck(), found_in_the_neck())
+
+
+def test_a_trachea_with_its_lowest_voxels_in_a_main_bronchus_is_not_continued_into_the_bronchus() -> None:
+    neck, stage = a_neck(), Stages(lambda _what, _fraction: None, None)
+    volume, scale = neck.volume, air_scale(neck.volume)
+    trachea = found_trachea(volume, scale, stage)
+    right = np.array(neck.made.truth["branches"][1]["points"])
+    assert neck.made.truth["branches"][1]["name"] == "RMB"
+    seeds = list(trachea.seeds)
+    for point in right[right[:, 2] >= trachea.carina_lps[2] - 12.0]:
+        i, j, k = (int(v) for v in np.rint(volume.to_ijk(point)))
+        if k < seeds[-1][2]:
+            seeds.append((i, j, k))
+    assert len(seeds) > len(trachea.seeds)
+    # In expiration the trachea is hardly wider than a main bronchus.
+    narrow = dataclasses.replace(trachea, seeds=seeds, diameters_mm=np.full(len(seeds), 12.0))
+    again = whole_trachea(volume, scale, narrow, stage)
+    assert again.seeds[-1][2] >= seeds[-1][2]
 
 
 @pytest.mark.slow

@@ -50,6 +50,9 @@ TRACHEA_DOUBTS = {
     ),
 }
 
+# The lowest voxels of a trachea may be in one main bronchus. The search for the carina begins this far above them, so
+# that it meets both main bronchi.
+SURELY_ABOVE_MM = 20.0
 # A trachea is 100 to 140 mm long; higher up it is larynx and throat.
 MAX_TRACHEA_MM = 150.0
 
@@ -159,13 +162,15 @@ def whole_trachea(volume: Volume, scale: AirScale, trachea: Trachea, stage: Stag
     The trachea's own air is followed down to the carina, and the trachea is searched again without the air beside it.
     """
     area = float(np.pi / 4.0 * np.median(trachea.diameters_mm) ** 2)
-    down = down_to_the_carina(volume, scale, trachea.seeds[-1], stage, area_mm2=area)
-    ends_early = down is not None and down.length_mm >= MISSED_MM
+    heights = volume.to_lps(np.array(trachea.seeds, dtype=np.float64))[:, 2]
+    start = trachea.seeds[int(np.flatnonzero(heights >= min(heights[-1] + SURELY_ABOVE_MM, heights[0]))[-1])]
+    down = down_to_the_carina(volume, scale, start, stage, area_mm2=area)
+    lowest = start if down is None or not down.divides else down.sections[-1].voxel
+    ends_early = float(heights[-1] - volume.to_lps(np.array(lowest, dtype=np.float64))[2]) >= MISSED_MM
     top_k = trachea.seeds[0][2]
     reaches_top = (volume.shape_zyx[0] - 1 - top_k) * volume.spacing_mm[2] < MISSED_MM
     if not ends_early and reaches_top:
         return trachea
-    lowest = down.sections[-1].voxel if down is not None and ends_early else trachea.seeds[-1]
     sections = follow_up(volume, scale, scale.level(AIR_END_HU), lowest, stage)
     is_late = not reaches_top and begins_late(sections, top_k, area)
     if not ends_early and not is_late:
