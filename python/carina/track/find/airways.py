@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +21,12 @@ from carina.argument_checks import (
     text_of,
 )
 from carina.display.progress import ProgressChoice, heard, shows_progress
-from carina.errors import UsageError, check_type
+from carina.errors import NoResultError, UsageError, check_type
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.canonical import CanonicalOrder
 from carina.track.find.filled import find_filled
 from carina.track.find.found import Airways
+from carina.track.find.given_start import GivenStart
 from carina.track.find.growth import doubts_of_given, given_lumen, grow
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
@@ -152,6 +154,7 @@ def _found(
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
+    given_start: GivenStart | None = None
     if given is not None:
         lumen, levels, end = given, None, float("nan")
         badges += doubts_of_given(volume, lumen)
@@ -165,22 +168,27 @@ def _found(
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
         noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
-        threads, size = grown.threads_lps, grown.size
+        threads, size, given_start = grown.threads_lps, grown.size, grown.given_start
         badges += grown.badges
         found_notes += grown.notes
-    stage.begin("measuring the lumen")
     assert root is not None
-    core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
-    tracker = PathTracker(volume, core)
-    stage.begin("calculating the paths")
-    core.solve_all(cancel=stage.cancel, progress=stage.share)
-    stage.begin("building the branches")
-    rows = without_trachea_spurs(core.branches(cancel=stage.cancel, progress=stage.share))
-    branches = branches_from_rows(rows)
-    if not was_given_root:
-        refuse_a_root_below_the_carina(volume, branches)
-        if trachea_mm is not None:
-            refuse_a_root_of_one_lung(volume, branches, trachea_mm)
+    tracker, rows, branches = _tracked(volume, lumen, levels, root, stage)
+    if not was_given_root or given_start is not None:
+        try:
+            refuse_a_root_below_the_carina(volume, branches)
+            if trachea_mm is not None:
+                is_doubted = given_start is not None and given_start.trachea_is_doubted
+                refuse_a_root_of_one_lung(volume, branches, 0.0 if is_doubted else trachea_mm)
+        except NoResultError:
+            if given_start is None:
+                raise
+            # A lower bronchus was taken for the trachea: its tree begins at the given start.
+            found_notes += given_start.notes_if_kept()
+            tracker, rows, branches = _tracked(volume, lumen, levels, given_start.point, stage)
+            trachea_mm = None
+        else:
+            found_notes += [] if given_start is None else given_start.notes_if_moved_to(root)
+    core = tracker.core
     badges += [] if top is None else notes_of(top, branches)
     tree = AirwayTree(branches, _smooth=tracker.smooth)
     uncertain: tuple[Uncertainty, ...] = ()
@@ -222,6 +230,23 @@ def _found(
         uncertain=uncertain,
         upper_airway_zyx=None if top is None or top.upper_zyx is None else sparse_mask(top.upper_zyx),
     )
+
+
+def _tracked(
+    volume: Volume,
+    lumen: NDArray[np.uint8],
+    levels: tuple[float, float, float] | None,
+    root: Point,
+    stage: Stages,
+) -> tuple[PathTracker, list[dict[str, Any]], tuple[Branch, ...]]:
+    """Return the tracker of a lumen from a root, and its branches as rows of the compiled module and as values."""
+    stage.begin("measuring the lumen")
+    core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
+    stage.begin("calculating the paths")
+    core.solve_all(cancel=stage.cancel, progress=stage.share)
+    stage.begin("building the branches")
+    rows = without_trachea_spurs(core.branches(cancel=stage.cancel, progress=stage.share))
+    return PathTracker(volume, core), rows, branches_from_rows(rows)
 
 
 def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,14 @@ from carina.track.levels import AirScale
 from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
 from carina.volume.model import Volume
 
-__all__ = ["air_round", "is_in_trachea", "nearest_in", "refuse_air_beside_the_airways", "refuse_open_air"]
+__all__ = [
+    "GivenStart",
+    "air_round",
+    "is_in_trachea",
+    "nearest_in",
+    "refuse_air_beside_the_airways",
+    "refuse_open_air",
+]
 
 # Air in an airway's section is enclosed at one of these levels (HU); lung with emphysema is only just brighter.
 ENCLOSED_HU = (-800.0, -900.0, -950.0)
@@ -24,6 +33,31 @@ MOST_SECTION_MM2 = 1500.0
 IN_TRACHEA_MM = 18.0
 # A point this far above the top of the trachea that was found may lie in the true one.
 ABOVE_MM = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class GivenStart:
+    """A start that a user gave in the trachea."""
+
+    given: Point
+    point: Point
+    """The nearest voxel of the lumen."""
+    snapped_mm: float
+    """Distance of the given point from the lumen; 0 in the lumen."""
+    trachea_is_doubted: bool
+    """The trachea lacks one of its usual features, so it may be a bronchus."""
+
+    def notes_if_moved_to(self, root: Point) -> list[str]:
+        """Return the notes if the tree begins at the upper end of the trachea."""
+        moved_mm = float(np.linalg.norm(np.subtract(root, self.given)))
+        if moved_mm <= SNAP_MM:
+            return []
+        where = words(self.given)
+        return [f"the point {where} is in the trachea: the start was moved {moved_mm:.0f} mm to its upper end"]
+
+    def notes_if_kept(self) -> list[str]:
+        """Return the notes if the tree begins at the given start."""
+        return [f"the start was moved {self.snapped_mm:.1f} mm to the nearest lumen voxel"] if self.snapped_mm else []
 
 
 def air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
