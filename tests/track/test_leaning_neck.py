@@ -1,4 +1,4 @@
-"""Scans with the neck in which the trachea leans: where the tree begins, with and without a given start."""
+"""The start of the tree in scans that include the neck and a leaning trachea, with and without a given start."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from carina.errors import NoResultError
 from carina.phantom import Phantom, generate_phantom
 from carina.track import Airways, find_airways
 from carina.track.find.trachea_search import found_trachea, whole_trachea
+from carina.track.find.upper_airway import CORDS_ABOVE_CRICOID_MM, root_below_cords_mm
 from carina.track.levels import air_scale
 from carina.track.stages import Stages
 from carina.volume import Volume
@@ -91,8 +92,16 @@ def test_a_trachea_with_its_lowest_voxels_in_a_main_bronchus_is_not_continued_in
     assert again.seeds[-1][2] >= seeds[-1][2]
 
 
+@pytest.mark.parametrize("size", [0.4, 0.7, 1.0, 1.2])
+def test_the_tree_begins_within_10_mm_below_the_cricoid_for_each_height_of_the_cords(size: float) -> None:
+    slice_mm = 1.0
+    for cords_mm in CORDS_ABOVE_CRICOID_MM:
+        below_mm = root_below_cords_mm(size) - size * cords_mm
+        assert 0.0 < below_mm <= 10.0 - slice_mm
+
+
 @pytest.mark.slow
-def test_a_child_whose_trachea_leans_to_the_left_and_the_back() -> None:
+def test_the_tree_of_a_child_with_a_leaning_trachea_begins_below_the_cricoid() -> None:
     neck = leaning_neck(2, (22.0, 10.0), scale=0.75, spacing_mm=1.2)
     begins_below_the_cricoid(neck, find_airways(neck.volume))
 
@@ -191,7 +200,7 @@ def test_a_tree_begins_at_the_top_of_the_scan_though_the_trachea_is_narrow_half_
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(20))
-def test_leaning_tracheas_of_twenty_people(seed: int) -> None:
+def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_keep_their_names(seed: int) -> None:
     random = np.random.default_rng(seed)
     lean, azimuth = random.uniform(10.0, 30.0), random.uniform(0.0, 2.0 * np.pi)
     scale = random.uniform(0.7, 1.2)

@@ -11,7 +11,6 @@ from carina._core import flood_lumen
 from carina.track.find.air_upwards import SEPTUM_MM2, Section, follow_up
 from carina.track.find.softened import Softened
 from carina.track.find.upper_airway import (
-    BELOW_THE_CORDS_MM,
     USUAL_TRACHEA_MM,
     Cords,
     Tube,
@@ -33,8 +32,6 @@ TUBE = "track.tube"
 
 AIR_END_HU = -800.0
 WALL_HU = 40.0
-# The cricoid's lower border is that of an adult whose cords lie 21.5 mm above it.
-ROOT_BELOW_CRICOID_MM = BELOW_THE_CORDS_MM - 21.5
 AT_CARINA_MM = 10.0
 MOST_BELOW = 0.85
 # More air than a throat holds is the world outside.
@@ -169,9 +166,8 @@ def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
         )
         notes.append(Note(LARYNX, words, badge=True))
     elif top.cords is not None:
-        scale = top.cords.above_root_mm / BELOW_THE_CORDS_MM
         words = (
-            f"the scan includes the larynx: the tree begins about {ROOT_BELOW_CRICOID_MM * scale:.0f} mm below the "
+            f"the scan includes the larynx: the tree begins about {top.cords.cricoid_above_root_mm:.0f} mm below the "
             f"cricoid ({top.cords.above_root_mm:.0f} mm below the vocal cords); the larynx and the throat above it are "
             "upper airway and not part of the tree"
         )

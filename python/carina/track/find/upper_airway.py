@@ -12,14 +12,24 @@ from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, Section, disc, 
 from carina.track.levels import AirScale
 from carina.volume.model import Volume
 
-__all__ = ["Cords", "Tube", "as_one_trachea", "opening_in_front", "sees_a_larynx", "the_cords", "tube_in"]
+__all__ = [
+    "CORDS_ABOVE_CRICOID_MM",
+    "Cords",
+    "Tube",
+    "as_one_trachea",
+    "opening_in_front",
+    "root_below_cords_mm",
+    "sees_a_larynx",
+    "the_cords",
+    "tube_in",
+]
 
 # The cords are not looked for nearer to the carina than so many diameters of the trachea: an adult's lie 7 of them up,
 # a newborn's 8.
 LEAST_DIAMETERS = 4.0
 # What is followed from a place in a tube begins above its tip, some way above the carina.
 LEAST_DIAMETERS_IN_A_TUBE = 2.0
-# Where little trachea is visible, its lowest part is compared.
+# If little trachea is visible, only its lowest part is compared with the sections above.
 SHORT_MM = 15.0
 # Narrower than this share of the trachea, from side to side or in area: the cone under the cords, or a stenosis.
 NARROW_WIDTH = 0.7
@@ -35,13 +45,16 @@ AGAIN_BY_A_TUBE_MM = 9.0
 # From the cone under the true cords to the wide part of the vestibule; that from the cords on.
 LONGEST_MM = 40.0
 ABOVE_CORDS_MM = 20.0
-# The cords lie 18 to 25 mm above the lower border of an adult's cricoid; the tree begins this far below them, and so
-# below the cricoid. In smaller tracheas, children's, all that is smaller.
+# The cords lie this far above the lower border of an adult's cricoid, and in proportion in smaller and larger people.
+CORDS_ABOVE_CRICOID_MM = (18.0, 25.0)
+# The tree begins below the cricoid: this far below an adult's cords, in proportion in smaller people. In larger people
+# the tree begins at the middle of the places that are less than 9 mm below the cricoid wherever the cords are.
 BELOW_THE_CORDS_MM = 26.5
+LESS_BELOW_CRICOID_MM = 9.0
 # An adult's trachea, and the height of its cords above the lowest section, which lies just below the carina.
 ADULT_DIAMETER_MM = 17.3
 ADULT_CORDS_MM = 146.0
-# Within these sizes the larynx is that of an adult; beyond them it grows with the trachea.
+# Between these sizes the larynx has an adult's size; outside them it scales with the trachea.
 ADULT_SIZES = (0.92, 1.0)
 SIZES = (0.4, 1.2)
 # The cone under the cords begins to narrow so far below them, at most.
@@ -79,6 +92,13 @@ class Cords:
     above_root_mm: float
     are_seen: bool = True
     """False where only the length tells that what was followed is no trachea any more."""
+    size: float = 1.0
+    """Size of the larynx relative to an adult's."""
+
+    @property
+    def cricoid_above_root_mm(self) -> float:
+        """Expected height of the cricoid's lower border above the root."""
+        return self.above_root_mm - 0.5 * sum(CORDS_ABOVE_CRICOID_MM) * self.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +115,7 @@ def _heights(sections: list[Section]) -> NDArray[np.float64]:
 def _typical(
     sections: list[Section], heights: NDArray[np.float64], tube: Tube | None, *, within_mm: float = 60.0
 ) -> tuple[float, float, float]:
-    """Width, depth and area of the trachea: the median over its lower part, below a tube's tip where there is one."""
+    """Return the median width, depth and area of the trachea's lower part, below the tip of a tube if there is one."""
     stop = len(sections) if tube is None else max(tube.first - 1, 1)
     lower = [s for s, z in zip(sections[:stop], heights[:stop], strict=True) if z - heights[0] <= within_mm]
     rows = np.array([[s.width_mm, s.depth_mm, s.area_mm2] for s in lower])
@@ -166,23 +186,29 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
             at = int(np.flatnonzero(heights <= heights[last] - ABOVE_CORDS_MM)[-1])
         starts_in_it = tube is not None and tube.first == 0
         size = _larynx_size(diameter, None if starts_in_it else float(heights[at] - heights[0]))
-        begins = np.flatnonzero(heights <= heights[at] - BELOW_THE_CORDS_MM * size)
+        begins = np.flatnonzero(heights <= heights[at] - root_below_cords_mm(size))
         if len(begins):
             root = int(begins[-1])
-            return Cords(at, root, float(heights[at] - heights[root]))
+            return Cords(at, root, float(heights[at] - heights[root]), size=size)
     if up[-1] > LONGEST_TRACHEA_MM:
         root = int(np.flatnonzero(up <= USUAL_TRACHEA_MM)[-1])
         return Cords(len(sections) - 1, root, float(up[-1] - up[root]), are_seen=False)
     return None
 
 
+def root_below_cords_mm(size: float) -> float:
+    """Return how far below the cords the tree begins, for a size of the larynx relative to an adult's."""
+    low, high = CORDS_ABOVE_CRICOID_MM
+    return min(BELOW_THE_CORDS_MM * size, 0.5 * (high * size + low * size + LESS_BELOW_CRICOID_MM))
+
+
 def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
-    """The size of the larynx relative to an adult's, from the trachea's diameter and length.
+    """Return the size of the larynx relative to an adult's, from the trachea's diameter and the height of the cords.
 
     Parameters
     ----------
     cords_mm
-        Height of the cords above the lowest section; None where that is not at the carina.
+        Height of the cords above the lowest section; None if the lowest section is not at the carina.
     """
     size = diameter_mm / ADULT_DIAMETER_MM
     if cords_mm is not None:
@@ -192,7 +218,7 @@ def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
 
 
 def sees_a_larynx(sections: list[Section]) -> bool:
-    """Whether the sections, from a place in the trachea up, pass a larynx; the scan may show little trachea."""
+    """Return whether sections from a place in the trachea up pass a larynx; the scan may show little trachea."""
     if len(sections) < 3:
         return False
     typical = _typical(sections, _heights(sections), None, within_mm=SHORT_MM)
@@ -202,7 +228,7 @@ def sees_a_larynx(sections: list[Section]) -> bool:
 def _larynges(
     sections: list[Section], tube: Tube | None, typical: tuple[float, float, float], least_mm: float
 ) -> list[tuple[int, int]]:
-    """The first and last places of the narrow stretches that are like a larynx, at least so far up."""
+    """Return the first and last index of each narrow stretch that is like a larynx, at least this far up."""
     heights = _heights(sections)
     width, depth, area = typical
     up = heights - heights[0]
