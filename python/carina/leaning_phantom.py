@@ -1,4 +1,4 @@
-"""A phantom whose trachea leans: the slices above the carina, moved in their planes."""
+"""A phantom whose trachea leans: the slices above the carina are moved in their planes."""
 
 from __future__ import annotations
 
@@ -13,31 +13,33 @@ __all__ = ["MOST_LEAN_DEG", "lean_chest", "moved_mm"]
 MOST_LEAN_DEG = 35.0
 # The trachea bends over this height above and below the carina.
 BEND_MM = 10.0
-# What moves in from outside the volume: air, where no airway is near.
+# Values that move in from outside the volume: air, far from any airway.
 AIR_HU = -1000.0
 FAR_MM = 5.0
 
 
 def moved_mm(lean_deg: Sequence[float], z_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 2) displacement along x and y at heights above the carina: none below it, a straight lean above it."""
+    """Return the displacement (n, 2) along x and y at heights above the carina; it is 0 well below the carina."""
     bend = np.clip(z_mm + BEND_MM, 0.0, 2.0 * BEND_MM) ** 2 / (4.0 * BEND_MM)
     height = np.where(z_mm > BEND_MM, z_mm, bend)
     return height[:, None] * np.tan(np.radians(np.asarray(lean_deg, dtype=np.float64)))
 
 
 def lean_chest(made: dict[str, Any], lean_deg: Sequence[float], beside: tuple[int, ...]) -> None:
-    """Lean what ``carina._core.generate_chest`` returned with the distance to the lumen, in place: voxels and truth.
+    """Lean a chest in place: the voxels and the truth that ``carina._core.generate_chest`` returned.
+
+    The chest must include the distance to the lumen, which is removed.
 
     Parameters
     ----------
     beside
-        Voxels along x and y that are cut off on each side after the lean.
+        Number of voxels along x and y that are cut off on each side after the move.
     """
     matrix = np.array(made["lps_from_ijk"], dtype=np.float64)
     heights = matrix[2, 3] + matrix[2, 2] * np.arange(made["hu_zyx"].shape[0])
     steps = moved_mm(lean_deg, heights) / np.array([matrix[0, 0], matrix[1, 1]])
     inner = tuple(slice(n, -n if n else None) for n in reversed(beside))
-    # The lumen's mask is made from the distance to its surface, which has no steps of a voxel.
+    # The distance to the lumen's surface can be interpolated between voxels; a mask cannot.
     distance = made.pop("lumen_distance_mm")
     sources = {"hu_zyx": (made["hu_zyx"], AIR_HU), "lumen_zyx": (distance, FAR_MM)}
     if "upper_airway_zyx" in made:
@@ -62,7 +64,7 @@ def lean_chest(made: dict[str, Any], lean_deg: Sequence[float], beside: tuple[in
 
 
 def _moved(slice_yx: NDArray[np.float32], steps: float, axis: int, outside: float) -> NDArray[np.float32]:
-    """A slice moved by a number of voxels, with cubic (Catmull-Rom) interpolation, which neither blurs nor smooths."""
+    """Return a slice moved by a number of voxels, with cubic (Catmull-Rom) interpolation, which blurs little."""
     whole = int(np.floor(steps))
     t = steps - whole
     weights = (
@@ -86,6 +88,8 @@ def _moved(slice_yx: NDArray[np.float32], steps: float, axis: int, outside: floa
 
 
 def _lean_truth(made: dict[str, Any], lean_deg: Sequence[float]) -> None:
+    """Lean the centrelines and the points of the truth in place."""
+
     def leaned(points: Any) -> NDArray[np.float64]:
         out = np.array(points, dtype=np.float64).reshape(-1, 3)
         out[:, :2] += moved_mm(lean_deg, out[:, 2])

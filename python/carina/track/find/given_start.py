@@ -1,4 +1,4 @@
-"""A start of the airways that a user gave: the air at it, and whether that air belongs to the airways."""
+"""The start that a user gives: the air around the point, and whether this air belongs to the airways."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ __all__ = [
     "refuse_open_air",
 ]
 
-# Air in an airway's section is enclosed at one of these levels (HU); lung with emphysema is only just brighter.
+# The air of an airway is enclosed in a slice at one of these levels (HU); lung with emphysema is hardly brighter.
 ENCLOSED_HU = (-800.0, -900.0, -950.0)
-# The largest section of an airway along a slice: a main bronchus that lies in it.
+# The largest section of an airway in a slice: a main bronchus that runs along the slice.
 MOST_SECTION_MM2 = 1500.0
-# From the middle of the trachea to its wall, at most.
+# Largest distance from the middle of the trachea to its wall.
 IN_TRACHEA_MM = 18.0
-# A point this far above the top of the trachea that was found may lie in the true one.
+# A point farther than this above the upper end of the found trachea may be in the true trachea.
 ABOVE_MM = 5.0
 
 
@@ -61,7 +61,7 @@ class GivenStart:
 
 
 def air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
-    """Return the voxels of air nearest to a root that a user gave: the nearest one and those within 2 mm of it."""
+    """Return the voxels of air at a given root: the nearest voxel and those within 2 mm of that voxel."""
     centre = volume.to_ijk(np.array(root))
     shape = np.array(volume.shape_zyx[::-1])
     reach = np.ceil((SNAP_MM + 2.0) / np.array(volume.spacing_mm)) + 1
@@ -109,7 +109,7 @@ def nearest_in(volume: Volume, lumen: NDArray[np.uint8], point: Point) -> tuple[
 
 
 def is_in_trachea(volume: Volume, trachea: Trachea, top: TopOfTrachea | None, point: Point) -> bool:
-    """Whether a point of the lumen lies in the trachea, above the carina."""
+    """Return whether a point of the lumen is in the trachea, above the carina."""
     if point[2] <= trachea.carina_lps[2]:
         return False
     places = volume.to_lps(np.array(trachea.seeds if top is None else top.seeds, dtype=np.float64))
@@ -118,12 +118,12 @@ def is_in_trachea(volume: Volume, trachea: Trachea, top: TopOfTrachea | None, po
 
 
 def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[int, int, int]) -> None:
-    """Refuse a root in the lung or in the air outside the body, where the air of a slice is wider than an airway.
+    """Refuse a root in the lung or in the air outside the body.
 
     Raises
     ------
     NoResultError
-        If that is so.
+        If the air around the voxel is wider in its slice than an airway.
     """
     i, j, k = voxel
     values = volume.hu_zyx[k]
@@ -144,17 +144,17 @@ def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[i
 
 
 def refuse_air_beside_the_airways(root: Point, trachea: Trachea, top: Point) -> None:
-    """Refuse a root that is not connected to a trachea that is beyond doubt: air in the gullet, the bowel or a bulla.
+    """Refuse a root in air beside the airways: in the gullet, the bowel or a bulla.
 
     Parameters
     ----------
     top
-        The upper end of that trachea.
+        The upper end of the trachea.
 
     Raises
     ------
     NoResultError
-        If that is so.
+        If a trachea beyond doubt was found, with which the root is not connected.
     """
     is_sure = not trachea.notes and trachea.split_mm is not None and trachea.split_mm >= SURE_TRACHEA_MM
     if is_sure and root[2] <= top[2] + ABOVE_MM:

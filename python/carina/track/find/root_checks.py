@@ -32,8 +32,8 @@ MIDDLE_MM = 10.0
 LEAST_SIDE = 0.05
 # Lung is told from the air outside on blocks of about this size: noise and the skin's blurred edge go under.
 BLOCK_MM = 4.0
-# Lung is more even than this within a block (HU); the blurred edge between air and skin is not. Less lung than this is
-# none: the cells of the mastoid, bowel.
+# The standard deviation (HU) in a block of lung is at most this; it is larger in the blurred edge between air and skin.
+# A smaller volume is not lung: air cells of the mastoid, or bowel.
 EVEN_HU = 150.0
 LEAST_LUNG_MM3 = 40_000.0
 
@@ -130,7 +130,7 @@ def _middle_between_the_lungs(volume: Volume) -> float | None:
 
 
 def has_lung(volume: Volume, scale: AirScale) -> bool:
-    """Whether a CT shows lung: much tissue that is about as dark as lung, without the edges between air and tissue."""
+    """Return whether a CT shows lung: enough evenly dark tissue, without the edges between air and tissue."""
     size = np.maximum(np.rint(BLOCK_MM / np.array(volume.spacing_mm)), 1).astype(int)
     counts = np.array(volume.shape_zyx[::-1]) // size
     low, high = scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])

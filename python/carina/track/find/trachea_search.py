@@ -1,4 +1,4 @@
-"""The trachea: found by its anatomy, then followed so that all of it is found."""
+"""The search for the trachea: by its anatomy, then along its air so that all of it is found."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ from carina.volume.model import Volume
 __all__ = ["NO_LUNGS", "Trachea", "found_trachea", "trachea_in", "trachea_round", "whole_trachea"]
 
 # HU levels, read on the volume's own scale (AirScale).
-# The first that shows a trachea counts: lower where its wall to the lung is thin, higher where the slices blur it.
+# The search uses the first level that shows a trachea: a lower one if its wall to the lung is thin, a higher one if the
+# slices blur it.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
 TISSUE_HU = -450.0
 
-# What is missing where a trachea was found all the same, in words.
+# Notes on a trachea that lacks one of its usual features.
 TRACHEA_DOUBTS = {
     "cut-off": "the scan begins just above the carina and shows little of the trachea",
     "narrow-bronchus": (
@@ -50,8 +51,8 @@ TRACHEA_DOUBTS = {
     ),
 }
 
-# The lowest voxels of a trachea may be in one main bronchus. The search for the carina begins this far above them, so
-# that it meets both main bronchi.
+# The lowest voxels of a trachea may be in one main bronchus. The air is followed down from a place this far above those
+# voxels, so that both main bronchi are met.
 SURELY_ABOVE_MM = 20.0
 # A trachea is 100 to 140 mm long; higher up it is larynx and throat.
 MAX_TRACHEA_MM = 150.0
@@ -65,14 +66,16 @@ NO_LUNGS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trachea:
+    """The trachea as the search found it."""
+
     seeds: list[tuple[int, int, int]]
-    """Voxels (i, j, k) of its air, from the top down."""
+    """Voxels (i, j, k) of the trachea's air, from the top down."""
     top: Point
     notes: list[str]
     split_mm: float | None
     """Length above the carina; None where a main bronchus or a lung is missing."""
     diameters_mm: NDArray[np.float64]
-    """(n,) equivalent diameter in each of its slices."""
+    """(n,) equivalent diameter in each slice."""
     carina_lps: NDArray[np.float64]
 
 
@@ -84,14 +87,14 @@ def trachea_in(
     Parameters
     ----------
     values
-        (nz, ny, nx) on the volume's grid: its own values, or a copy in which some air was replaced by tissue.
+        (nz, ny, nx) on the volume's grid: the volume's values, or a copy in which some air was replaced by tissue.
     painted
         The values are a drawn lumen, which shows no lungs.
 
     Raises
     ------
     NoResultError
-        If no tube is like a trachea; the message names what is missing.
+        If no tube is like a trachea; the message names the missing feature.
     """
     stage.begin("finding the trachea")
     lung = None if painted else (scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1]))
@@ -139,12 +142,12 @@ def _top_z(volume: Volume, found: dict[str, Any]) -> float:
 
 
 def found_trachea(volume: Volume, scale: AirScale, stage: Stages) -> Trachea:
-    """Find the trachea of a CT, and all of it.
+    """Find the whole trachea of a CT, down to the carina.
 
     Raises
     ------
     NoResultError
-        If there is none; where the scan shows no lungs either, the message says so.
+        If there is no trachea; the message states whether the scan shows lungs.
     """
     try:
         trachea = trachea_in(volume.hu_zyx, volume, scale, stage)
@@ -158,8 +161,8 @@ def found_trachea(volume: Volume, scale: AirScale, stage: Stages) -> Trachea:
 def whole_trachea(volume: Volume, scale: AirScale, trachea: Trachea, stage: Stages) -> Trachea:
     """Correct a trachea that was found to end above the carina or to begin below its top.
 
-    Where the trachea leans, air beside it (in the gullet or the top of a lung) diverges from it like a main bronchus.
-    The trachea's own air is followed down to the carina, and the trachea is searched again without the air beside it.
+    Beside a leaning trachea, air in the gullet or in the top of a lung diverges from the trachea like a main bronchus.
+    The trachea's own air is followed down to the carina, and the search is repeated without the air beside the trachea.
     """
     area = float(np.pi / 4.0 * np.median(trachea.diameters_mm) ** 2)
     heights = volume.to_lps(np.array(trachea.seeds, dtype=np.float64))[:, 2]
@@ -191,12 +194,12 @@ def whole_trachea(volume: Volume, scale: AirScale, trachea: Trachea, stage: Stag
 
 
 def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], stage: Stages) -> Trachea | None:
-    """Find the trachea that a voxel (i, j, k) of air lies in, or the larynx or throat above it.
+    """Find the trachea from a voxel (i, j, k) in the air of the trachea, the larynx or the throat.
 
     Returns
     -------
     Trachea or None
-        None where the air below does not divide into two main bronchi between the lungs.
+        None if the air below does not divide into two main bronchi between the lungs.
     """
     down = down_to_the_carina(volume, scale, start, stage)
     if down is None or not down.divides:
@@ -211,7 +214,7 @@ def trachea_round(volume: Volume, scale: AirScale, start: tuple[int, int, int], 
 
 
 def _along(volume: Volume, trachea: Trachea, sections: list[Section]) -> Trachea:
-    """The trachea with the sections that it was followed in."""
+    """Return the trachea extended by the sections in which its air was followed."""
     if not sections:
         return trachea
     own = {section.k for section in sections}

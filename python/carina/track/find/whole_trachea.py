@@ -1,4 +1,4 @@
-"""The whole trachea in a scan: its air followed down to the carina, and the air beside it left out of the search."""
+"""The extent of the trachea in a scan: its air followed to the carina, and the scan without the air beside it."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ __all__ = [
 
 AIR_END_HU = -800.0
 WALL_HU = 40.0
-# Two main bronchi: each has at least this area, and they lie this far apart from side to side and diverge this much
-# over the distance that both are followed.
+# Each of two main bronchi has at least this area. They are this far apart from side to side, and diverge by this much
+# over this distance.
 LEAST_PART_MM2 = 12.0
 LEAST_APART_MM = 7.0
 FOLLOWED_MM = 6.0
 DIVERGE_MM = 2.0
 # A main bronchus has less than this share of the trachea's area.
 LEAST_AREA = 0.7
-# A stretch of trachea that is shorter than this was not missed.
+# The search by anatomy misses the trachea's exact ends by less than this.
 MISSED_MM = 10.0
-# Sections like the trachea's, as shares of its area.
+# Least and largest area of a section of the trachea, as shares of the trachea's area.
 LIKE_IT = (0.6, 1.5)
 # Share of the sections above that are like the trachea's where it goes on.
 MOSTLY = 0.65
 LONGEST_TRACHEA_MM = 150.0
-# Around the trachea's air, its own wall stays as it is; air of the gullet and of the lung lies farther out.
+# The trachea's wall, which is left as it is; air in the gullet and in the lung is farther away.
 OWN_WALL_MM = 2.0
 
 
@@ -48,9 +48,9 @@ class DownToCarina:
     """The trachea's air below a place in it."""
 
     sections: list[Section]
-    """From that place down to the last section above the carina."""
+    """Sections from the given place down to the last one above the carina."""
     divides: bool
-    """Two main bronchi follow below; False where the air ends, narrows or leaves the scan first."""
+    """Whether two main bronchi follow below; False if the air ends, narrows or leaves the scan first."""
 
     @property
     def length_mm(self) -> float:
@@ -63,18 +63,18 @@ def down_to_the_carina(
 ) -> DownToCarina | None:
     """Follow the trachea's air from a voxel (i, j, k) down to the carina.
 
-    Air that is only beside the trachea, in the gullet or in the top of a lung, is not followed, so it is never mistaken
+    Air in the gullet or in the top of a lung is beside the trachea; this air is not followed, so it cannot be mistaken
     for a main bronchus.
 
     Parameters
     ----------
     area_mm2
-        Area of the trachea's section, if it is known: what is much smaller is a bronchus, and ends the trachea.
+        Area of the trachea's section, if it is known: a much smaller section is a bronchus and ends the trachea.
 
     Returns
     -------
     DownToCarina or None
-        None where there is no air at ``start``.
+        None if there is no air at ``start``.
     """
     sections = follow_up(volume, scale, scale.level(AIR_END_HU), start, stage, down=True)
     if not sections:
@@ -100,7 +100,7 @@ def down_to_the_carina(
 
 
 def _parts_apart_mm(volume: Volume, section: Section) -> float | None:
-    """Distance from side to side of the two largest parts of a section's air; None where the air is in one part."""
+    """Return the distance from side to side of the two largest parts of a section's air; None if there is one part."""
     dx, dy, _ = volume.spacing_mm
     left = section.air.copy()
     parts: list[tuple[float, float]] = []
@@ -119,12 +119,12 @@ def _parts_apart_mm(volume: Volume, section: Section) -> float | None:
 
 
 def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
-    """Whether sections like the trachea's go on above the slice in which it was found to begin.
+    """Return whether sections like the trachea's continue above the slice in which the trachea was found to begin.
 
     Parameters
     ----------
     sections
-        From the carina up.
+        Sections from the carina up.
     """
     z = next((s.centre_lps[2] for s in sections if s.k >= top_k), None)
     if z is None or z - sections[0].centre_lps[2] > LONGEST_TRACHEA_MM - MISSED_MM:
@@ -138,7 +138,7 @@ def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
 
 
 def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> list[Section]:
-    """The sections up to a slice, and those above it up to the last one before a long stretch unlike the trachea."""
+    """Return the sections up to a slice, and those above the slice up to a long stretch that is unlike the trachea."""
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
     last = 0
     for n, section in enumerate(sections):
@@ -152,9 +152,9 @@ def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> li
 
 
 def only_the_air_of(volume: Volume, scale: AirScale, sections: list[Section]) -> NDArray[np.int16]:
-    """The values (nz, ny, nx) with soft tissue beside the sections, in their slices.
+    """Return the values (nz, ny, nx) with soft tissue in place of all air beside the sections.
 
-    Air in the gullet, in the top of a lung or outside the body then cannot be taken for a part of the trachea.
+    Air in the gullet, in the top of a lung or outside the body then cannot be mistaken for a part of the trachea.
     """
     values = volume.hu_zyx.copy()
     dx, dy, _ = volume.spacing_mm
