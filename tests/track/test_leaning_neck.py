@@ -35,8 +35,7 @@ def found_in_the_neck() -> Airways:
 
 def begins_below_the_cricoid(neck: LeaningNeck, found: Airways) -> None:
     cricoid_z = neck.cricoid_lps[2]
-    # The level is estimated from the vocal cords, to a slice.
-    assert 0.0 <= cricoid_z - found.root_lps[2] <= 10.0 + 0.5 * neck.volume.spacing_mm[2]
+    assert 0.0 <= cricoid_z - found.root_lps[2] <= 10.0
     assert all(branch.points[:, 2].max() <= cricoid_z for branch in found.tree.branches)
     trunk = found.tree.branches[0]
     assert trunk.name == "Trachea"
@@ -56,7 +55,8 @@ def right_side(found: Airways) -> dict[str, NDArray[np.float64]]:
 def named_as_without_the_neck(neck: LeaningNeck, found: Airways) -> None:
     names = right_side(found)
     cropped = right_side(find_airways(neck.cropped(below_mm=BELOW_THE_NECK_MM)))
-    assert {"RMB", "BI", "RUL", "RML", "RLL"} <= set(cropped)
+    # RLL is missing in two of 20 phantoms: RML, RB6 and the basal trunk begin at one fork.
+    assert {"RMB", "BI", "RUL", "RML", "RB6"} <= set(cropped)
     assert set(names) == set(cropped)
     for name, end in cropped.items():
         assert np.linalg.norm(names[name] - end) <= 5.0, name
@@ -72,6 +72,7 @@ def test_a_leaning_trachea_is_found_whole_beside_air_in_the_gullet() -> None:
 
 def test_a_scan_with_the_neck_has_the_names_of_the_same_scan_without_it() -> None:
     named_as_without_the_neck(a_neck(), found_in_the_neck())
+    assert "RLL" in right_side(found_in_the_neck())
 
 
 def test_a_trachea_with_its_lowest_voxels_in_a_main_bronchus_is_not_continued_into_the_bronchus() -> None:
@@ -214,7 +215,8 @@ def test_trees_of_leaning_tracheas_begin_below_the_cricoid_and_keep_their_names(
     found = find_airways(neck.volume)
     begins_below_the_cricoid(neck, found)
     named_as_without_the_neck(neck, found)
-    for above_carina_mm in (15.0, 50.0, 90.0):
-        started = find_airways(neck.volume, root_lps=neck.trachea_at(above_carina_mm))
+    starts = [neck.trachea_at(above_carina_mm) for above_carina_mm in (15.0, 50.0, 90.0)]
+    for start in (*starts, neck.in_larynx, in_the_throat(neck)):
+        started = find_airways(neck.volume, root_lps=start)
         begins_below_the_cricoid(neck, started)
         assert right_side(started).keys() == right_side(found).keys()
