@@ -84,6 +84,8 @@ def spread(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[n
     out = mask.copy()
     nj, ni = mask.shape
     for j, i in offsets:
+        if abs(j) >= nj or abs(i) >= ni:
+            continue
         out[max(j, 0) : nj + min(j, 0), max(i, 0) : ni + min(i, 0)] |= mask[
             max(-j, 0) : nj + min(-j, 0), max(-i, 0) : ni + min(-i, 0)
         ]
