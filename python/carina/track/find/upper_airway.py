@@ -186,9 +186,11 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
             at = int(np.flatnonzero(heights <= heights[last] - ABOVE_CORDS_MM)[-1])
         starts_in_it = tube is not None and tube.first == 0
         size = _larynx_size(diameter, None if starts_in_it else float(heights[at] - heights[0]))
-        begins = np.flatnonzero(heights <= heights[at] - root_below_cords_mm(size))
-        if len(begins):
-            root = int(begins[-1])
+        # Below the cricoid wherever the cords are, and nearest to the wanted place: slices may be thick.
+        below = np.flatnonzero(heights <= heights[at] - CORDS_ABOVE_CRICOID_MM[1] * size)
+        if len(below):
+            wanted = heights[at] - root_below_cords_mm(size)
+            root = int(below[np.argmin(np.abs(heights[below] - wanted))])
             return Cords(at, root, float(heights[at] - heights[root]), size=size)
     if up[-1] > LONGEST_TRACHEA_MM:
         root = int(np.flatnonzero(up <= USUAL_TRACHEA_MM)[-1])
