@@ -153,7 +153,19 @@ def disk(tmp_path):
 
 
 @pytest.fixture
-def station(tmp_path, disk):
+def signals_of_a_terminal():
+    """Handle signals as in a terminal: a process under nohup passes its ignored SIGHUP on to what it starts."""
+    former = {
+        number: signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+        for number in (signal.SIGHUP, signal.SIGINT)
+    }
+    yield
+    for number, handler in former.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def station(tmp_path, disk, signals_of_a_terminal):
     stations = []
 
     def start(*, terminal):
