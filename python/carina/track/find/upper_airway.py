@@ -57,6 +57,8 @@ ADULT_CORDS_MM = 146.0
 # Between these sizes the larynx has an adult's size; outside them it scales with the trachea.
 ADULT_SIZES = (0.92, 1.0)
 SIZES = (0.4, 1.2)
+# A CT of a neck or a head, a child's too, shows more than this from side to side and from front to back.
+LEAST_NECK_MM = 90.0
 # The cone under the cords begins to narrow so far below them, at most.
 CONE_MM = 9.0
 # A trachea is 100 to 140 mm long; what is followed farther is more than that, whether cords are seen or not.
@@ -219,9 +221,13 @@ def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
     return min(max(size, SIZES[0]), SIZES[1])
 
 
-def sees_a_larynx(sections: list[Section]) -> bool:
-    """Return whether sections from a place in the trachea up pass a larynx; the scan may show little trachea."""
-    if len(sections) < 3:
+def sees_a_larynx(volume: Volume, sections: list[Section]) -> bool:
+    """Return whether sections from a place in the trachea up pass a larynx; the scan may show little trachea.
+
+    A volume that is smaller than a neck shows no larynx: it is a part of a chest, a specimen or a model.
+    """
+    width_mm, depth_mm = (n * mm for n, mm in zip(volume.shape_zyx[:0:-1], volume.spacing_mm[:2], strict=True))
+    if len(sections) < 3 or min(width_mm, depth_mm) < LEAST_NECK_MM:
         return False
     typical = _typical(sections, _heights(sections), None, within_mm=SHORT_MM)
     return bool(_larynges(sections, None, typical, 0.0))
