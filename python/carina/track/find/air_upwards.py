@@ -62,14 +62,14 @@ class Section:
     """Air goes on in front of it, beyond what is followed."""
 
     def window_of(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """The part of (nz, ny, nx) values that the masks lie on."""
+        """Return the part of (nz, ny, nx) values that the masks cover."""
         j, i = self.corner
         nj, ni = self.air.shape
         return values[self.k, j : j + nj, i : i + ni]
 
 
 def disc(radius_mm: float, step_mm: tuple[float, float]) -> list[tuple[int, int]]:
-    """The offsets (j, i) within a radius, the middle left out."""
+    """Return the offsets (j, i) within a radius, without (0, 0)."""
     rj, ri = (int(radius_mm / step) for step in step_mm)
     return [
         (j, i)
@@ -80,7 +80,7 @@ def disc(radius_mm: float, step_mm: tuple[float, float]) -> list[tuple[int, int]
 
 
 def spread(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
-    """The mask moved by each offset, together."""
+    """Return the union of the mask and its copies moved by each offset."""
     out = mask.copy()
     nj, ni = mask.shape
     for j, i in offsets:
@@ -96,7 +96,7 @@ SIDES = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 
 
 def grown(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """What of ``within`` hangs together with ``start`` by sides."""
+    """Return the pixels of ``within`` that are connected to ``start`` by their sides."""
     out = start & within
     size = -1
     while size != (size := int(out.sum())):
@@ -122,9 +122,9 @@ def closed(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[n
 def follow_up(
     volume: Volume, scale: AirScale, air: float, start: tuple[int, int, int], stage: Stages, *, down: bool = False
 ) -> list[Section]:
-    """The sections above a voxel of the trachea, from there up, until the air or the scan ends.
+    """Return the sections of the trachea's air from a voxel upwards, until the air or the scan ends.
 
-    Each is the air that lies on the section below it. A tube's air and the air round it are one section.
+    Each section is the air that touches the section below it. The air in a tube and the air around it are one section.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def follow_up(
 
 
 def _moved(mask: NDArray[np.bool_], dj: int, di: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """A mask in a window that begins so many voxels later."""
+    """Return a mask in a window of this shape that begins ``dj`` and ``di`` voxels later."""
     out = np.zeros(shape, dtype=np.bool_)
     part = mask[max(dj, 0) : max(dj, 0) + shape[0] - max(-dj, 0), max(di, 0) : max(di, 0) + shape[1] - max(-di, 0)]
     out[max(-dj, 0) : max(-dj, 0) + part.shape[0], max(-di, 0) : max(-di, 0) + part.shape[1]] = part

@@ -110,7 +110,7 @@ def refuse_a_root_of_one_lung(volume: Volume, branches: tuple[Branch, ...], trac
 
 
 def _middle_between_the_lungs(volume: Volume) -> float | None:
-    """x in LPS half-way between the outer parts of the lungs; None where there is no lung."""
+    """Return the LPS x half-way between the outer parts of the lungs; None where there is no lung."""
     size = np.maximum(np.rint(BLOCK_MM / np.array(volume.spacing_mm)), 1).astype(int)
     counts = np.array(volume.shape_zyx[::-1]) // size
     if not counts.all():

@@ -179,9 +179,9 @@ def _seam_mm(volume: Volume) -> float:
 
 @lru_cache(maxsize=64)
 def inverse_of(raised: float, seam_mm: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The inverse of ``1 + a (1 - g)`` less ``1 / (1 + a)`` as two Gaussians: weight and sigma in mm of each.
+    """Return two Gaussians that sum to the inverse of ``1 + a (1 - g)`` less ``1 / (1 + a)``: weight and sigma in mm.
 
-    Exactly it is a sum of endlessly many. Two leave at most 0.005 at any frequency.
+    The exact inverse is an infinite sum of Gaussians. Two of them differ from it by at most 0.005 at any frequency.
     """
     frequency = np.linspace(0.0, 1.2 / seam_mm, 300)
 

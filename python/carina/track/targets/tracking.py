@@ -154,7 +154,7 @@ def track_paths(
 
 
 def _starting_at(volume: Volume, airways: Airways, start: Point, cancel: Cancel | None) -> Airways:
-    """Return the airways with their paths from a given start in the trachea; the search begins at the trachea's top."""
+    """Return the airways with paths that begin at a start given in the trachea instead of at the trachea's top."""
     if np.linalg.norm(airways.root_lps - np.array(start)) <= SNAP_MM:
         return airways
     try:
