@@ -113,7 +113,7 @@ def top_of_trachea(
 def without_its_tube(
     top: TopOfTrachea, lowest: tuple[int, int, int], scale: AirScale, stage: Stages
 ) -> NDArray[np.int16]:
-    """The values (nz, ny, nx) that were searched, with air for a tube's wall; below ``lowest`` (i, j, k) as well."""
+    """Return the searched values (nz, ny, nx) with air for a tube's wall, also below ``lowest`` (i, j, k)."""
     volume = top.searched.volume
     values = volume.hu_zyx.copy()
     below = follow_up(volume, scale, scale.level(AIR_END_HU), lowest, stage, down=True)
@@ -123,7 +123,7 @@ def without_its_tube(
 
 
 def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
-    """A tube that ends below the top of the trachea, where air goes on in front of it."""
+    """Return whether a tube ends below the top of the trachea, with air that continues in front of its upper end."""
     if tube is None or tube.last + 3 >= len(trachea):
         return False
     beside = trachea[max(tube.last - 3, 0) : tube.last + 4]
@@ -133,7 +133,7 @@ def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
 
 
 def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: int) -> NDArray[np.uint8]:
-    """The air above the trachea's top slice that hangs together with its sections; those alone where that is open."""
+    """Return the air connected to the sections above the trachea, or only the sections if that air is open."""
     mask = np.zeros(volume.shape_zyx, dtype=np.uint8)
     if not above:
         return mask
@@ -157,7 +157,7 @@ def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: 
 
 
 def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
-    """What a person should know about it, in words."""
+    """Return the lasting notes about the top of the trachea."""
     notes: list[Note] = []
     if top.cords is not None and not top.cords.are_seen:
         words = (

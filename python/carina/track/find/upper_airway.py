@@ -126,7 +126,7 @@ def _typical(
 
 
 def tube_in(sections: list[Section]) -> Tube | None:
-    """The tube among the sections, from its tip up; None where there is none.
+    """Return the tube among the sections, from its tip up; None if there is no tube.
 
     Plastic or metal between the air in it and the air round it; or, where it fills the trachea, a narrow round lumen
     with something as bright as its line all along.
@@ -166,7 +166,7 @@ def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: flo
 
 
 def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
-    """The vocal cords among the sections; None where the scan, or its air, ends below them.
+    """Return the vocal cords among the sections; None if the scan or its air ends below them.
 
     Going up, the trachea narrows from side to side to a slit, or to nothing where the cords are shut, and what follows
     is no trachea again. A stenosis is followed by trachea; where the scan ends just above a narrow place, only a slit
@@ -287,7 +287,7 @@ def _is_trachea_again(above: list[Section], width: float, depth: float, area: fl
 def as_one_trachea(
     volume: Volume, sections: list[Section], tube: Tube | None, stop: int, *, is_open: bool
 ) -> tuple[list[Section], list[tuple[Section, NDArray[np.bool_]]]]:
-    """The first ``stop`` sections, each as the trachea's own.
+    """Return the first ``stop`` sections, each reduced or completed to the trachea's own air.
 
     Where an opening leaves the trachea its air reaches forward, and where fluid stands round a tube only the tube's own
     lumen is left. There the trachea is as in the sections below and above, put where the line between them passes.
@@ -344,7 +344,7 @@ def as_one_trachea(
 
 
 def _put(volume: Volume, section: Section, middle: tuple[float, float], into: Section) -> NDArray[np.bool_]:
-    """A section's mask with its middle at (j, i), in the window of another."""
+    """Return a section's mask with its middle moved to (j, i), in the window of another section."""
     i, j, _ = volume.to_ijk(section.centre_lps)
     shift = np.rint(np.subtract(middle, (j, i))).astype(int) + section.corner - into.corner
     cells = np.argwhere(section.whole) + shift
@@ -357,7 +357,7 @@ def _put(volume: Volume, section: Section, middle: tuple[float, float], into: Se
 def opening_in_front(
     volume: Volume, scale: AirScale, sections: list[Section]
 ) -> tuple[tuple[slice, slice, slice], NDArray[np.bool_]] | None:
-    """The air of an opening in the front of the neck that joins the trachea to the air outside.
+    """Return the air of an opening in the front of the neck that connects the trachea to the air outside.
 
     Returns
     -------
