@@ -52,11 +52,6 @@ class DownToCarina:
     divides: bool
     """Whether two main bronchi follow below; False if the air ends, narrows or leaves the scan first."""
 
-    @property
-    def length_mm(self) -> float:
-        """Height of the first section above the last one."""
-        return float(self.sections[0].centre_lps[2] - self.sections[-1].centre_lps[2])
-
 
 def down_to_the_carina(
     volume: Volume, scale: AirScale, start: tuple[int, int, int], stage: Stages, *, area_mm2: float | None = None
