@@ -26,6 +26,7 @@ import carina
 from carina import _core, phantom
 from carina.phantom import Phantom
 from carina.track import Airways, AirwayTree
+from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt import found_core
 from carina.track.paths.tracker import PathTracker
 from carina.volume import Volume, ct_digest, model
@@ -151,16 +152,25 @@ def kept_airways(name: str, volume: Volume) -> Airways:
         told = {one.name: getattr(found, one.name) for one in dataclasses.fields(found)}
         del told["tracker"], told["evidence"]
         told["tree"] = (found.tree.branches, found.tree.notes)
-        return told, (found.tracker.root_ijk, found.tracker.given_nodes)
+        tracker, grid = found.tracker, found.tracker.grid
+        paths_zyx = tracker.lumen_zyx if grid.is_divided else None
+        return told, (grid.parts, paths_zyx, tracker.root_ijk, tracker.given_nodes)
 
-    told, (root_ijk, nodes) = made_value(name, search)
+    told, (parts, paths_zyx, root_ijk, nodes) = made_value(name, search)
     if searched:
         return searched[0]
     (branches, notes), lumen, levels = told.pop("tree"), told["lumen_zyx"], told["wall_levels"]
-    for array in (lumen, told["upper_airway_zyx"]):
+    for array in (lumen, paths_zyx, told["upper_airway_zyx"]):
         if array is not None:
             array.flags.writeable = False
-    tracker = PathTracker(volume, lambda: found_core(volume, lumen, root_ijk, levels), root_ijk=root_ijk)
+    grid = PathGrid(volume, parts)
+    paths_zyx = lumen if paths_zyx is None else paths_zyx
+    tracker = PathTracker(
+        grid,
+        lambda: found_core(grid.volume, paths_zyx, root_ijk, levels),
+        root_ijk=root_ijk,
+        lumen_zyx=paths_zyx,
+    )
     if nodes is None:
         tracker.follow_branches(branches)
     else:

@@ -21,6 +21,8 @@ CLEAR_MM = 5.0
 FARTHEST_MM = 40.0
 MISSED_MM = 3.0
 """A place of a true airway was missed where no lumen was found so near."""
+SURE = 0.95
+"""Least confidence of branches that are taken for true airways."""
 SIDES, SEEN_MM, OPEN_SHARE, SEEN_NOISE = 16, 3.0, 0.2, 3.0
 LUNG_HU, OUTSIDE_HU = -650.0, -988.0
 
@@ -70,7 +72,7 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
         stems = [b for b in tree.branches if b.children and 3 <= b.generation <= 4]
         stems = [stems[n] for n in rng.permutation(len(stems))[: max(3, len(stems) // 4)]]
     else:
-        stems = [b for b in tree.tips() if b.generation >= 2 and b.length_mm >= 4.0]
+        stems = [b for b in tree.tips() if b.generation >= 2 and b.length_mm >= 4.0 and (b.confidence or 1.0) >= SURE]
         stems = [stems[n] for n in rng.permutation(len(stems))[: max(3, (3 * len(stems)) // 4)]]
     gone: dict[int, Branch] = {}
     for stem in stems:
@@ -93,7 +95,8 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
     i, j, k = voxels[is_gone].T
     mask[k, j, i] = 0
     opened = find_airways(volume, lumen_zyx=mask, root_lps=airways.root_lps)
-    branches = list(gone.values())
+    # What the search itself doubts need not be an airway.
+    branches = [b for b in gone.values() if b.confidence is None or b.confidence >= SURE]
     places = []
     for _ in range(num):
         branch = branches[rng.integers(len(branches))]

@@ -146,13 +146,12 @@ class Doing:
     def unfold(self) -> None:
         airways: Any = self.document.airways
         if isinstance(airways, FoldedAirways):
-            whole = airways.unfold(self.case.volume)
+            whole = airways.unfold()
             self.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
             self.measured.became(airways, whole)
 
     def fold(self) -> None:
         """As a session folds the airways of far steps."""
-        volume = self.case.volume
         folded: dict[int, Any] = {}
 
         def fold(document: Document) -> Document:
@@ -160,7 +159,7 @@ class Doing:
             if isinstance(airways, FoldedAirways) or airways.base is None:
                 return document
             if id(airways) not in folded:
-                folded[id(airways)] = fold_airways(volume, airways)
+                folded[id(airways)] = fold_airways(airways)
                 self.measured.became(airways, folded[id(airways)])
             return replace(document, airways=folded[id(airways)])
 
@@ -239,7 +238,7 @@ def assert_same_route(found: ChosenRoute | None, expected: ChosenRoute | None) -
 
 
 def whole(airways: Any, case: EditCase) -> Airways:
-    found: Airways = airways.unfold(case.volume) if isinstance(airways, FoldedAirways) else airways
+    found: Airways = airways.unfold() if isinstance(airways, FoldedAirways) else airways
     return found
 
 

@@ -286,12 +286,13 @@ def test_in_a_mirrored_chest_the_three_lobed_lung_is_the_left_one(chest):
     assert [absence.name for absence in lacking] == ["LML"]
 
 
-def test_the_bundled_patient_lacks_the_segments_of_a_middle_lobe_whose_bronchus_is_lost():
+def test_of_the_bundled_patient_only_segments_whose_branches_are_there_but_not_identified_are_absent():
     airways = the_patient()[1]
-    assert {absence.name for absence in airways.absent} <= {"RB4", "RB5"}
+    assert {"RML", "RB4", "RB5", "RB6"} <= {branch.name for branch in airways.tree.branches}
+    assert {absence.name for absence in airways.absent} <= {"LB8", "LB9"}
     for absence in airways.absent:
-        assert absence.carrier == "RML"
-        assert absence.beyond_mm > 5.0
+        assert absence.kind == "unnamed"
+        assert airways.tree.branch(absence.branch_id).name is None
         assert absence.words in airways._repr_html_()
 
 

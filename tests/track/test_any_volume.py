@@ -111,11 +111,11 @@ def test_in_the_nose_of_the_head_a_path_that_leaves_the_air_shows_it_in_its_valu
 
 
 @pytest.mark.data
-def test_walls_keep_99_percent_of_the_way_to_five_lobar_bronchi_of_a_real_chest_inside(patient_dicom):
+def test_walls_keep_99_percent_of_the_way_to_seven_lobar_bronchi_of_a_real_chest_inside(patient_dicom):
     volume = carina.open_volume(patient_dicom)
     airways = carina.find_airways(volume)
     third = [branch for branch in airways.tree.branches if branch.generation == 3]
-    ends = [branch.points[-1] for branch in third[:: max(len(third) // 5, 1)][:5]]
+    ends = [branch.points[-1] for branch in third[:: max(len(third) // 7, 1)][:7]]
     box = search_box(volume, [airways.root_lps, *ends], max_bytes=1 << 28)
     search = track_on_graph(volume, airways, ends, cost="walls", graph="voxel", box_ijk=box).search
     # 3 mm slices; to its segments the figure is lower: decision 0058.

@@ -81,7 +81,7 @@ def test_the_note_stays_with_the_tree_through_edits_undo_and_files(sharp, tmp_pa
     tip = max(airways.tree.tips(), key=lambda branch: branch.id)
     edited = edit_airways(volume, airways, CutBranch(tip.id))
     edited = edit_airways(volume, edited, RenameBranch(airways.tree.root.id, "windpipe"))
-    unfolded = fold_airways(volume, edited).unfold(volume)
+    unfolded = fold_airways(edited).unfold()
     tracked = track_paths(volume, targets=[airways.tree.root.tip_lps], airways=edited).tree
     for notes in (edited.badges, unfolded.badges, tracked.notes):
         assert notes == airways.badges

@@ -4,7 +4,7 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::find::extension::{ExtensionLimits, Followed, extend};
+use carina_airpath::find::extension::{Divided, ExtensionLimits, Followed, extend};
 use carina_airpath::find::pieces::{PieceLimits, pieces_of_air};
 use carina_airpath::find::soft::{Blur, CutOff, keep_cut_off_air, mixed};
 use carina_airpath::find::thin::{ThinLimits, extend_thin};
@@ -24,7 +24,7 @@ use crate::watch::PyWatch;
 
 /// Follow the airways beyond the flood's end; `lumen_zyx` (1 inside) is changed in place, what is added gets 2.
 #[pyfunction]
-#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, raised=1.0, most_reached=1.0, cancel=None, progress=None))]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, raised=1.0, most_reached=1.0, divided=None, cancel=None, progress=None))]
 fn extend_lumen<'py>(
     py: Python<'py>,
     values_zyx: PyReadonlyArray3<'py, i16>,
@@ -38,6 +38,7 @@ fn extend_lumen<'py>(
     min_length_mm: f64,
     raised: f64,
     most_reached: f64,
+    divided: Option<(usize, f64, f64, f64)>,
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -54,6 +55,12 @@ fn extend_lumen<'py>(
         min_length_mm,
         raised,
         most_reached,
+        divided: divided.map(|(axis, slice_mm, least_odds, least_probability)| Divided {
+            axis,
+            slice_mm,
+            least_odds,
+            least_probability,
+        }),
     };
     let watch = PyWatch::new(cancel, progress);
     let extension = py
@@ -159,6 +166,7 @@ fn followed_list<'py>(
         dict.set_item("points_lps", array.into_pyarray(py))?;
         dict.set_item("length_mm", path.length_mm)?;
         dict.set_item("contrast", path.contrast)?;
+        dict.set_item("probability", path.probability)?;
         list.append(dict)?;
     }
     Ok(list)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import weakref
 from collections.abc import Callable, Sequence
@@ -50,6 +51,7 @@ from carina.track import (
 )
 from carina.track.edit.folded import FoldedAirways
 from carina.track.find.kept import KeptForVolume
+from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt import edited_core, found_core
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.uncertain import without_unproven_blocks
@@ -77,7 +79,7 @@ class KeptAirways(FoldedAirways):
     def __repr__(self) -> str:
         return f"KeptAirways(row={self.row})"
 
-    def unfold(self, volume: Volume) -> Airways:
+    def unfold(self) -> Airways:
         """Return the airways as they were saved; their paths are calculated when they are first needed.
 
         Raises
@@ -85,7 +87,6 @@ class KeptAirways(FoldedAirways):
         CaseFileError
             ``case.damaged``.
         """
-        assert volume.hu_zyx is self.reader.volume.hu_zyx
         with no_surprise():
             return self.reader.airways(self.row)
 
@@ -137,6 +138,8 @@ class CaseReader:
         self._lock = threading.RLock()
         self._arrays: weakref.WeakValueDictionary[int, NDArray[Any]] = weakref.WeakValueDictionary()
         self._lumens: weakref.WeakValueDictionary[int, NDArray[np.uint8]] = weakref.WeakValueDictionary()
+        self._grids: dict[int, PathGrid] = {}
+        """By the number of parts; trackers on one grid share its volume."""
         self._num_voxels: dict[int, int] = {}
         """Of lumens that were read, by their row."""
         self._trackers: weakref.WeakValueDictionary[int, PathTracker] = weakref.WeakValueDictionary()
@@ -366,7 +369,7 @@ class CaseReader:
         paths = self._tracker(tracker)
         whole_base = None if base is None else self._base(base)
         made = Airways(
-            lumen_zyx=self._lumen(lumen),
+            lumen_zyx=paths.grid.lumen_on_ct(self._lumen(lumen), branches),
             root_lps=np.array(facts.root_lps, dtype=np.float64),
             tree=AirwayTree(branches, notes=notes, _smooth=paths.smooth),
             tracker=paths,
@@ -391,14 +394,14 @@ class CaseReader:
         lumen, tree, i, j, k, said, nodes, num_nodes = self.columns("tracker", row)
         levels = from_json(said, self._decoders.levels, where)
         lumen_zyx = self._lumen(lumen)
-        nz, ny, nx = self._turn.shape_zyx
+        nz, ny, nx = self._rows_of("lumen", lumen)[:3]
         inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
-        root = self._turn.voxel((i, j, k))
+        root = dataclasses.replace(self._turn, shape_zyx=(nz, ny, nx)).voxel((i, j, k))
         if not inside or not lumen_zyx[root[::-1]]:
             raise damaged(where, "a start point in the lumen", f"voxel {(i, j, k)}")
         make = edited_core if nodes is None else found_core
-        volume = self.volume
-        made = PathTracker(volume, lambda: make(volume, lumen_zyx, root, levels), root_ijk=root)
+        grid = self._grid((nz, ny, nx), where)
+        made = PathTracker(grid, lambda: make(grid.volume, lumen_zyx, root, levels), root_ijk=root, lumen_zyx=lumen_zyx)
         branches, _ = self._tree(tree)
         # Nodes are numbered along the axes.
         if nodes is None or not self._turn.is_none:
@@ -474,8 +477,7 @@ class CaseReader:
         where = f"row {row} of lumen"
         nz, ny, nx, count, packed_places, packed_tiles = self._rows_of("lumen", row)
         shape = (nz, ny, nx)
-        if shape != self._turn.shape_zyx:
-            raise damaged(where, f"the shape of the scan, {self._turn.shape_zyx}", str(shape))
+        self._grid(shape, where)
         most = num_tiles(shape)
         if not 0 <= count <= most:
             raise damaged(where, f"at most {most} tiles", str(count))
@@ -491,6 +493,15 @@ class CaseReader:
         self._lumens[row] = made
         self._know("lumen", made, row)
         return made
+
+    def _grid(self, shape_zyx: tuple[int, int, int], where: str) -> PathGrid:
+        """Return the grid of a lumen from its shape in the axes of the case: that of the CT, or with divided slices."""
+        i, j, k = (shape_zyx[::-1][axis] for axis in self._turn.axes)
+        parts = PathGrid.parts_of(self.volume, (k, j, i))
+        if parts is None:
+            expected = f"the shape of the scan, {self._turn.shape_zyx}, or its longest voxels divided"
+            raise damaged(where, expected, str(shape_zyx))
+        return self._grids.setdefault(parts, PathGrid(self.volume, parts))
 
     def _tile(self, row: int) -> bytes:
         (data,) = self._rows_of("tile", row)

@@ -269,10 +269,10 @@ class CaseWriter:
         for (kind, _), (value, row) in (*self._of_this.items(), *self._of_last.items()):
             if kind == "airways" and isinstance(value, Airways) and _is_of(value, packed):
                 return row
-        return self._whole_airways(packed.unfold(packed.base.tracker.volume))
+        return self._whole_airways(packed.unfold())
 
     def _whole_airways(self, airways: Airways) -> int:
-        lumen, tree = self._lumen(airways.lumen_zyx), self._tree(airways.tree.branches, airways.tree)
+        lumen, tree = self._lumen(airways.tracker.lumen_zyx), self._tree(airways.tree.branches, airways.tree)
         facts = f.AirwaysFacts(
             root_lps=_three(airways.root_lps),
             threshold=None if math.isnan(airways.threshold) else float(airways.threshold),

@@ -75,13 +75,12 @@ class TreeEditing(Subject):
         """Airways that undo came back to are built again, with the session locked."""
         airways: Any = case.document.airways
         if isinstance(airways, FoldedAirways):
-            whole = airways.unfold(case.info.volume)
+            whole = airways.unfold()
             case.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
             case.measured.became(airways, whole)
 
     def fold(self, case: OpenCase) -> None:
         """Airways of steps far away are kept small, with the session locked."""
-        volume = case.info.volume
         folded: dict[int, Any] = {}
 
         def fold(document: Document) -> Document:
@@ -89,7 +88,7 @@ class TreeEditing(Subject):
             if edited is None or isinstance(edited, FoldedAirways) or found_airways(document) is edited:
                 return document
             if id(edited) not in folded:
-                folded[id(edited)] = fold_airways(volume, edited)
+                folded[id(edited)] = fold_airways(edited)
                 case.measured.became(edited, folded[id(edited)])
             return replace(document, airways=folded[id(edited)])
 

@@ -91,7 +91,7 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
         return replace(
             target,
             route=route_along_points(airways, points, target.target_id, target.name),
-            outside_mm=None if airways is None else outside_mm(points, airways, airways.tracker.volume),
+            outside_mm=None if airways is None else outside_mm(points, airways, airways.tracker.grid.ct),
         )
     assert airways is not None
     bare = Target(

@@ -15,7 +15,7 @@ use carina_grid::VolumeView;
 use rayon::prelude::*;
 
 use crate::find::extension_levels::Levels;
-pub use crate::find::extension_levels::{EXTENDED, ExtensionLimits, Followed};
+pub use crate::find::extension_levels::{Divided, EXTENDED, ExtensionLimits, Followed};
 use crate::find::extension_reach::{open_from, reach};
 use crate::find::extension_ways::Search;
 use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};

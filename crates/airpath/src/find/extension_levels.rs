@@ -23,6 +23,21 @@ pub struct ExtensionLimits {
     pub raised: f64,
     /// The search is given up once it has reached more than this share of the lung.
     pub most_reached: f64,
+    /// Where thick slices were divided; None where voxels have the CT's own size.
+    pub divided: Option<Divided>,
+}
+
+/// How ways are judged where thick slices were divided.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Divided {
+    /// Axis of the grid across the slices.
+    pub axis: usize,
+    /// Thickness of the slices before they were divided, mm.
+    pub slice_mm: f64,
+    /// A section pays by how much its log-odds exceed this.
+    pub least_odds: f64,
+    /// The least probability of a way and all that it leaves.
+    pub least_probability: f64,
 }
 
 /// One airway that was followed beyond the flood's end.
@@ -32,6 +47,8 @@ pub struct Followed {
     pub voxels: Vec<u32>,
     /// Length, mm.
     pub length_mm: f64,
+    /// That it and all that it leaves are airways; 1 where they were not judged by odds.
+    pub probability: f64,
     /// Mean rise to the wall over what the lung pretends (1 is no better than the darkest fiftieth of lung).
     pub contrast: f64,
 }

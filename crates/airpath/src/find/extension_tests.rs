@@ -14,6 +14,7 @@ const LIMITS: ExtensionLimits = ExtensionLimits {
     min_length_mm: 4.0,
     raised: 1.0,
     most_reached: 1.0,
+    divided: None,
 };
 
 struct Drawn {

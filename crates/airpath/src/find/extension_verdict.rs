@@ -2,6 +2,7 @@
 
 use carina_grid::Grid;
 
+use crate::find::extension_levels::{Divided, ExtensionLimits};
 use crate::find::tubeness::Section;
 
 /// Blur of a scanner with a smooth kernel (sigma): 1.4 mm full width.
@@ -10,6 +11,24 @@ const SCANNER_BLUR_MM: f64 = 0.6;
 const BLURRED: f64 = 0.75;
 /// Share of the sides of a section on which there must be wall; a fork leaves a quarter open.
 const MIN_WALLED: f64 = 0.7;
+
+/// Of the products of two of the seven figures of [`log_odds`], in the order of a triangle.
+const WEIGHTS: [&[f64]; 7] = [
+    &[-8.55, 0.68, 3.23, 0.45, -0.63, 3.90, -0.58],
+    &[0.44, 2.72, 0.21, 1.43, -4.59, -2.21],
+    &[4.85, -0.76, 0.58, 7.50, 0.12],
+    &[0.55, 0.75, 1.30, -0.81],
+    &[0.83, 2.70, -1.33],
+    &[-7.69, 3.79],
+    &[-1.98],
+];
+/// Of 1, the evidence of its sections (logarithm), the distance from other lumens (mm), the share of the lung round it that
+/// the search reached, and straightness (distance of its ends over its length).
+pub(crate) const WAY_WEIGHTS: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95];
+
+/// Blur in the slices and least blur across them (sigma), mm.
+const BLUR_IN_SLICE_MM: f64 = 0.65;
+const LEAST_BLUR_ACROSS_MM: f64 = 0.5;
 
 /// What stands between a lumen and its values.
 #[derive(Debug, Clone, Copy)]
@@ -29,6 +48,71 @@ impl Blur {
             noise,
         }
     }
+}
+
+/// Logarithm of the odds that a section of a way in divided slices is one of an airway (docs/decisions/0086).
+///
+/// Thick slices blur in one direction, so how dark a lumen must be depends on where its airway runs. The figures are 1, the
+/// enclosure (logarithm, in thresholds), how bright the middle is between air and the wall and between air and half a wall,
+/// the radius, the share of sides with a wall, and the blur that makes a lumen of that radius so bright, over the blur that
+/// the slices have in this direction (logarithm).
+///
+/// `enclosure` is how far the values rise round the way, in thresholds; `along` is the part of the way's direction that
+/// lies across the slices.
+pub(crate) fn log_odds(
+    section: &Section,
+    own: f64,
+    enclosure: f64,
+    along: f64,
+    limits: &ExtensionLimits,
+    divided: Divided,
+) -> f64 {
+    let share = share_of_wall(section, own, limits.air);
+    let figures = [
+        1.0,
+        enclosure.clamp(0.2, 10.0).ln(),
+        share,
+        radius_of(section),
+        section.walled,
+        ((own - limits.air) / (f64::from(limits.brightest) - limits.air)).clamp(0.0, 0.9),
+        blur_ratio(section, own, along, limits.air, divided),
+    ];
+    WEIGHTS
+        .iter()
+        .enumerate()
+        .flat_map(|(a, row)| {
+            row.iter()
+                .enumerate()
+                .map(move |(b, weight)| (a, a + b, weight))
+        })
+        .map(|(a, b, weight)| weight * figures[a] * figures[b])
+        .sum()
+}
+
+/// How bright the middle is, as a share of the way from air to the wall.
+fn share_of_wall(section: &Section, own: f64, air: f64) -> f64 {
+    if section.rise > 0.0 {
+        ((own - air) / (own + section.rise - air).max(1.0)).clamp(0.02, 0.98)
+    } else {
+        0.98
+    }
+}
+
+/// The radius, where the sections that the weights were fitted to have it, mm.
+fn radius_of(section: &Section) -> f64 {
+    section.radius_mm.clamp(0.4, 2.2)
+}
+
+/// The blur that makes a lumen of this radius so bright, over the blur of the slices in this direction (logarithm).
+///
+/// `along` is the part of the way's direction that lies across the slices.
+fn blur_ratio(section: &Section, own: f64, along: f64, air: f64, divided: Divided) -> f64 {
+    let blur_mm = radius_of(section) / (-2.0 * share_of_wall(section, own, air).ln()).sqrt();
+    let across_mm = (divided.slice_mm / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
+    let up_mm = (BLUR_IN_SLICE_MM * along).hypot(across_mm * (1.0 - along * along).max(0.0).sqrt());
+    (blur_mm / (BLUR_IN_SLICE_MM * up_mm).sqrt())
+        .clamp(0.3, 4.0)
+        .ln()
 }
 
 /// Wall on most sides, and as dark in the middle as a lumen that wide must be.

@@ -5,9 +5,9 @@ use std::collections::{BinaryHeap, HashMap};
 
 use carina_grid::VolumeView;
 
-use crate::find::extension_levels::{ExtensionLimits, Followed, LUMEN, Levels};
+use crate::find::extension_levels::{Divided, ExtensionLimits, Followed, LUMEN, Levels, PENDING};
 use crate::find::extension_reach::{Faces, Node, places};
-use crate::find::extension_verdict::{Blur, looks_like_airway};
+use crate::find::extension_verdict::{Blur, WAY_WEIGHTS, log_odds, looks_like_airway};
 use crate::find::thin_profile::Profile;
 use crate::find::tubeness::{REACH_MM, Section, section};
 use carina_leastcost::{TrackError, Watch};
@@ -21,6 +21,11 @@ const FILL_RADII: f64 = 1.5;
 const FILL_NODES: usize = 2;
 /// The direction of a way is taken over this much of it, to both sides, mm.
 const TANGENT_MM: f64 = 2.0;
+/// A way that leaves an airway is beside it for so long, mm; beyond, it is looked at how far it is from any, at most so far.
+const BEYOND_MM: f64 = 5.0;
+const CLEAR_MM: f64 = 6.0;
+/// The lung round a way, mm.
+const AROUND_MM: f64 = 8.0;
 /// What a voxel may give a path, in thresholds: one bright wall must not pay for a long way without.
 const MOST_GAIN: f64 = 3.0;
 
@@ -31,6 +36,8 @@ pub(crate) struct Path {
     /// To the wall at each of them, mm.
     radius_mm: Vec<f64>,
     length_mm: f64,
+    /// That it and all that it leaves are airways.
+    probability: f64,
 }
 
 impl Path {
@@ -48,29 +55,39 @@ impl Path {
                 .map(|n| reached[*n as usize].voxel)
                 .collect(),
             length_mm: self.length_mm,
+            probability: self.probability,
         }
     }
+}
+
+/// A section of a way.
+struct WaySection {
+    /// Direction of the way, a unit vector in mm on the grid's axes.
+    along: [f64; 3],
+    section: Section,
 }
 
 /// The least-cost ways from the lumen through what was reached.
 pub(crate) struct Search<'a> {
     values: VolumeView<'a, i16>,
     smooth: VolumeView<'a, i16>,
+    /// With the marks that the search left.
+    lumen: &'a [u8],
     faces: Faces,
     reached: &'a [Node],
     levels: Levels,
     at: HashMap<u32, u32>,
     before: Vec<u32>,
     along_mm: Vec<f32>,
-    /// In the tree of kept paths.
-    kept: Vec<bool>,
+    /// Probability of the kept path that holds it; 0 where none does.
+    kept: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
     pub(crate) fn new(
         values: VolumeView<'a, i16>,
         smooth: VolumeView<'a, i16>,
-        lumen: &[u8],
+        lumen: &'a [u8],
         reached: &'a [Node],
         is_open: &[bool],
         levels: Levels,
@@ -122,13 +139,14 @@ impl<'a> Search<'a> {
         Self {
             values,
             smooth,
+            lumen,
             faces,
             reached,
             levels,
             at,
             before,
             along_mm,
-            kept: vec![false; reached.len()],
+            kept: vec![0.0; reached.len()],
         }
     }
 
@@ -162,7 +180,7 @@ impl<'a> Search<'a> {
             let mut way = vec![tip];
             while let Some(last) = way.last().copied()
                 && self.before[last as usize] != NONE
-                && !self.kept[self.before[last as usize] as usize]
+                && self.kept[self.before[last as usize] as usize] == 0.0
             {
                 way.push(self.before[last as usize]);
             }
@@ -170,7 +188,7 @@ impl<'a> Search<'a> {
             self.cover(&way, &mut covered);
             if let Some(path) = self.worth(&way, limits) {
                 for node in &path.nodes {
-                    self.kept[*node as usize] = true;
+                    self.kept[*node as usize] = path.probability;
                 }
                 paths.push(path);
             }
@@ -179,7 +197,23 @@ impl<'a> Search<'a> {
     }
 
     /// The part of a way that pays, if that is enough for an airway.
+    ///
+    /// In divided slices a way is first judged by odds, which need much evidence; then as in any other CT.
     fn worth(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
+        let sections = self.sections(way);
+        limits
+            .divided
+            .and_then(|divided| self.part_that_pays(way, &sections, limits, Some(divided)))
+            .or_else(|| self.part_that_pays(way, &sections, limits, None))
+    }
+
+    fn part_that_pays(
+        &self,
+        way: &[u32],
+        sections: &[WaySection],
+        limits: &ExtensionLimits,
+        divided: Option<Divided>,
+    ) -> Option<Path> {
         let threshold = f64::from(self.levels.followed);
         // Two of 100 voxels of lung pass the threshold: two deviations, of which one is allowed for.
         let blur = Blur::on(self.smooth.grid(), 0.5 * threshold);
@@ -191,7 +225,7 @@ impl<'a> Search<'a> {
         };
         let (mut gain, mut best, mut last_mm) = (0.0, (0.0, 0, 0.0), start_mm);
         let (mut sum, mut sum_at_best) = (0.0, 0.0);
-        let sections = self.sections(way);
+        let (mut evidence, mut evidence_at_best) = (0.0, 0.0);
         let mut highest = f64::NEG_INFINITY;
         for (n, node) in way.iter().enumerate() {
             let along = self.along_mm[*node as usize];
@@ -204,28 +238,132 @@ impl<'a> Search<'a> {
             if own < highest - self.levels.drop {
                 break;
             }
-            gain += step
-                * if looks_like_airway(&sections[n], own, limits.air, blur) {
-                    (rise / threshold).min(MOST_GAIN) - 1.0
-                } else {
-                    1.0 - MOST_GAIN
-                };
+            let section = &sections[n].section;
+            let by_darkness = if looks_like_airway(section, own, limits.air, blur) {
+                (rise / threshold).min(MOST_GAIN) - 1.0
+            } else {
+                1.0 - MOST_GAIN
+            };
+            let by_odds = divided.map_or(1.0 - MOST_GAIN, |divided| {
+                let across = sections[n].along[divided.axis].abs();
+                let odds = log_odds(section, own, rise / threshold, across, limits, divided);
+                evidence += step * odds.clamp(1.0 - MOST_GAIN, MOST_GAIN - 1.0);
+                (odds - divided.least_odds).clamp(1.0 - MOST_GAIN, MOST_GAIN - 1.0)
+            });
+            gain += step * by_darkness.max(by_odds);
             sum += step * rise.min(MOST_GAIN * threshold);
             if gain > best.0 {
                 best = (gain, n + 1, f64::from(along - start_mm));
                 sum_at_best = sum;
+                evidence_at_best = evidence;
             }
         }
         let (_, num, length_mm) = best;
         let straight_mm = self.straight_mm(&way[..num]);
+        let before = self.before[way[0] as usize];
+        let mut probability = if before == NONE {
+            1.0
+        } else {
+            self.kept[before as usize]
+        };
+        if divided.is_some() && num > 0 {
+            probability /=
+                1.0 + (-self.way_odds(&way[..num], evidence_at_best, straight_mm, limits)).exp();
+        }
         let is_airway = straight_mm >= limits.min_length_mm
+            && divided.is_none_or(|divided| probability >= divided.least_probability)
             && sum_at_best >= self.levels.kept * length_mm
             && self.is_round(&way[..num]);
         is_airway.then(|| Path {
             nodes: way[..num].to_vec(),
-            radius_mm: sections[..num].iter().map(|s| s.radius_mm).collect(),
+            radius_mm: sections[..num]
+                .iter()
+                .map(|s| s.section.radius_mm)
+                .collect(),
             length_mm: straight_mm,
+            probability,
         })
+    }
+
+    /// Logarithm of the odds that a way in divided slices is an airway, from what no single section shows.
+    fn way_odds(
+        &self,
+        way: &[u32],
+        evidence: f64,
+        straight_mm: f64,
+        limits: &ExtensionLimits,
+    ) -> f64 {
+        let ijk = |n: u32| {
+            self.smooth
+                .grid()
+                .voxel(self.reached[n as usize].voxel as usize)
+        };
+        let from_mm = self.along_mm[way[0] as usize];
+        let beyond = way
+            .iter()
+            .filter(|n| f64::from(self.along_mm[**n as usize] - from_mm) > BEYOND_MM)
+            .map(|n| self.from_lumen_mm(ijk(*n)));
+        let clearance_mm = median(beyond.chain(std::iter::once(CLEAR_MM)));
+        let (first, last) = (ijk(way[0]), ijk(way[way.len() - 1]));
+        let spacing = self.smooth.grid().spacing_mm();
+        let apart_mm = carina_grid::length(std::array::from_fn(|a| {
+            (last[a] as f64 - first[a] as f64) * spacing[a]
+        }));
+        let figures = [
+            1.0,
+            evidence.max(0.05).ln(),
+            clearance_mm,
+            self.reached_share(ijk(way[way.len() / 2]), limits),
+            apart_mm / straight_mm.max(1e-3),
+        ];
+        WAY_WEIGHTS.iter().zip(figures).map(|(w, f)| w * f).sum()
+    }
+
+    /// Distance to the lumen that was known before, at most [`CLEAR_MM`].
+    fn from_lumen_mm(&self, voxel: [usize; 3]) -> f64 {
+        let mut least = CLEAR_MM;
+        self.each_within(voxel, CLEAR_MM, |at, off_mm| {
+            if self.lumen[at] == LUMEN {
+                least = least.min(off_mm);
+            }
+        });
+        least
+    }
+
+    /// Share of the lung round a voxel that the search reached: much where it runs out.
+    fn reached_share(&self, voxel: [usize; 3], limits: &ExtensionLimits) -> f64 {
+        let (mut num_lung, mut num_reached) = (0usize, 0usize);
+        let lung = limits.lung.0..=limits.lung.1;
+        self.each_within(voxel, AROUND_MM, |at, _| {
+            if lung.contains(&self.values.data()[at]) {
+                num_lung += 1;
+                num_reached += usize::from(self.lumen[at] == PENDING);
+            }
+        });
+        num_reached as f64 / num_lung.max(1) as f64
+    }
+
+    fn each_within(&self, voxel: [usize; 3], reach_mm: f64, mut visit: impl FnMut(usize, f64)) {
+        let grid = self.smooth.grid();
+        let (shape, spacing) = (grid.shape_ijk(), grid.spacing_mm());
+        let reach = spacing.map(|s| (reach_mm / s) as usize);
+        let low: [usize; 3] = std::array::from_fn(|a| voxel[a].saturating_sub(reach[a]));
+        let high: [usize; 3] = std::array::from_fn(|a| (voxel[a] + reach[a]).min(shape[a] - 1));
+        let [i, j, k] = voxel.map(|v| v as f64);
+        for z in low[2]..=high[2] {
+            for y in low[1]..=high[1] {
+                for x in low[0]..=high[0] {
+                    let off_mm = carina_grid::length([
+                        (x as f64 - i) * spacing[0],
+                        (y as f64 - j) * spacing[1],
+                        (z as f64 - k) * spacing[2],
+                    ]);
+                    if off_mm <= reach_mm {
+                        visit(x + shape[0] * (y + shape[1] * z), off_mm);
+                    }
+                }
+            }
+        }
     }
 
     fn is_round(&self, way: &[u32]) -> bool {
@@ -255,7 +393,7 @@ impl<'a> Search<'a> {
             .sum()
     }
 
-    fn sections(&self, way: &[u32]) -> Vec<Section> {
+    fn sections(&self, way: &[u32]) -> Vec<WaySection> {
         let grid = self.smooth.grid();
         let spacing = grid.spacing_mm();
         let ijk = |n: u32| grid.voxel(self.reached[n as usize].voxel as usize);
@@ -270,13 +408,11 @@ impl<'a> Search<'a> {
                     (b[x] as f64 - a[x] as f64) * spacing[x]
                 }))
                 .unwrap_or([0.0, 0.0, 1.0]);
-                section(
-                    self.smooth,
-                    ijk(way[n]),
+                let threshold = f64::from(self.levels.followed);
+                WaySection {
                     along,
-                    f64::from(self.levels.followed),
-                    REACH_MM,
-                )
+                    section: section(self.smooth, ijk(way[n]), along, threshold, REACH_MM),
+                }
             })
             .collect()
     }

@@ -136,6 +136,7 @@ pub fn extend_thin(
         .map(|way| Followed {
             length_mm: length_mm(way.places.len()),
             contrast: way.mean_dip / asked.dip,
+            probability: 1.0,
             voxels: way.voxels,
         })
         .collect();

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carina.argument_checks import check_arguments, flag, function, instance
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
@@ -31,14 +32,14 @@ from carina.track.edit.kinds import (
     edits_to_json,
 )
 from carina.track.edit.labels import edit_words
-from carina.track.edit.lumen import EditedLumen, lumen_voxels
+from carina.track.edit.lumen import EditedLumen
 from carina.track.edit.steps import EditSteps
 from carina.track.edit.tree import needed_branch
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.found import TREE_EDITS, Airways
 from carina.track.names.drawn import carried_names, seen_part
 from carina.track.names.naming import name_tree
-from carina.track.paths.tracker import PathTracker
+from carina.track.paths.tracker import PathTracker, lumen_voxels
 from carina.track.stages import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_limited_confidence
@@ -129,7 +130,8 @@ def edit_airways(
     """
     check_type("edit_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("edit_airways", "airways", airways, Airways, "get airways from carina.find_airways")
-    edited = _edited(volume, airways, edit, progress, cancel, is_fresh=False)
+    _check_ct("edit_airways", volume, airways)
+    edited = _edited(airways, edit, progress, cancel, is_fresh=False)
     return name_edited(airways, edited) if name_branches else edited
 
 
@@ -155,15 +157,27 @@ def rebuild_airways(
     CancelledError
         If ``cancel()`` said so.
     """
+    _check_ct("rebuild_airways", volume, base)
     airways = base
     for number, edit in enumerate(edits, start=1):
         try:
-            edited = _edited(volume, airways, edit, progress, cancel, is_fresh=True)
+            edited = _edited(airways, edit, progress, cancel, is_fresh=True)
         except (NoResultError, UsageError) as error:
             error.args = (f"edit {number} of {len(edits)}: {error}", *error.args[1:])
             raise
         airways = name_edited(airways, edited)
     return airways
+
+
+def _check_ct(where: str, volume: Volume, airways: Airways) -> None:
+    ct = airways.tracker.grid.ct
+    if volume is ct or (volume.shape_zyx == ct.shape_zyx and np.array_equal(volume.lps_from_ijk, ct.lps_from_ijk)):
+        return
+    msg = (
+        f"{where}: the airways belong to another CT: their grid is {ct.shape_zyx}, this CT's is {volume.shape_zyx}; "
+        "pass the CT that they were found in"
+    )
+    raise UsageError(msg)
 
 
 def name_edited(before: Airways, edited: Airways) -> Airways:
@@ -183,7 +197,6 @@ def name_edited(before: Airways, edited: Airways) -> Airways:
 
 
 def _edited(
-    volume: Volume,
     airways: Airways,
     edit: TreeEdit,
     progress: Progress | None,
@@ -203,21 +216,24 @@ def _edited(
         needed_branch(tree, edit.branch_id)
         renamed = dataclasses.replace(tree, branches=branches)
         return dataclasses.replace(airways, tree=renamed, edits=edits, base=airways.base or airways, next_id=next_id)
-    steps = steps_of(volume, airways, is_fresh=is_fresh, cancel=cancel)
+    steps = steps_of(airways, is_fresh=is_fresh, cancel=cancel)
     steps.make(edit)
+    volume = airways.tracker.volume
     core = steps.lumen.core
     changed = None if is_fresh else steps.changed_boxes
     branches = with_sections(volume, core, steps.draft.finished(), tree, changed)
     if steps.judged:
-        noise = evidence_of(volume, airways).noise
+        noise = evidence_of(airways).noise
         branches = tuple(judged(volume, b, noise) if b.id in steps.judged else b for b in branches)
         branches = with_limited_confidence(AirwayTree(branches, notes=tree.notes)).branches
-    tracker = PathTracker(volume, core)
+    grid = airways.tracker.grid
+    lumen = lumen_voxels(core) if steps.lumen_changed else airways.tracker.lumen_zyx
+    tracker = PathTracker(grid, core, lumen_zyx=lumen)
     tracker.follow_branches(branches)
     edited_tree = AirwayTree(branches, _smooth=tracker.smooth, notes=tree.notes)
     return dataclasses.replace(
         airways,
-        lumen_zyx=airways.lumen_zyx if not steps.lumen_changed else lumen_voxels(core),
+        lumen_zyx=_lumen_on_ct(airways, tracker, is_changed=steps.lumen_changed),
         root_lps=branches[0].points[0].copy(),
         tree=edited_tree,
         tracker=tracker,
@@ -229,16 +245,24 @@ def _edited(
     )
 
 
-def steps_of(volume: Volume, airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None = None) -> EditSteps:
+def _lumen_on_ct(airways: Airways, tracker: PathTracker, *, is_changed: bool) -> NDArray[np.uint8]:
+    """Return the lumen of edited airways on the grid of the CT; the array before the edit where it is equal."""
+    if not is_changed and not tracker.grid.is_divided:
+        return airways.lumen_zyx
+    lumen = tracker.grid.lumen_on_ct(tracker.lumen_zyx, tracker.branches)
+    return airways.lumen_zyx if not is_changed and np.array_equal(lumen, airways.lumen_zyx) else lumen
+
+
+def steps_of(airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None = None) -> EditSteps:
     """Return the steps of an edit to these airways, to make or to preview the edit; the airways stay unchanged."""
-    before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
+    before = EditedLumen(airways.tracker.grid, airways.tracker.core, is_fresh, cancel)
     return EditSteps(
         before,
         with_walls(airways.tree),
         airways.next_id or 1 + max(branch.id for branch in airways.tree.branches),
-        (airways.base or airways).lumen_zyx,
+        (airways.base or airways).tracker.lumen_zyx,
         bridges=airways.bridges,
-        evidence=partial(evidence_of, volume, airways),
+        evidence=partial(evidence_of, airways),
     )
 
 

@@ -65,7 +65,8 @@ class Evidence:
     Parameters
     ----------
     volume, base
-        The CT, and its airways before any edit: what evidence there is does not depend on edits.
+        The CT on the grid that paths run in, and its airways before any edit: what evidence there is does not depend on
+        edits.
     """
 
     def __init__(self, volume: Volume, base: Airways) -> None:
@@ -73,8 +74,8 @@ class Evidence:
         self._scale = air_scale(volume)
         self.noise = self._scale.span(base.tracker.noise_hu)
         """Standard deviation of the values in air, in the volume's numbers."""
-        self.found_zyx = base.lumen_zyx
-        """(nz, ny, nx) the lumen that was found, or came with a mask."""
+        self.found_zyx = base.tracker.lumen_zyx
+        """(nz, ny, nx) of that grid, the lumen that was found or came with a mask."""
         self.enclosures = _core.Enclosures(volume.hu_zyx, volume.lps_from_ijk)
         least = self._scale.span(LEAST_RISE_HU)
         lung = _plain_lung(volume, base, self._scale.level(LUNG_END_HU))
@@ -212,8 +213,9 @@ class Evidence:
         )
 
 
-def evidence_of(volume: Volume, airways: Airways) -> Evidence:
-    """The evidence in a volume in which airways were found; found when first asked for, the same after each edit."""
+def evidence_of(airways: Airways) -> Evidence:
+    """Return the evidence in the volume that paths run in; found when first asked for, the same after each edit."""
+    volume = airways.tracker.volume
     found: Evidence = airways.evidence.of(volume, lambda: Evidence(volume, airways.base or airways))
     return found
 

@@ -19,7 +19,6 @@ from carina.track.paths.rebuilt import edited_core
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty
-from carina.volume.model import Volume
 from carina.volume.sparse_mask import empty_mask
 
 __all__ = ["FoldedAirways", "PackedAirways", "fold_airways"]
@@ -36,7 +35,7 @@ class FoldedAirways:
     def __repr__(self) -> str:
         return f"{type(self).__name__}(base={self.base!r})"
 
-    def unfold(self, volume: Volume) -> Airways:
+    def unfold(self) -> Airways:
         """The airways again."""
         raise NotImplementedError
 
@@ -59,7 +58,7 @@ class PackedAirways(FoldedAirways):
     packed: bytes | None
     """The lumen's box, one bit per voxel, deflated; None where lumen and paths are the base's, as after new names."""
 
-    def unfold(self, volume: Volume) -> Airways:
+    def unfold(self) -> Airways:
         """The airways again; their paths are calculated when they are first needed."""
         if self.packed is None:
             # The search told its tracker the nodes of each branch, which centrelines tell a voxel or two otherwise.
@@ -77,16 +76,19 @@ class PackedAirways(FoldedAirways):
         bits = np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8)
         i, j, k = self.first_ijk
         nz, ny, nx = self.shape_zyx
-        lumen = empty_mask(volume.shape_zyx)
+        grid = self.base.tracker.grid
+        lumen = empty_mask(grid.shape_zyx)
         box = lumen[k : k + nz, j : j + ny, i : i + nx]
         np.copyto(box, np.uint8(1), where=np.unpackbits(bits, count=count).reshape(self.shape_zyx) != 0)
         lumen.flags.writeable = False
         levels, root_ijk = self.base.wall_levels, self.root_ijk
-        tracker = PathTracker(volume, lambda: edited_core(volume, lumen, root_ijk, levels), root_ijk=root_ijk)
+        tracker = PathTracker(
+            grid, lambda: edited_core(grid.volume, lumen, root_ijk, levels), root_ijk=root_ijk, lumen_zyx=lumen
+        )
         tracker.follow_branches(self.branches)
         return dataclasses.replace(
             self.base,
-            lumen_zyx=lumen,
+            lumen_zyx=grid.lumen_on_ct(lumen, self.branches),
             root_lps=self.branches[0].points[0].copy(),
             tree=AirwayTree(self.branches, _smooth=tracker.smooth, notes=self.base.tree.notes),
             tracker=tracker,
@@ -99,7 +101,7 @@ class PackedAirways(FoldedAirways):
         )
 
 
-def fold_airways(volume: Volume, airways: Airways) -> PackedAirways:
+def fold_airways(airways: Airways) -> PackedAirways:
     """Put edited airways away; what they were made from is kept as it is.
 
     Raises
@@ -109,8 +111,8 @@ def fold_airways(volume: Volume, airways: Airways) -> PackedAirways:
     """
     if airways.base is None:
         raise UsageError("only edited airways can be folded to save memory; expected at least one edit, found none")
-    lumen = EditedLumen(volume, airways.tracker.core)
-    first, shape = _box(airways.lumen_zyx)
+    lumen = EditedLumen(airways.tracker.grid, airways.tracker.core)
+    first, shape = _box(airways.tracker.lumen_zyx)
     packed = None
     if airways.tracker is not airways.base.tracker:
         states = lumen_states(lumen.core, first, shape)

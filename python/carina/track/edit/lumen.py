@@ -21,6 +21,7 @@ from carina._core import (
 from carina.errors import NoResultError, UsageError
 from carina.track.edit.kinds import PaintLumen, Point
 from carina.track.levels import air_scale
+from carina.track.paths.path_grid import PathGrid
 from carina.track.stages import Cancel
 from carina.volume.model import Volume
 from carina.volume.planes import PLANES
@@ -51,13 +52,18 @@ CORE_HU = -950.0
 class EditedLumen:
     """The compiled tracker of a lumen, and how to change it."""
 
-    volume: Volume
+    grid: PathGrid
     core: LumenTracker
     is_fresh: bool = False
     """Everything from scratch at each change: slow, and the truth that the quick way must equal."""
     cancel: Cancel | None = None
     changed_box: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
     """First and last voxel of what the last change reached; None: it may be anywhere."""
+
+    @property
+    def volume(self) -> Volume:
+        """The CT on the grid of the tracker."""
+        return self.grid.volume
 
     def changed(self, added: Voxels, removed: Voxels) -> EditedLumen:
         """The lumen with voxels added and taken away."""
@@ -69,19 +75,19 @@ class EditedLumen:
             return self.built(lumen, self.root_ijk)
         core, box = edit_lumen(self.core, hu, added, removed, cancel=self.cancel)
         first, shape = (np.zeros(3, np.int64),) * 2 if box is None else (np.array(box[0]), np.array(box[1]))
-        return EditedLumen(self.volume, core, False, self.cancel, (first, first + shape - 1))
+        return EditedLumen(self.grid, core, False, self.cancel, (first, first + shape - 1))
 
     def rerooted(self, root_ijk: tuple[int, int, int]) -> EditedLumen:
         """The same lumen with its paths from another voxel."""
         if self.is_fresh:
             return self.built(lumen_array(self.core), root_ijk)
         core = reroot_lumen(self.core, root_ijk, cancel=self.cancel)
-        return EditedLumen(self.volume, core, False, self.cancel)
+        return EditedLumen(self.grid, core, False, self.cancel)
 
     def built(self, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int]) -> EditedLumen:
         """Another lumen of the same search from scratch."""
         core = fresh_lumen(self.core, self.volume.hu_zyx, lumen_zyx, root_ijk, cancel=self.cancel)
-        return EditedLumen(self.volume, core, self.is_fresh, self.cancel)
+        return EditedLumen(self.grid, core, self.is_fresh, self.cancel)
 
     @property
     def root_ijk(self) -> tuple[int, int, int]:
@@ -97,13 +103,6 @@ class EditedLumen:
     def state_at(self, voxel: NDArray[np.int64]) -> int:
         """0 outside the lumen, 1 in lumen that no path reaches, 2 in the lumen."""
         return int(lumen_states(self.core, _triple(voxel), (1, 1, 1))[0, 0, 0])
-
-
-def lumen_voxels(core: LumenTracker) -> NDArray[np.uint8]:
-    """(nz, ny, nx) 1 inside a tracker's lumen, read-only; pages of memory without lumen are never touched."""
-    lumen = lumen_array(core)
-    lumen.flags.writeable = False
-    return lumen
 
 
 def voxel_of(volume: Volume, lps: Point) -> NDArray[np.int64]:

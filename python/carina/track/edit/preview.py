@@ -48,7 +48,7 @@ def preview_edit(
     if isinstance(edit, AddBranch):
         return branch_way(volume, airways, edit.lps)
     try:
-        steps = steps_of(volume, airways, cancel=cancel)
+        steps = steps_of(airways, cancel=cancel)
         steps.make(edit)
     except (NoResultError, UsageError) as error:
         return EditPreview((), False, str(error))

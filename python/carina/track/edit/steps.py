@@ -343,7 +343,9 @@ class EditSteps:
             self.draft.change(member.id, points=points, radius=radius)
 
     def _paint(self, edit: PaintLumen) -> None:
-        voxels = painted_voxels(self._volume, edit)
+        grid = self.lumen.grid
+        # The brush covers whole voxels of the CT, as it is shown.
+        voxels = grid.voxels_in(painted_voxels(grid.ct, edit))
         is_lumen = nodes_at(self.lumen.core, self._volume.to_lps(voxels.astype(np.float64))) >= 0
         voxels = voxels[is_lumen == edit.erase]
         if not len(voxels):

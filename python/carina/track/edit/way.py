@@ -76,10 +76,10 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
         Also where nothing can be added: see ``problem``.
     """
     x, y, z = (float(value) for value in lps)
-    lumen = EditedLumen(volume, airways.tracker.core)
+    lumen = EditedLumen(airways.tracker.grid, airways.tracker.core)
     draft = TreeDraft(with_walls(airways.tree), airways.next_id or 1 + max(b.id for b in airways.tree.branches))
     try:
-        plan = planned_way(lumen, airways.tree, draft, evidence_of(volume, airways), (x, y, z))
+        plan = planned_way(lumen, airways.tree, draft, evidence_of(airways), (x, y, z))
     except (NoResultError, UsageError) as error:
         return BranchWay(lines=(), has_evidence=False, problem=str(error), parent_id=None)
     drawn = np.full(len(plan.doubtful), kind_of_added(plan.doubtful) == "manual")

@@ -23,6 +23,7 @@ from carina.argument_checks import (
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import NoResultError, UsageError, check_type
 from carina.track.find.airway_ends import find_uncertain
+from carina.track.find.beyond import NOTHING_BEYOND
 from carina.track.find.canonical import CanonicalOrder
 from carina.track.find.filled import find_filled
 from carina.track.find.found import Airways
@@ -31,12 +32,13 @@ from carina.track.find.growth import doubts_of_given, given_lumen, grow
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
 from carina.track.find.size import thread_confidence
+from carina.track.find.spurs import without_spurs
 from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
 from carina.track.find.totals import doubt_of_totals
 from carina.track.find.trachea_search import trachea_in
-from carina.track.find.trachea_spur import without_trachea_spurs
 from carina.track.levels import AirScale
 from carina.track.names.naming import name_tree
+from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows, words
 from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
@@ -131,25 +133,38 @@ def find_airways(
     given = None if lumen_zyx is None else given_lumen(volume, lumen_zyx)
     order = CanonicalOrder.of(volume)
     given = None if given is None else order.in_order(given)
-    airways = order.put_back(_found(order.volume, root, lumen_threshold, given, stage))
+    grid = PathGrid.of(order.volume)
+    given = None if given is None else grid.mask_in_parts(given)
+    try:
+        found = _found(grid, root, lumen_threshold, given, stage)
+    except NoResultError:
+        if not grid.is_divided or given is not None:
+            raise
+        # Noise may have opened the walls of the trachea in the divided slices alone.
+        found = _found(PathGrid(order.volume), root, lumen_threshold, given, stage)
+    airways = order.put_back(found)
     return dataclasses.replace(airways, notes=(*notes, *airways.notes))
 
 
 def _found(
-    volume: Volume,
+    grid: PathGrid,
     root: Point | None,
     lumen_threshold: float | None,
     given: NDArray[np.uint8] | None,
     stage: Stages,
 ) -> Airways:
-    """Find the airways in a volume in canonical order, for :func:`find_airways`."""
+    """Find the airways in a grid of a volume in canonical order, for :func:`find_airways`."""
+    if grid.is_divided:
+        stage.begin("dividing the slices")
+    volume = grid.volume
     was_given_root = root is not None
     found_notes: list[str] = []
     badges: list[Note] = []
     # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
     noise: float | None = None
     searched = volume
-    leaks = threads = np.empty((0, 3))
+    leaks = np.empty((0, 3))
+    beyond = NOTHING_BEYOND
     size = 1.0
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
@@ -164,15 +179,18 @@ def _found(
             root = trachea.top
             found_notes += trachea.notes
     else:
-        grown = grow(volume, root, lumen_threshold, stage)
+        grown = grow(volume, root, lumen_threshold, stage, divided=grid.divided)
+        if grown.leaked and grid.is_divided:
+            # Interpolated noise and rims lie in a row, and open walls that the slices themselves hold.
+            return _found(PathGrid(grid.ct), root, lumen_threshold, None, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
         noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
-        threads, size, given_start = grown.threads_lps, grown.size, grown.given_start
+        beyond, size, given_start = grown.beyond, grown.size, grown.given_start
         badges += grown.badges
         found_notes += grown.notes
     assert root is not None
-    tracker, rows, branches = _tracked(volume, lumen, levels, root, stage)
+    tracker, rows, branches = _tracked(grid, lumen, levels, root, stage)
     if not was_given_root or given_start is not None:
         try:
             refuse_a_root_below_the_carina(volume, branches)
@@ -184,7 +202,7 @@ def _found(
                 raise
             # A lower bronchus was taken for the trachea: its tree begins at the given start.
             found_notes += given_start.notes_if_kept()
-            tracker, rows, branches = _tracked(volume, lumen, levels, given_start.point, stage)
+            tracker, rows, branches = _tracked(grid, lumen, levels, given_start.point, stage)
             trachea_mm = None
         else:
             found_notes += [] if given_start is None else given_start.notes_if_moved_to(root)
@@ -194,7 +212,14 @@ def _found(
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
         stage.begin("assessing the branches")
-        tree = with_confidence(searched, tree, noise, threads, thread_share=thread_confidence(size))
+        tree = with_confidence(
+            searched,
+            tree,
+            noise,
+            beyond.threads_lps,
+            thread_share=thread_confidence(size),
+            judged=beyond.judged,
+        )
         filled = find_filled(searched, tree, lumen, noise, stage.cancel)
         uncertain = find_uncertain(searched, tree, leaks, filled)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
@@ -220,7 +245,7 @@ def _found(
     root_at = branches[0].points[0].copy()
     stage.begin("airways segmented", 1.0)
     return Airways(
-        lumen_zyx=sparse_mask(lumen),
+        lumen_zyx=grid.lumen_on_ct(tracker.lumen_zyx, tree.branches),
         root_lps=root_at,
         tree=tree,
         tracker=tracker,
@@ -228,12 +253,12 @@ def _found(
         notes=(*found_notes, *(badge.words for badge in badges)),
         wall_levels=levels,
         uncertain=uncertain,
-        upper_airway_zyx=None if top is None or top.upper_zyx is None else sparse_mask(top.upper_zyx),
+        upper_airway_zyx=None if top is None or top.upper_zyx is None else grid.mask_on_ct(sparse_mask(top.upper_zyx)),
     )
 
 
 def _tracked(
-    volume: Volume,
+    grid: PathGrid,
     lumen: NDArray[np.uint8],
     levels: tuple[float, float, float] | None,
     root: Point,
@@ -241,12 +266,13 @@ def _tracked(
 ) -> tuple[PathTracker, list[dict[str, Any]], tuple[Branch, ...]]:
     """Return the tracker of a lumen from a root, and its branches as rows of the compiled module and as values."""
     stage.begin("measuring the lumen")
+    volume = grid.volume
     core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
     stage.begin("calculating the paths")
     core.solve_all(cancel=stage.cancel, progress=stage.share)
     stage.begin("building the branches")
-    rows = without_trachea_spurs(core.branches(cancel=stage.cancel, progress=stage.share))
-    return PathTracker(volume, core), rows, branches_from_rows(rows)
+    rows = without_spurs(core.branches(cancel=stage.cancel, progress=stage.share))
+    return PathTracker(grid, core, lumen_zyx=sparse_mask(lumen)), rows, branches_from_rows(rows)
 
 
 def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:

@@ -18,7 +18,7 @@ from carina.track.levels import AirScale
 from carina.track.stages import Stages
 from carina.volume.model import Note, Volume
 
-__all__ = ["STOPPED", "Beyond", "follow_beyond"]
+__all__ = ["NOTHING_BEYOND", "STOPPED", "Beyond", "follow_beyond"]
 
 STOPPED = "track.search-stopped"
 """Code of the lasting note of a search that ran out of the airways."""
@@ -33,6 +33,11 @@ THIN_SLICE_MM = 1.0
 THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
+# In divided slices a section pays by how much the logarithm of its odds exceeds this, and a way must have so much of it
+# over its length (docs/decisions/0086).
+LEAST_ODDS = 0.3
+LEAST_PROBABILITY = 0.7
+
 # What tells a search that runs out (docs/decisions/0040). Rims darker than this beside every edge look like airways; a
 # soft kernel leaves none. Where there is noise, edges are found where it makes them steep: that pretends a part of it.
 SHARP_HU = 4.0
@@ -42,6 +47,8 @@ SHARP_BAR = 1.5
 # A search that ran out is made again, with ways that must be so many times as enclosed as the lung asks for.
 BARS = (1.0, 2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
+# Interpolated noise lies in rows along which a search goes farther: in divided slices these bars are no sign of a leak.
+DIVIDED_BARS = (1.0, 1.3, 1.6)
 # Healthy searches reach 0.02 to 0.4 % of the lung and follow at most 0.35 m (eight CTs).
 MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
@@ -72,8 +79,13 @@ class Beyond:
     """That the search ran out and what was done about it; None where it did not."""
     threads_lps: NDArray[np.float64]
     """(n, 3) LPS mm, points along the thinnest airways, which were judged by what the CT shows along 5 mm of each."""
+    judged: NDArray[np.float64]
+    """(n, 4) LPS mm and probability, points along airways in divided slices that were judged by odds."""
     leaked: bool
     """Whether the search ran out into the lung with the lung's own bar, or would have along the rims of a kernel."""
+
+
+NOTHING_BEYOND = Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=False)
 
 
 def follow_beyond(
@@ -103,11 +115,17 @@ def follow_beyond(
     is_softened = searched.raised > 0.0
     undershoot_hu = searched.left_hu
     if undershoot_hu is None:
-        undershoot_hu = edge_undershoot_hu(searched.volume, scale)
+        but_axis = None if searched.divided is None else searched.divided.axis
+        undershoot_hu = edge_undershoot_hu(searched.volume, scale, but_axis=but_axis)
     is_sharp = undershoot_hu is not None and undershoot_hu > most_hu
     least_rise = scale.span(LEAST_RISE_HU)
     if undershoot_hu is not None and is_sharp:
         least_rise = max(least_rise, scale.span(SHARP_BAR * undershoot_hu))
+
+    divided = None
+    if searched.divided is not None:
+        axis, slice_mm = searched.divided
+        divided = (axis, slice_mm / size, LEAST_ODDS, LEAST_PROBABILITY)
 
     def extended(raised: float) -> dict[str, Any]:
         return extend_lumen(
@@ -122,27 +140,30 @@ def follow_beyond(
             min_length_mm=MIN_FOLLOWED_MM + THICK_SECTIONS * max(max(volume.spacing_mm) - THIN_SLICE_MM, 0.0),
             raised=raised,
             most_reached=MOST_REACHED,
+            divided=divided,
             cancel=stage.cancel,
             progress=stage.share,
         )
 
     if is_sharp and searched.can_be_softened:
-        return Beyond((), None, np.empty((0, 3)), leaked=True)
+        return Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=True)
     followed: list[dict[str, Any]] = []
     ran_out = False
-    for raised in SHARP_BARS if is_sharp else BARS:
+    bars = SHARP_BARS if is_sharp else BARS if searched.divided is None else (*DIVIDED_BARS, *BARS[1:])
+    for raised in bars:
         found = extended(raised)
         if not found["ran_out"] and _length_mm(found["followed"]) <= (
             SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
         ):
             followed = found["followed"]
             break
-        ran_out = True
+        ran_out = searched.divided is None or is_sharp or raised == DIVIDED_BARS[-1] or ran_out
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
     leaked = is_sharp or ran_out
     threads = [] if is_sharp or is_softened or ran_out else _thin(volume, lumen, scale, stage, air=air)
     threads_lps = size * np.concatenate([np.empty((0, 3)), *(way["points_lps"] for way in threads)])
+    judged = _judged(followed, size)
     followed = followed + threads
     notes = []
     if followed:
@@ -158,19 +179,19 @@ def follow_beyond(
             "noise hides the walls of the airways in this CT; they were searched for in a smoothed copy of it, and "
             f"small airways are missing. {SOFT_KERNEL}"
         )
-        return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, leaked)
+        return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
     if not leaked:
         if rims_hu is None or not is_softened:
-            return Beyond(tuple(notes), None, threads_lps, leaked)
+            return Beyond(tuple(notes), None, threads_lps, judged, leaked)
         words = f"{rims}; the airways were searched for in a softened copy of it"
         if rims_hu <= most_hu:
-            return Beyond((*notes, words), None, threads_lps, leaked)
+            return Beyond((*notes, words), None, threads_lps, judged, leaked)
         note = Note(STOPPED, f"{words}, and some small airways are missing. {SOFT_KERNEL}", badge=True)
-        return Beyond(tuple(notes), note, threads_lps, leaked)
+        return Beyond(tuple(notes), note, threads_lps, judged, leaked)
     what = f"{rims}, which look like airways" if is_sharp else "it leaked from the airways into the lung"
     kept = "only the clearest are included, and other small airways" if followed else "small airways"
     words = f"the search for small airways was limited because {what}; {kept} are missing. {SOFT_KERNEL}"
-    return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, leaked)
+    return Beyond(tuple(notes), Note(STOPPED, words, badge=True), threads_lps, judged, leaked)
 
 
 def _in_adult_mm(volume: Volume, size: float) -> Volume:
@@ -207,6 +228,16 @@ def _thin(
     np.minimum(lumen, 1, out=lumen)
     followed: list[dict[str, Any]] = found["followed"]
     return followed
+
+
+def _judged(followed: Sequence[dict[str, Any]], size: float) -> NDArray[np.float64]:
+    """Return the points of the ways that were judged by odds, with their probabilities."""
+    points = [
+        np.column_stack([size * way["points_lps"], np.full(len(way["points_lps"]), way["probability"])])
+        for way in followed
+        if way["probability"] < 1.0
+    ]
+    return np.concatenate([np.empty((0, 4)), *points])
 
 
 def _length_mm(followed: Sequence[dict[str, Any]]) -> float:

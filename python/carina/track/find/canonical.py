@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.found import Airways
+from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt import edited_core
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree
@@ -51,8 +52,8 @@ class CanonicalOrder:
         """A mask on the stored grid, in this order."""
         return lumen_zyx if self.is_stored else np.ascontiguousarray(self._axes.view(lumen_zyx))
 
-    def _put_back(self, mask_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        mask = empty_mask(self.stored.shape_zyx)
+    def _put_back(self, mask_zyx: NDArray[np.uint8], shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8]:
+        mask = empty_mask(shape_zyx)
         np.copyto(self._axes.view(mask), np.uint8(1), where=mask_zyx != 0)
         mask.flags.writeable = False
         return mask
@@ -64,12 +65,17 @@ class CanonicalOrder:
         """
         if self.is_stored:
             return airways
-        stored = self.stored
-        lumen = self._put_back(airways.lumen_zyx)
-        upper = None if airways.upper_airway_zyx is None else self._put_back(airways.upper_airway_zyx)
-        i, j, k = (int(v) for v in np.rint(stored.to_ijk(self.volume.to_lps(np.array(airways.tracker.root_ijk)))))
+        grid = PathGrid(self.stored, airways.tracker.grid.parts)
+        lumen = self._put_back(airways.tracker.lumen_zyx, grid.shape_zyx)
+        on_ct = self._put_back(airways.lumen_zyx, self.stored.shape_zyx) if grid.is_divided else lumen
+        upper = airways.upper_airway_zyx
+        upper = None if upper is None else self._put_back(upper, self.stored.shape_zyx)
+        place = np.linalg.inv(grid.lps_from_ijk) @ airways.tracker.grid.lps_from_ijk
+        i, j, k = (int(v) for v in np.rint(place[:3, :3] @ np.array(airways.tracker.root_ijk) + place[:3, 3]))
         levels = airways.wall_levels
-        tracker = PathTracker(stored, lambda: edited_core(stored, lumen, (i, j, k), levels), root_ijk=(i, j, k))
+        tracker = PathTracker(
+            grid, lambda: edited_core(grid.volume, lumen, (i, j, k), levels), root_ijk=(i, j, k), lumen_zyx=lumen
+        )
         tracker.follow_branches(airways.tree.branches)
         tree = AirwayTree(airways.tree.branches, _smooth=tracker.smooth, notes=airways.tree.notes)
-        return dataclasses.replace(airways, lumen_zyx=lumen, tree=tree, tracker=tracker, upper_airway_zyx=upper)
+        return dataclasses.replace(airways, lumen_zyx=on_ct, tree=tree, tracker=tracker, upper_airway_zyx=upper)

@@ -56,8 +56,9 @@ class Airways:
     """
 
     lumen_zyx: NDArray[np.uint8]
-    """(nz, ny, nx), 1 inside the lumen, read-only. Where it was found in the CT it ends where a wall begins to show;
-    :func:`carina.track.lumen_mask` goes to the half-maximum, as files and volumes in ml do."""
+    """(nz, ny, nx) of the CT, 1 inside the lumen, read-only. Where it was found in the CT it ends where a wall begins
+    to show; :func:`carina.track.lumen_mask` goes to the half-maximum, as files and volumes in ml do. Paths run in
+    :attr:`PathTracker.lumen_zyx`, which is finer where slices are thick."""
     root_lps: NDArray[np.float64]
     """Where all paths begin, LPS mm."""
     tree: AirwayTree
@@ -122,7 +123,7 @@ class Airways:
     @property
     def absent(self) -> tuple[Absence, ...]:
         """Lobes and segments that were not found, with what the CT shows; see :func:`carina.track.find_absent`."""
-        return find_absent(self.tree, self.uncertain, self.tracker.volume)
+        return find_absent(self.tree, self.uncertain, self.tracker.grid.ct)
 
     @property
     def badges(self) -> tuple[Note, ...]:

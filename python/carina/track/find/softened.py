@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from carina._core import keep_cut_off_air_of, mix_with_blurs
 from carina.track.find.kernel import edge_undershoot_hu, undershoots_hu
 from carina.track.levels import AirScale
+from carina.track.paths.path_grid import DividedSlices
 from carina.volume.model import Volume
 
 __all__ = ["Softened", "as_it_is", "softened"]
@@ -62,6 +63,8 @@ class Softened:
     the measurement would take for rims; None where ``volume`` was not softened."""
     can_be_softened: bool = False
     """Whether the caller searches a softened copy if this search leaks."""
+    divided: DividedSlices | None = None
+    """The slices of the CT that were divided to make ``volume``; None where it has the CT's own."""
 
     def smoothed(self, sigma_mm: float) -> Softened:
         """Return a copy smoothed by a Gaussian of ``sigma_mm``, or of as many voxels if they are larger than 1 mm."""
@@ -115,7 +118,7 @@ class Softened:
         )
 
 
-def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
+def as_it_is(volume: Volume, undershoot_hu: float | None = None, divided: DividedSlices | None = None) -> Softened:
     """Return the CT itself, whatever its kernel.
 
     Parameters
@@ -124,29 +127,35 @@ def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
         The CT.
     undershoot_hu
         Depth of its rims, if a softened copy is to be searched where the search of the CT itself leaks along them.
+    divided
+        The slices that were divided to make ``volume``, if any were.
     """
-    return Softened(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=undershoot_hu is not None)
+    can_be_softened = undershoot_hu is not None
+    return Softened(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=can_be_softened, divided=divided)
 
 
-def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softened:
+def softened(
+    volume: Volume, scale: AirScale, most_hu: float = SOFT_HU, divided: DividedSlices | None = None
+) -> Softened:
     """Return the CT without what its kernel raised, if the kernel is an edge-enhancing one.
 
     The kernel is taken for one that raises detail by ``1 + a (1 - g)``, where g is a Gaussian's transfer (its blur:
     :data:`SEAM_MM`). The inverse never raises anything, noise least of all. ``a`` is the least with which the dark rims
     beside soft tissue are at most ``most_hu`` deep, in the plane or the direction in which there are rims.
     """
-    undershoot = edge_undershoot_hu(volume, scale)
+    but_axis = None if divided is None else divided.axis
+    undershoot = edge_undershoot_hu(volume, scale, but_axis=but_axis)
     if undershoot is None or undershoot <= SOFT_HU:
-        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
+        return Softened(volume, undershoot, 0.0, 0.0, volume, None, divided=divided)
     slab = _middle_of(volume)
-    x, y, z = (depth is not None and depth > SOFT_HU for depth in undershoots_hu(slab, scale))
+    x, y, z = (depth is not None and depth > SOFT_HU for depth in undershoots_hu(slab, scale, but_axis))
     axes = (x, y, z)
     if not any(axes):
-        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
+        return Softened(volume, undershoot, 0.0, 0.0, volume, None, divided=divided)
 
     def is_soft(raised: float) -> bool:
         lowered = dataclasses.replace(slab, hu_zyx=_lowered(slab, raised, axes))
-        left = undershoots_hu(lowered, scale)
+        left = undershoots_hu(lowered, scale, but_axis)
         depths = [depth for depth, is_sharp in zip(left, axes, strict=True) if is_sharp and depth is not None]
         return not depths or float(np.mean(depths)) <= most_hu
 
@@ -157,7 +166,8 @@ def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softe
             low, high = (low, middle) if is_soft(middle) else (middle, high)
     values = _lowered(volume, high, axes)
     copy = dataclasses.replace(volume, hu_zyx=values)
-    return Softened(copy, undershoot, high, 0.0, volume, values, edge_undershoot_hu(copy, scale))
+    left_hu = edge_undershoot_hu(copy, scale, but_axis=but_axis)
+    return Softened(copy, undershoot, high, 0.0, volume, values, left_hu, divided=divided)
 
 
 def _middle_of(volume: Volume) -> Volume:

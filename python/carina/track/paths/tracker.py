@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina._core import LumenTracker, nodes_at
+from carina._core import LumenTracker, lumen_array, nodes_at
 from carina.display import one_line
 from carina.errors import NoResultError, UsageError
 from carina.track.levels import AirScale, air_scale
 from carina.track.paths.live import LivePath, find_live_path, noise_hu
+from carina.track.paths.path_grid import PathGrid
 from carina.track.stages import Cancel
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
@@ -66,28 +67,44 @@ class PathTracker:
         "_follows",
         "_labels",
         "_lock",
+        "_lumen_zyx",
         "_made_core",
         "_make_core",
         "_nodes",
         "_noise_hu",
         "_on_tree",
         "_root_ijk",
-        "_volume",
+        "grid",
     )
 
     def __init__(
         self,
-        volume: Volume,
+        grid: PathGrid,
         core: LumenTracker | Callable[[], LumenTracker],
         *,
         root_ijk: tuple[int, int, int] | None = None,
+        lumen_zyx: NDArray[np.uint8] | None = None,
     ) -> None:
-        """Over a compiled tracker, or over what makes one when it is first needed: it takes seconds and much memory.
+        """Make a tracker from a compiled one, or from a function that makes one.
 
-        Its root is then known without it.
+        A compiled tracker takes seconds and much memory to make. A function is called when one is first needed; root
+        and lumen are then known without it.
+
+        Parameters
+        ----------
+        grid
+            The grid that the paths run in.
+        core
+            The compiled tracker on that grid, or a function that makes it.
+        root_ijk
+            The voxel of the grid where all paths begin, if it is known.
+        lumen_zyx
+            The lumen on the grid, if it is known.
         """
         self._root_ijk = root_ijk
-        self._volume = volume
+        self._lumen_zyx = lumen_zyx
+        self.grid = grid
+        """The grid that the paths run in: that of the CT, or a finer one where its slices are thick."""
         self._made_core = core if isinstance(core, LumenTracker) else None
         self._make_core = None if isinstance(core, LumenTracker) else core
         self._lock = threading.RLock()
@@ -135,16 +152,23 @@ class PathTracker:
 
     @property
     def volume(self) -> Volume:
-        """The CT that the paths run in."""
-        return self._volume
+        """The CT on the grid that the paths run in; where that is a finer one, it is interpolated when first needed."""
+        return self.grid.volume
+
+    @property
+    def lumen_zyx(self) -> NDArray[np.uint8]:
+        """(nz, ny, nx) of the grid, 1 inside the lumen that the paths run in, read-only."""
+        if self._lumen_zyx is None:
+            self._lumen_zyx = lumen_voxels(self.core)
+        return self._lumen_zyx
 
     @property
     def root_ijk(self) -> tuple[int, int, int]:
-        """The voxel where all paths begin."""
+        """The voxel of the grid where all paths begin."""
         if self._root_ijk is None:
             found = self.core.path(self.core.root)
             assert found is not None
-            i, j, k = (int(v) for v in np.rint(self._volume.to_ijk(found[0][0])))
+            i, j, k = (int(v) for v in np.rint(self.grid.volume.to_ijk(found[0][0])))
             self._root_ijk = (i, j, k)
         return self._root_ijk
 
@@ -169,11 +193,11 @@ class PathTracker:
             If the lumen is farther than ``snap_mm``; says how far.
         """
         point = as_point(point_lps)
-        if not self._volume.contains_lps(np.array(point)):
+        if not self.grid.ct.contains_lps(np.array(point)):
             msg = f"the point {words(point)} lies outside the volume"
             raise UsageError(msg)
         if bool(self.core.inside([point])[0]):
-            node, _ = self._nearest(point, float(np.linalg.norm(self._volume.spacing_mm)))
+            node, _ = self._nearest(point, float(np.linalg.norm(self.grid.lps_from_ijk[:3, :3])))
             return node, 0.0
         found = self.core.nearest(point, snap_mm)
         if found is None:
@@ -244,13 +268,13 @@ class PathTracker:
         ----------
         Paper 6.3.
         """
-        return find_live_path(self, self._volume, as_point(point_lps), reach_mm=reach_mm)
+        return find_live_path(self, self.volume, as_point(point_lps), reach_mm=reach_mm)
 
     @property
     def air_scale(self) -> AirScale:
         """Air and soft tissue in the volume's numbers."""
         if self._air_scale is None:
-            self._air_scale = air_scale(self._volume)
+            self._air_scale = air_scale(self.volume)
         return self._air_scale
 
     @property
@@ -266,7 +290,7 @@ class PathTracker:
                 reach = 0.5 * trunk.radius[:, None, None]
                 deep = (trunk.points[:, None, :] + reach * ring[None, :, :]).reshape(-1, 3)
                 deep = deep[self.inside(deep)]
-            self._noise_hu = noise_hu(self._volume, deep, self.air_scale)
+            self._noise_hu = noise_hu(self.volume, deep, self.air_scale)
         return self._noise_hu
 
     def new_share(self, node: int) -> tuple[float, int | None]:
@@ -421,7 +445,7 @@ class PathTracker:
         if on_tree is None:
             on_tree = np.full(self.core.num_nodes, -1, dtype=np.int32)
             steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-            around = steps @ self._volume.lps_from_ijk[:3, :3].T
+            around = steps @ self.grid.lps_from_ijk[:3, :3].T
             # A child begins with its parent's last voxel, which stays the parent's.
             for place in reversed(range(len(self._branches))):
                 points = self._branches[place].points
@@ -448,6 +472,13 @@ class PathTracker:
             whole = self._branches[known]
             branches.append(dataclasses.replace(branch, name=whole.name, generation=whole.generation))
         return AirwayTree(tuple(branches), _smooth=self.smooth)
+
+
+def lumen_voxels(core: LumenTracker) -> NDArray[np.uint8]:
+    """Return (nz, ny, nx) 1 inside a tracker's lumen, read-only; pages of memory without lumen are never touched."""
+    lumen = lumen_array(core)
+    lumen.flags.writeable = False
+    return lumen
 
 
 def branches_from_rows(rows: Sequence[dict[str, Any]]) -> tuple[Branch, ...]:

@@ -10,17 +10,16 @@ from numpy.typing import NDArray
 from carina._core import LumenTracker, time_lumen_paths
 from carina.track.find.found import Airways
 from carina.track.paths.tracker import SNAP_MM, PathTracker, as_point
-from carina.volume.model import Volume
 
 __all__ = ["time_paths", "unsolved_tracker"]
 
 
-def unsolved_tracker(volume: Volume, airways: Airways) -> LumenTracker:
+def unsolved_tracker(airways: Airways) -> LumenTracker:
     """A tracker over the lumen of airways with their root, and nothing settled."""
     return LumenTracker(
-        volume.hu_zyx,
-        volume.lps_from_ijk,
-        airways.lumen_zyx,
+        airways.tracker.volume.hu_zyx,
+        airways.tracker.grid.lps_from_ijk,
+        airways.tracker.lumen_zyx,
         levels=None,
         root_lps=as_point(airways.root_lps),
         reach_mm=SNAP_MM,

@@ -174,6 +174,11 @@ def track_on_graph(
         what = "cost lumen" if cost == "lumen" else "labels lumen"
         msg = f"expected an airway lumen for the {what}; found none; choose the cost walls or paper, and labels bins"
         raise UsageError(msg)
+    lumen = None if airways is None else airways.lumen_zyx
+    if cost == "lumen":
+        assert airways is not None
+        # On the grid that the tracker's paths run in: the same paths by another way.
+        volume, lumen = airways.tracker.volume, airways.tracker.lumen_zyx
     root = _root(volume, airways, cost, root_lps)
     points = [as_point(target) for target in targets]
     notes: list[str] = []
@@ -197,7 +202,7 @@ def track_on_graph(
         cost=cost,
         labels=which,
         box_ijk=box,
-        lumen_zyx=None if airways is None else airways.lumen_zyx,
+        lumen_zyx=lumen,
         levels=None if airways is None else airways.wall_levels,
         root_lps=root,
         reach_mm=SNAP_MM,

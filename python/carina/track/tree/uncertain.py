@@ -42,6 +42,7 @@ AIRWAY_SHARE = (
 # 131 such ways that were found in four CTs one was none. A branch is one where half its points lie so near to one.
 THREAD_SHARE = 0.95
 NEAR_THREAD_MM = 1.5
+NEAR_JUDGED_MM = 2.0
 # The last stretch of a branch runs into its blind end.
 BLUNT_MM = 2.0
 NUM_SECTIONS = 12
@@ -221,6 +222,7 @@ def with_confidence(
     threads_lps: Points | None = None,
     *,
     thread_share: float = THREAD_SHARE,
+    judged: NDArray[np.float64] | None = None,
 ) -> AirwayTree:
     """Fill each branch's confidence that it is airway, from what the CT shows across it.
 
@@ -237,10 +239,23 @@ def with_confidence(
         (n, 3) LPS mm, points along airways that were judged by more than this: the thinnest.
     thread_share
         Confidence of a branch along ``threads_lps`` whose own score is lower.
+    judged
+        (n, 4) LPS mm and probability, points along airways that were found in divided slices: a branch along them has
+        at most their probability, because interpolated values show a wall where there may be none.
     """
-    return dataclasses.replace(
-        tree, branches=tuple(_judged_with(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
-    )
+    branches = tuple(_judged_with(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
+    if judged is not None and len(judged):
+        branches = tuple(at_most_as_probable(branch, judged) for branch in branches)
+    return dataclasses.replace(tree, branches=branches)
+
+
+def at_most_as_probable(branch: Branch, judged: NDArray[np.float64]) -> Branch:
+    off_mm = np.linalg.norm(branch.points[:, None] - judged[None, :, :3], axis=2)
+    is_near = off_mm.min(axis=1) <= NEAR_JUDGED_MM
+    if branch.confidence is None or is_near.mean() < 0.5:
+        return branch
+    probability = float(np.median(judged[off_mm.argmin(axis=1)[is_near], 3]))
+    return dataclasses.replace(branch, confidence=round(min(branch.confidence, probability), 3))
 
 
 def _judged_with(

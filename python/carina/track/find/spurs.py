@@ -1,4 +1,4 @@
-"""Remove short false branches at the upper end of the trachea, where the scan cuts through it."""
+"""Remove short false branches: parts of a wide airway's own section that look like a branch of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["without_trachea_spurs"]
+__all__ = ["without_spurs"]
 
 Points = NDArray[np.float64]
 
@@ -18,16 +18,19 @@ INSIDE = 1.5
 """A spur stays within this many radii of the trachea's axis; a bronchus leaves them."""
 LEAST_FALL_MM = 2.0
 """A branch that goes down by more is a bronchus."""
+LEAST_BULGING_MM = 3.0
+"""Radius of an airway whose wall may bulge; in thinner ones a voxel decides."""
 AXIS_MM = 15.0
 """The axis above the upper end continues the first part of the trachea, of this length."""
 
 
-def without_trachea_spurs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the compiled tracker's rows of branches without spurs at the upper end of the trachea.
+def without_spurs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the compiled tracker's rows of branches without spurs.
 
     Where the scan or the search cuts the trachea obliquely, its section is longer than wide. The centreline starts in
-    one end of it, and the other end looks like a branch. The two parts of the trachea at the fork become one branch,
-    and the generation of every branch below is lower by one.
+    one end of it, and the other end looks like a branch. A bulge of the wall of a wide airway looks like a short branch
+    that ends inside the airway's own section. The two parts of the airway at the fork become one branch, and the
+    generation of every branch below is lower by one.
 
     Parameters
     ----------
@@ -36,19 +39,34 @@ def without_trachea_spurs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]
         ``wall_mm``, ``cost`` and ``nodes``. The first one is the root. Not modified.
     """
     rows = list(rows)
-    while True:
-        below = [number for number, row in enumerate(rows) if row["parent"] == 0]
-        spurs = {number for number in below if _is_spur(rows, number, below)}
-        if not spurs:
-            return rows
-        kept = [number for number in below if number not in spurs]
-        merged = kept[0] if len(kept) == 1 else None
-        rows = _renumbered(rows, spurs, merged)
+    number = 1
+    while number < len(rows):
+        siblings = [other for other, row in enumerate(rows) if row["parent"] == rows[number]["parent"]]
+        if _is_spur(rows, number, siblings) or _is_bulge(rows, number, siblings):
+            rows = _without(rows, number)
+            number = 1
+        else:
+            number += 1
+    return rows
+
+
+def _is_bulge(rows: Sequence[dict[str, Any]], number: int, siblings: Sequence[int]) -> bool:
+    """Return whether a branch is a leaf inside the section of the wide airway that it leaves."""
+    others = [other for other in siblings if other != number]
+    if not others or any(row["parent"] == number for row in rows):
+        return False
+    going_on = max((rows[other] for other in others), key=lambda row: float(np.median(row["radius_mm"])))
+    radius = float(np.median(going_on["radius_mm"]))
+    if radius < LEAST_BULGING_MM:
+        return False
+    axis = np.concatenate([np.asarray(rows[rows[number]["parent"]]["points"]), np.asarray(going_on["points"])[1:]])
+    away = np.linalg.norm(np.asarray(rows[number]["points"])[:, None] - axis[None], axis=2).min(axis=1)
+    return bool(away.max() <= radius)
 
 
 def _is_spur(rows: Sequence[dict[str, Any]], number: int, below: Sequence[int]) -> bool:
     """Return whether a branch of the root is a leaf inside the trachea's own section, near its upper end."""
-    if len(below) < 2 or any(row["parent"] == number for row in rows):
+    if rows[number]["parent"] != 0 or len(below) < 2 or any(row["parent"] == number for row in rows):
         return False
     others = [other for other in below if other != number and any(row["parent"] == other for row in rows)]
     if not others:
@@ -74,21 +92,31 @@ def _length_mm(points: Points) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def _renumbered(rows: Sequence[dict[str, Any]], spurs: set[int], merged: int | None) -> list[dict[str, Any]]:
-    """Return the rows without the spurs; the root takes the branch ``merged`` in."""
-    gone = spurs if merged is None else {*spurs, merged}
-    place = {old: new for new, old in enumerate(n for n in range(len(rows)) if n not in gone)}
+def _without(rows: Sequence[dict[str, Any]], spur: int) -> list[dict[str, Any]]:
+    """Return the rows without a leaf; its parent takes the only other child in, if there is one."""
+    above = rows[spur]["parent"]
+    kept = [number for number, row in enumerate(rows) if row["parent"] == above and number != spur]
+    merged = kept[0] if len(kept) == 1 else None
+    below = set() if merged is None else {merged}
+    for number, row in enumerate(rows):
+        # Parents come first.
+        if row["parent"] in below:
+            below.add(number)
+    gone = {spur, merged}
+    place: dict[int | None, int | None] = {None: None}
+    for number in range(len(rows)):
+        if number not in gone:
+            place[number] = len(place) - 1
     if merged is not None:
-        place[merged] = 0
+        place[merged] = place[above]
     found = []
     for number, row in enumerate(rows):
         if number in gone:
             continue
-        parent = row["parent"]
-        changed = {**row, "parent": None if parent is None else place[parent]}
-        if merged is not None and number == 0:
+        changed = {**row, "parent": None if row["parent"] is None else place[row["parent"]]}
+        if merged is not None and number == above:
             changed |= _joined(row, rows[merged])
-        elif merged is not None:
+        elif number in below:
             changed["generation"] = row["generation"] - 1
         found.append(changed)
     return found

@@ -1,0 +1,169 @@
+"""The grid that airways are searched in: which slices are divided, and how masks and voxels go between the grids."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import carina
+from carina.errors import UsageError
+from carina.track import edit_airways, rebuild_airways
+from carina.track.edit.folded import fold_airways
+from carina.track.edit.kinds import CutBranch, PaintLumen
+from carina.track.paths.path_grid import PathGrid
+from carina.track.tree.airway_tree import Branch
+from carina.track.tree.uncertain import at_most_as_probable
+from carina.volume import Volume
+from made import made_phantom
+
+
+def volume(spacing_mm, shape_zyx=(20, 24, 28)):
+    values = np.random.default_rng(0).integers(-1000, 100, shape_zyx).astype(np.int16)
+    return Volume(values, np.diag([*spacing_mm, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("spacing_mm", "parts"),
+    [
+        pytest.param((0.7, 0.7, 0.7), 1, id="voxels of one size"),
+        pytest.param((0.7, 0.7, 1.25), 1, id="a quarter thicker than a part"),
+        pytest.param((0.7, 0.7, 1.5), 2, id="1.5 mm"),
+        pytest.param((0.7, 0.7, 3.0), 3, id="3 mm"),
+        pytest.param((0.7, 0.7, 5.0), 5, id="5 mm"),
+        pytest.param((0.7, 3.0, 0.7), 3, id="slices along another axis"),
+        pytest.param((1.37, 1.37, 3.0), 1, id="wide voxels"),
+        pytest.param((3.0, 3.0, 3.0), 1, id="coarse voxels of one size"),
+    ],
+)
+def test_only_thick_slices_of_a_fine_ct_are_divided(spacing_mm, parts):
+    grid = PathGrid.of(volume(spacing_mm))
+    assert grid.parts == parts
+    assert grid.is_divided is (parts > 1)
+    assert (grid.volume is grid.ct) is (parts == 1)
+    assert PathGrid.parts_of(grid.ct, grid.shape_zyx) == parts
+    assert PathGrid.parts_of(grid.ct, (20, 24, 29)) is None
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_both_grids_cover_the_same_place(axis):
+    spacing = [0.7, 0.7, 0.7]
+    spacing[axis] = 3.0
+    ct = volume(spacing)
+    grid = PathGrid.of(ct)
+    for corner in (-0.5, 0.5):
+        at = np.zeros(3) + corner
+        ends = [np.where(corner < 0, at, np.array(one.shape_zyx[::-1]) - 1 + at) for one in (ct, grid.volume)]
+        np.testing.assert_allclose(ct.to_lps(ends[0]), grid.volume.to_lps(ends[1]), atol=1e-9)
+    # The middle part of each voxel is the voxel.
+    voxels = np.array([[3, 4, 5], [10, 11, 12]], dtype=np.uint16)
+    parts = grid.voxels_in(voxels)
+    assert len(parts) == 6
+    there = np.unique(np.floor(ct.to_ijk(grid.volume.to_lps(parts.astype(float))) + 0.5), axis=0)
+    np.testing.assert_array_equal(there, voxels)
+
+
+def test_a_turned_volume_is_interpolated_to_the_same_values():
+    ct = volume((0.7, 0.7, 3.0))
+    turned = ct.lps_from_ijk.copy()
+    turned[:3, 3] += turned[:3, 2] * (ct.shape_zyx[0] - 1)
+    turned[:3, 2] *= -1.0
+    other = dataclasses.replace(ct, hu_zyx=np.ascontiguousarray(ct.hu_zyx[::-1]), lps_from_ijk=turned)
+    np.testing.assert_array_equal(PathGrid.of(other).volume.hu_zyx[::-1], PathGrid.of(ct).volume.hu_zyx)
+
+
+def test_a_mask_on_the_ct_holds_voxels_of_which_half_is_set_and_each_centreline():
+    ct = volume((0.7, 0.7, 3.0))
+    grid = PathGrid.of(ct)
+    lumen = np.zeros(grid.shape_zyx, dtype=np.uint8)
+    lumen[3:5, 8, 9] = 1  # two of three parts of slice 1
+    lumen[8, 8, 4:20] = 1  # one of three parts of slice 2
+    np.testing.assert_array_equal(np.argwhere(grid.mask_on_ct(lumen)), [[1, 8, 9]])
+    line = grid.volume.to_lps(np.array([[4.0, 8.0, 8.0], [19.0, 8.0, 8.0]]))
+    branch = Branch(0, None, (), 0, None, "tracked", line, np.ones(2))
+    found = grid.lumen_on_ct(lumen, [branch])
+    assert found[1, 8, 9] == 1
+    assert found[2, 8, 4] == found[2, 8, 19] == 1
+    assert found.sum() > 4
+    assert set(np.argwhere(found)[:, 0]) == {1, 2}
+
+
+@pytest.fixture(scope="module")
+def thick():
+    made = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, noise_hu=15.0)
+    return made.volume, carina.find_airways(made.volume)
+
+
+def test_paths_run_in_the_divided_grid_and_the_lumen_is_on_that_of_the_ct(thick):
+    ct, airways = thick
+    assert airways.tracker.grid.parts == 3
+    assert airways.lumen_zyx.shape == ct.shape_zyx
+    assert airways.tracker.lumen_zyx.shape == (3 * ct.shape_zyx[0], *ct.shape_zyx[1:])
+    for branch in airways.tree.branches:
+        i, j, k = np.floor(ct.to_ijk(branch.points) + 0.5).astype(int).T
+        assert airways.lumen_zyx[k, j, i].all()
+    tip = airways.tree.tips()[0]
+    path = airways.tracker.path_to(tip.tip_lps)
+    assert airways.tracker.inside(path.points_lps).all()
+
+
+def test_edits_equal_those_from_scratch_and_come_back_from_being_folded(thick):
+    ct, airways = thick
+    tip = airways.tree.tips()[0]
+    end = tuple(float(v) for v in tip.points[-1])
+    edits = [CutBranch(tip.id), PaintLumen((end,), 2.0, "ball")]
+    edited = airways
+    for edit in edits:
+        edited = edit_airways(ct, edited, edit)
+    scratch = rebuild_airways(ct, airways, edits)
+    for other in (scratch, fold_airways(edited).unfold()):
+        np.testing.assert_array_equal(other.lumen_zyx, edited.lumen_zyx)
+        np.testing.assert_array_equal(other.tracker.lumen_zyx, edited.tracker.lumen_zyx)
+        assert len(other.tree) == len(edited.tree)
+        for one, two in zip(other.tree.branches, edited.tree.branches, strict=True):
+            np.testing.assert_array_equal(one.points, two.points)
+
+
+def test_the_brush_covers_whole_voxels_of_the_ct(thick):
+    ct, airways = thick
+    tip = airways.tree.tips()[0]
+    end = tuple(float(v) for v in tip.points[-1])
+    painted = edit_airways(ct, airways, PaintLumen((end,), 2.0, "axial"))
+    new = np.argwhere((painted.tracker.lumen_zyx != 0) & (airways.tracker.lumen_zyx == 0))
+    assert len(new)
+    slices = np.unique(new[:, 0] // 3)
+    assert len(slices) == 1, "a disc is one slice of the CT thick"
+    i, j, k = np.floor(ct.to_ijk(np.array(end)) + 0.5).astype(int)
+    assert slices[0] == k
+    assert painted.lumen_zyx[k, j, i] == 1
+
+
+def test_airways_of_another_ct_are_refused(thick):
+    _, airways = thick
+    other = volume((0.8, 0.8, 3.0))
+    with pytest.raises(UsageError, match="belong to another CT"):
+        edit_airways(other, airways, CutBranch(airways.tree.tips()[0].id))
+
+
+def test_divided_slices_show_airways_that_the_slices_themselves_hide(thick, monkeypatch):
+    ct, airways = thick
+    monkeypatch.setattr(PathGrid, "of", classmethod(lambda cls, volume: cls(volume)))
+    whole = carina.find_airways(ct)
+    lengths = [sum(branch.length_mm for branch in found.tree.branches) for found in (airways, whole)]
+    assert lengths[0] > 1.1 * lengths[1]
+    truth = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, noise_hu=15.0).truth
+    axes = np.concatenate([np.array(row["points"]) for row in truth["branches"]])
+    for branch in airways.tree.branches:
+        off_mm = np.linalg.norm(branch.points[:, None] - axes[None], axis=2).min(axis=1)
+        # The truth has a point each few millimetres.
+        assert np.median(off_mm) < 3.5
+
+
+def test_what_was_found_by_odds_has_at_most_their_probability():
+    points = np.stack([np.zeros(12), np.zeros(12), -np.arange(12.0)], axis=1)
+    branch = Branch(0, None, (), 0, None, "tracked", points, np.ones(12), confidence=0.99)
+    judged = np.column_stack([points + 0.5, np.full(12, 0.8)])
+    assert at_most_as_probable(branch, judged).confidence == 0.8
+    assert at_most_as_probable(branch, np.add(judged, [0.0, 0.0, 0.0, 0.195])).confidence == 0.99
+    assert at_most_as_probable(branch, np.add(judged, [5.0, 0.0, 0.0, 0.0])).confidence == 0.99
