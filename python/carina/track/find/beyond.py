@@ -47,8 +47,6 @@ SHARP_BAR = 1.5
 # A search that ran out is made again, with ways that must be so many times as enclosed as the lung asks for.
 BARS = (1.0, 2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
-# Interpolated noise lies in rows along which a search goes farther: in divided slices these bars are no sign of a leak.
-DIVIDED_BARS = (1.0, 1.3, 1.6)
 # Healthy searches reach 0.02 to 0.4 % of the lung and follow at most 0.35 m (eight CTs).
 MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
@@ -149,15 +147,15 @@ def follow_beyond(
         return Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=True)
     followed: list[dict[str, Any]] = []
     ran_out = False
-    bars = SHARP_BARS if is_sharp else BARS if searched.divided is None else (*DIVIDED_BARS, *BARS[1:])
-    for raised in bars:
+    for raised in SHARP_BARS if is_sharp else BARS:
         found = extended(raised)
         if not found["ran_out"] and _length_mm(found["followed"]) <= (
             SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
         ):
             followed = found["followed"]
             break
-        ran_out = searched.divided is None or is_sharp or raised == DIVIDED_BARS[-1] or ran_out
+        # Interpolated noise lies in rows, along which a search with the lung's own bar goes far.
+        ran_out = searched.divided is None or is_sharp or raised > BARS[0]
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
     leaked = is_sharp or ran_out
