@@ -12,7 +12,10 @@ from edit_case import edit_case
 from kept_case import whole
 
 from carina.case import CaseFile, migrate
+from carina.case.measures import branch_facts
 from carina.case.schema import SCHEMA
+from carina.server.messages import AskBranchDetail
+from carina.server.tree_words import branch_detail_message, tree_message
 from carina.session.measured import MeasuredAirways
 from carina.track import CutBranch, edit_airways
 
@@ -68,13 +71,19 @@ def _in_numbers(kept):
         [
             b.branch_id,
             b.found_by,
-            b.summary.to_json(),
+            _stored_summary(b.summary),
             round(float(np.nansum(b.edge_mm)), 6),
             round(float(np.nansum(b.area_mm2)), 6),
             int(b.is_usable.sum()),
         ]
         for b in measures.branches
     ] + [[fork.to_json() for fork in measures.forks]]
+
+
+def _stored_summary(summary):
+    """The figures of a branch as stored: with a stenosis that is not reported, too."""
+    stored = summary.measured_stenosis
+    return {**summary.to_json(), "stenosis": None if stored is None else stored.to_json()}
 
 
 def test_a_file_of_each_schema_is_kept():
@@ -94,3 +103,29 @@ def test_a_kept_case_opens_with_all_that_was_in_it(name, tmp_path):
         airways = whole(file.load(case.volume).history().current.airways, case)
     tip = airways.tree.tips()[0]
     assert tip.id not in {b.id for b in edit_airways(case.volume, airways, CutBranch(tip.id)).tree.branches}
+
+
+def test_a_kept_stenosis_within_its_error_is_neither_shown_nor_exported():
+    with CaseFile.open(KEPT / "schema-2.carina", read_only=True) as file:
+        moment = file.load(edit_case().volume)
+        (first, *_) = moment.history().documents()
+        measures = MeasuredAirways(moment.measures).of(first.airways).load()
+    airways = whole(first.airways, edit_case())
+    stored = {b.branch_id: b.summary.measured_stenosis for b in measures.branches}
+    within = {branch for branch, stenosis in stored.items() if not stenosis.exceeds_error}
+    assert within == {1, 2, 3, 4, 5, 6}
+
+    sent = tree_message(airways, measures).measures
+    assert [one.branch_id for one in sent if one.stenosis_percent is not None] == [0]
+    assert [(one.stenosis_error_percent, one.stenosis_at_mm) for one in sent if one.branch_id in within] == [
+        (None, None)
+    ] * 6
+    for row in measures.to_json()["branches"]:
+        assert (row["summary"]["stenosis"] is None) == (row["branch"] in within)
+    for own in measures.branches:
+        detail = branch_detail_message(AskBranchDetail(7, own.branch_id), own)
+        assert (detail.measures.stenosis_percent is None) == (own.branch_id in within)
+        assert (own.summary.stenosis is None) == (own.branch_id in within)
+        assert "stenosis" not in repr(own.summary)
+        # Saved again, the file holds the stenosis as it was measured.
+        assert branch_facts(own, None).summary.stenosis is not None

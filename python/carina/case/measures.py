@@ -58,7 +58,7 @@ def flags_of(measures: BranchMeasures) -> bytes:
 
 def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.MeasuredFacts:
     """Return the measurements of a branch and of the fork at its end, without the sections."""
-    summary, stenosis = measures.summary, measures.summary.stenosis
+    summary, stenosis = measures.summary, measures.summary.measured_stenosis
     names = [name for name in f.SummaryFacts.__struct_fields__ if name != "stenosis"]
     return f.MeasuredFacts(
         branch_id=measures.branch_id,
@@ -130,9 +130,10 @@ def fork_from(facts: f.MeasuredFacts) -> ForkMeasures | None:
 
 def _summary(facts: f.SummaryFacts) -> BranchSummary:
     values = msgspec.structs.asdict(facts)
-    stenosis = facts.stenosis
-    values["stenosis"] = None if stenosis is None else Stenosis(**msgspec.structs.asdict(stenosis))
-    return BranchSummary(**values)
+    stenosis = values.pop("stenosis")
+    return BranchSummary(
+        **values, measured_stenosis=None if stenosis is None else Stenosis(**msgspec.structs.asdict(stenosis))
+    )
 
 
 def _frozen(values: NDArray[Any]) -> NDArray[Any]:

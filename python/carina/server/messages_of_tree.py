@@ -69,7 +69,7 @@ class BranchMeasures(FrozenValue, frozen=True):
     angle_deg: float | None
     """To the parent's direction."""
     stenosis_percent: float | None
-    """Of the diameter that would be healthy there: 0 is healthy, 100 closed."""
+    """Of the diameter that would be healthy there: 100 is closed. Null where it does not exceed its error."""
     stenosis_error_percent: float | None
     stenosis_at_mm: float | None
 

@@ -147,6 +147,15 @@ describe("a branch in words", () => {
     expect(facts.get("Narrowing")).toMatchObject({ value: `33 % \u00b1 5 at 12${NBSP}mm`, warns: true });
     expect(factsOf(node(tree, 2)).map((fact) => fact.term)).toEqual(["Generation", "Length", "Lumen"]);
   });
+
+  it("has a narrowing wherever the server reports a stenosis", () => {
+    const narrowing = (stenosis_percent: number | null) => {
+      const measured = made({ measures: [{ ...MEASURES, stenosis_percent, stenosis_error_percent: 0.3 }] });
+      return factsOf(node(measured, 1)).find((fact) => fact.term === "Narrowing")?.value;
+    };
+    expect(narrowing(null)).toBeUndefined();
+    expect(narrowing(0.9)).toContain("1 %");
+  });
 });
 
 describe("the search", () => {

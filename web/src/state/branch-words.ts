@@ -143,7 +143,7 @@ function measuredFacts(measures: BranchMeasures): (Fact | null)[] {
     fact("Widest", withError(measures.max_lumen_mm, measures.max_lumen_error_mm)),
     fact("Wall", withError(measures.wall_mm, measures.wall_error_mm)),
     fact("Taper", measures.taper === null ? null : `${fixed(100 * measures.taper, 1)} mm per 100 mm`),
-    stenosis === null || stenosis < 1
+    stenosis === null
       ? null
       : {
           term: "Narrowing",

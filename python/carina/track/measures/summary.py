@@ -47,6 +47,11 @@ class Stenosis:
     reference_from: str
     """``branch``: the healthy parts of the branch itself; ``neighbours``: its parent, siblings and children."""
 
+    @property
+    def exceeds_error(self) -> bool:
+        """Whether it is reported: healthy, 0 %, lies below its 95 % interval."""
+        return self.percent > self.percent_error
+
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""
         return {name: _rounded(value) for name, value in dataclasses.asdict(self).items()}
@@ -73,14 +78,21 @@ class BranchSummary:
     wall_mm: float | None = None
     """Median thickness of the wall."""
     wall_error_mm: float | None = None
-    stenosis: Stenosis | None = None
+    measured_stenosis: Stenosis | None = dataclasses.field(default=None, repr=False)
+    """As measured or read. Case files of earlier versions also hold stenoses within their errors: read ``stenosis``."""
+
+    @property
+    def stenosis(self) -> Stenosis | None:
+        """The stenosis that is reported: None where it does not exceed its error."""
+        own = self.measured_stenosis
+        return own if own is not None and own.exceeds_error else None
 
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""
         values = {
             field.name: _rounded(getattr(self, field.name))
             for field in dataclasses.fields(self)
-            if field.name != "stenosis"
+            if field.name != "measured_stenosis"
         }
         return {**values, "stenosis": None if self.stenosis is None else self.stenosis.to_json()}
 
@@ -118,7 +130,7 @@ def summed_up(
         taper=_slope(at, diameter),
         wall_mm=float(np.median(wall_mm[walls])) if walls.any() else None,
         wall_error_mm=float(np.median(wall_error_mm[walls])) if walls.any() else None,
-        stenosis=stenosis,
+        measured_stenosis=stenosis,
     )
 
 
@@ -155,7 +167,7 @@ def stenosis_of(
     *,
     neighbours_mm: float | None,
 ) -> Stenosis | None:
-    """The narrowest usable section of a branch against its reference.
+    """The narrowest usable section of a branch against its reference; None where it does not exceed its error.
 
     The reference is the line through the healthy sections of the branch itself (at least 0.9 of its wide part), taken
     at the narrowest place, where they lie on both sides of it or are 3 mm long on one. Where the branch has less than
@@ -175,7 +187,7 @@ def stenosis_of(
     if reference is None or reference <= 0.0:
         return None
     left = float(diameter[least]) / reference
-    return Stenosis(
+    found = Stenosis(
         percent=100.0 * (1.0 - left),
         percent_error=float(100.0 * left * np.hypot(error[least] / diameter[least], share)),
         area_percent=100.0 * (1.0 - left * left),
@@ -184,6 +196,7 @@ def stenosis_of(
         reference_mm=float(reference),
         reference_from=source,
     )
+    return found if found.exceeds_error else None
 
 
 def _own_reference(at: Floats, diameter: Floats, healthy: NDArray[np.bool_], place: float) -> float | None:
