@@ -166,6 +166,9 @@ def compared(phantom: Phantom, tree: AirwayTree, measures: TreeMeasures) -> dict
         told = measures.of(branch.id).summary.stenosis
         true_percent = 100.0 * (1.0 - stenosis["min_radius_mm"] / stenosis["reference_radius_mm"])
         result["stenosis_off"] = np.array([np.nan if told is None else told.percent - true_percent])
+        result["stenosis_error"] = np.array([np.nan if told is None else told.percent_error])
+        others = [one for one in measures.branches if one.branch_id != branch.id]
+        result["stenosis_false"] = np.array([float(one.summary.stenosis is not None) for one in others])
     return result
 
 
@@ -191,6 +194,14 @@ def _tree_rows(columns: dict[str, Floats], case: str, spacing: float) -> list[Ro
         least("median error of a length between two forks", float(np.median(np.abs(columns["length_off"]))), "mm"),
         least("median error of an angle to the parent", float(np.median(np.abs(columns["angle_off"]))), "deg"),
         least("largest error of a stenosis", float(np.nanmax(np.abs(columns["stenosis_off"]))), "percent", 10.0),
+        {
+            "what": "stenosis: coverage",
+            "case": case,
+            "figure": float((np.abs(columns["stenosis_off"]) <= columns["stenosis_error"]).mean()),
+            "limit": 0.9,
+            "aim": True,
+        },
+        least("healthy branches with a stenosis", float(columns["stenosis_false"].mean()), "", 0.025),
     ]
 
 

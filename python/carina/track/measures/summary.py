@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 
-__all__ = ["BranchSummary", "Stenosis", "healthy_neighbours_mm", "stenosis_of", "summed_up"]
+__all__ = [
+    "BranchSummary",
+    "ReferenceDiameter",
+    "Stenosis",
+    "diameter_by_neighbours",
+    "stenosis_of",
+    "summed_up",
+]
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +33,14 @@ MURRAY_POWER = 3.0
 """Murray (1926): the cubes of the diameters of two branches add up to that of their parent."""
 NEIGHBOURS_ERROR = 0.15
 """Airways keep to Murray's law within about this share (one standard deviation)."""
+EQUAL_DAUGHTER = 2.0 ** (-1.0 / MURRAY_POWER)
+"""Diameter of each of two equal daughters over that of their parent, by Murray's law."""
+DIAMETERS_TO_FORK = 3.0
+"""Mean length of an airway from fork to fork over its diameter (Weibel 1963)."""
+DEVIATIONS_95 = 1.96
+"""Standard deviations on each side of a mean that hold 95 % of a normal distribution."""
+SECTION_REACH_MM = 1.0
+"""A section also contains values of the airway this far above and below its plane, by blur and voxels."""
 
 
 @one_line
@@ -55,6 +71,18 @@ class Stenosis:
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""
         return {name: _rounded(value) for name, value in dataclasses.asdict(self).items()}
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ReferenceDiameter:
+    """The diameter that a healthy branch would have at one place."""
+
+    mm: float
+    error: float
+    """Half of the 95 % interval, as a share of ``mm``."""
+    source: str
+    """As :attr:`Stenosis.reference_from`."""
 
 
 @one_line
@@ -142,21 +170,31 @@ def _slope(at: Floats, values: Floats) -> float | None:
     return float(np.median((values[other] - values[one]) / (at[other] - at[one])))
 
 
-def healthy_neighbours_mm(
+def diameter_by_neighbours(
     parent_mm: float | None, siblings_mm: Sequence[float | None], children_mm: Sequence[float | None]
-) -> float | None:
-    """The diameter that a branch should have by Murray's law, from its parent and siblings, from its children, or both.
+) -> ReferenceDiameter | None:
+    """Return the diameter that a branch should have by Murray's law: from parent and siblings, children, or both.
 
-    None where neither side is known whole.
+    None where neither side is fully measured, and for a branch without children: a bronchus that the search did not
+    find may be missing among its siblings.
     """
-    guesses = []
+    logs, errors = [], []
+    if not children_mm:
+        return None
     if parent_mm is not None and siblings_mm and all(sibling is not None for sibling in siblings_mm):
-        rest = parent_mm**MURRAY_POWER - sum(float(s or 0.0) ** MURRAY_POWER for s in siblings_mm)
+        whole = parent_mm**MURRAY_POWER
+        rest = whole - sum(float(s or 0.0) ** MURRAY_POWER for s in siblings_mm)
         if rest > 0.0:
-            guesses.append(rest ** (1.0 / MURRAY_POWER))
-    if children_mm and all(child is not None for child in children_mm):
-        guesses.append(sum(float(c or 0.0) ** MURRAY_POWER for c in children_mm) ** (1.0 / MURRAY_POWER))
-    return float(np.exp(np.mean(np.log(guesses)))) if guesses else None
+            logs.append(np.log(rest) / MURRAY_POWER)
+            # The difference of the cubes has the whole error of the parent's cube.
+            errors.append(NEIGHBOURS_ERROR * whole / rest)
+    if all(child is not None for child in children_mm):
+        logs.append(np.log(sum(float(c or 0.0) ** MURRAY_POWER for c in children_mm)) / MURRAY_POWER)
+        errors.append(NEIGHBOURS_ERROR)
+    if not logs:
+        return None
+    error = DEVIATIONS_95 * float(np.linalg.norm(errors)) / len(errors)
+    return ReferenceDiameter(float(np.exp(np.mean(logs))), error, "neighbours")
 
 
 def stenosis_of(
@@ -165,47 +203,83 @@ def stenosis_of(
     error_mm: Floats,
     usable: NDArray[np.bool_],
     *,
-    neighbours_mm: float | None,
+    expected: ReferenceDiameter | None,
 ) -> Stenosis | None:
-    """The narrowest usable section of a branch against its reference; None where it does not exceed its error.
+    """Return the narrowest usable section of a branch against its reference; None if it does not exceed its error.
 
     The reference is the line through the healthy sections of the branch itself (at least 0.9 of its wide part), taken
-    at the narrowest place, where they lie on both sides of it or are 3 mm long on one. Where the branch has less than
-    6 mm of healthy sections its neighbours may say what it should be, by Murray's law: if there is nothing else, or if
-    that is wider than the branch's widest section by more than the law's scatter (it is narrow all along).
+    at the narrowest place, where they lie on both sides of it or are 3 mm long on one. The neighbours' reference
+    applies if the branch has none of its own, or if it is beyond its error wider than the branch's widest section: the
+    branch is narrow all along.
+
+    The error is half of a 95 % interval. It contains the error of the narrowest section, which is the extreme of all
+    independent sections; that of the healthy sections and their scatter; and for a narrowing without a healthy section
+    beyond it the forks that may not have been found on the way (:func:`_missed_forks`).
     """
     if usable.sum() < 3:
         return None
     at, diameter, error = at_mm[usable], equivalent_mm[usable], error_mm[usable]
     least = int(np.argmin(diameter))
-    healthy = diameter >= HEALTHY_SHARE * np.percentile(diameter, WIDE_PERCENTILE)
-    healthy[least] = False
-    own = _own_reference(at, diameter, healthy, at[least])
-    reference, source, share = own, "branch", float(np.median(error / diameter))
-    if neighbours_mm is not None and (own is None or neighbours_mm > (1.0 + NEIGHBOURS_ERROR) * float(diameter.max())):
-        reference, source, share = neighbours_mm, "neighbours", 1.96 * NEIGHBOURS_ERROR
-    if reference is None or reference <= 0.0:
+    reference = _own_reference(at, diameter, error, least)
+    if expected is not None and (reference is None or expected.mm > (1.0 + expected.error) * float(diameter.max())):
+        scatter = DEVIATIONS_95 * float(diameter.std() / diameter.mean())
+        reference = dataclasses.replace(expected, error=float(np.hypot(expected.error, scatter)))
+    if reference is None or reference.mm <= 0.0:
         return None
-    left = float(diameter[least]) / reference
+    left = float(diameter[least]) / reference.mm
+    narrowest_error = _narrowest_error_mm(at, diameter, error, least) / diameter[least]
     found = Stenosis(
         percent=100.0 * (1.0 - left),
-        percent_error=float(100.0 * left * np.hypot(error[least] / diameter[least], share)),
+        percent_error=float(100.0 * left * np.hypot(narrowest_error, reference.error)),
         area_percent=100.0 * (1.0 - left * left),
         at_mm=float(at[least]),
         min_mm=float(diameter[least]),
-        reference_mm=float(reference),
-        reference_from=source,
+        reference_mm=reference.mm,
+        reference_from=reference.source,
     )
     return found if found.exceeds_error else None
 
 
-def _own_reference(at: Floats, diameter: Floats, healthy: NDArray[np.bool_], place: float) -> float | None:
+def _own_reference(at: Floats, diameter: Floats, error: Floats, least: int) -> ReferenceDiameter | None:
+    healthy = diameter >= HEALTHY_SHARE * np.percentile(diameter, WIDE_PERCENTILE)
+    healthy[least] = False
+    place = at[least]
     before, after = healthy & (at < place), healthy & (at > place)
     sides = [float(np.ptp(at[side])) if side.any() else 0.0 for side in (before, after)]
+    own = float(np.median(error / diameter))
     if before.any() and after.any() and healthy.sum() >= 4:
         slope = _slope(at[healthy], diameter[healthy]) or 0.0
-        middle = float(np.median(diameter[healthy] - slope * at[healthy]))
-        return middle + slope * place
+        rest = diameter[healthy] - slope * at[healthy]
+        middle = float(np.median(rest)) + slope * float(place)
+        scatter = DEVIATIONS_95 * float((rest - np.median(rest)).std()) / max(middle, 1e-9)
+        return ReferenceDiameter(middle, float(np.hypot(own, scatter)), "branch")
     if max(sides) >= LEAST_HEALTHY_MM:
-        return float(np.median(diameter[before if sides[0] >= sides[1] else after]))
+        side = before if sides[0] >= sides[1] else after
+        middle = float(np.median(diameter[side]))
+        scatter = DEVIATIONS_95 * float(diameter[side].std()) / middle
+        forks = 0.0 if after.any() else _missed_forks(float(place - at[before].max()), middle)
+        return ReferenceDiameter(middle, float(np.linalg.norm([own, scatter, forks])), "branch")
     return None
+
+
+def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
+    """Return the error of a reference that lies a distance before forks that were not found, as a share.
+
+    One fork, and one more for each three diameters: in a CT that does not show the other daughter a healthy airway that
+    divides looks like one that narrows.
+    """
+    forks = 1.0 + distance_mm / (DIAMETERS_TO_FORK * diameter_mm)
+    return float(EQUAL_DAUGHTER**-forks - 1.0)
+
+
+def _narrowest_error_mm(at: Floats, diameter: Floats, error: Floats, least: int) -> float:
+    """Return half of the 95 % interval of the narrowest diameter, as the extreme of the branch's sections.
+
+    Sections one diameter apart count as independent (Bonferroni). A section also shows the wider airway beside it, so
+    the widening over that reach is part of the error.
+    """
+    independent = max(1.0, float(np.ptp(at)) / float(np.median(diameter)))
+    extreme = NormalDist().inv_cdf(1.0 - 0.025 / independent) / DEVIATIONS_95
+    around = np.interp([at[least] - SECTION_REACH_MM, at[least] + SECTION_REACH_MM], at, diameter)
+    widening = float(around.mean() - diameter[least])
+    return float(np.hypot(extreme * error[least], widening))

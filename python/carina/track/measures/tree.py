@@ -21,7 +21,7 @@ from carina.track.measures.forks import (
     junction_flags,
     run_mm,
 )
-from carina.track.measures.summary import BranchSummary, Stenosis, healthy_neighbours_mm, stenosis_of, summed_up
+from carina.track.measures.summary import BranchSummary, Stenosis, diameter_by_neighbours, stenosis_of, summed_up
 from carina.track.stages import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.version import VERSION as CARINA_VERSION
@@ -451,7 +451,7 @@ def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
         siblings = [] if parent is None else [child for child in parent.children if child != branch.id]
         # What a person drew takes no air: its neighbours are judged as if it were not there.
         siblings, children = ([n for n in ids if n not in drawn] for ids in (siblings, branch.children))
-        neighbours = healthy_neighbours_mm(
+        expected = diameter_by_neighbours(
             None if parent is None else means[parent.id],
             [means[sibling] for sibling in siblings],
             [means[child] for child in children],
@@ -463,7 +463,7 @@ def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
             own.is_usable,
             angle_deg=None if parent is None else angle_deg(parent, branch),
             stenosis=stenosis_of(
-                own.at_mm, own.equivalent_mm, own.equivalent_error_mm, own.is_usable, neighbours_mm=neighbours
+                own.at_mm, own.equivalent_mm, own.equivalent_error_mm, own.is_usable, expected=expected
             ),
         )
         found.append(dataclasses.replace(own, summary=summary))
