@@ -197,7 +197,10 @@ class TreeMeasures:
         return next((fork for fork in self.forks if fork.branch_id == branch_id), None)
 
     def to_json(self) -> dict[str, Any]:
-        """The document ``carina-measures`` version 1: LPS, mm, degrees; errors are half of a 95 % interval."""
+        """The document ``carina-measures`` version 1: LPS, mm, degrees; errors are half of a 95 % interval.
+
+        A stenosis is null where it does not exceed its error, also in measurements of an earlier version.
+        """
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -238,7 +241,8 @@ def measure_tree(
     -------
     TreeMeasures
         Sections (area, equivalent, least and greatest diameter, wall), forks and summaries. Branches that the CT does
-        not show (drawn by hand, bridges) have a length and no other figure.
+        not show (drawn by hand, bridges) have a length and no other figure. A stenosis is None where it does not exceed
+        its error.
 
     Raises
     ------
