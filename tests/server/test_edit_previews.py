@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from edit_case import edit_case, in_plain_lung, open_ended_volume
+from edit_case import edit_case, in_plain_lung, open_ended_airways, open_ended_volume
 
 from carina.commands import EditTree
 from carina.server import messages as wire
@@ -26,7 +26,7 @@ def pointing():
     case = edit_case()
     bench = small_bench(
         open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
-        find_airways=lambda _volume, **_options: case.airways,
+        find_airways=lambda _volume, **_options: open_ended_airways(),
         edit_airways=edit_airways,
     )
     bench.open()

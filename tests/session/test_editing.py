@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from edit_case import assert_same, edit_case, in_plain_lung, open_ended_volume
+from edit_case import assert_same, edit_case, in_plain_lung, open_ended_airways, open_ended_volume
 
 from carina.case.history import History
 from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf, Undo
@@ -229,11 +229,11 @@ def test_what_is_far_from_the_present_is_folded_and_what_is_near_is_not():
 
 
 @pytest.fixture
-def lung_bench(case):
+def lung_bench():
     """The same over a volume in which ways lead into plain lung."""
     made = small_bench(
         open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
-        find_airways=lambda _volume, **_options: case.airways,
+        find_airways=lambda _volume, **_options: open_ended_airways(),
         edit_airways=edit_airways,
     )
     made.open()
@@ -241,7 +241,7 @@ def lung_bench(case):
     return made
 
 
-def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_is_asked_for_again(lung_bench, case):
+def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_is_asked_for_again(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung()))
     (asked,) = lung_bench.of_type(NotEvident)
     assert lung_bench.of_type(Trouble) == []
@@ -251,7 +251,7 @@ def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_i
     assert lung_bench.events.index(asked) < lung_bench.events.index(ended)
     assert asked.lps == in_plain_lung()
     assert asked.error.doubtful_mm > 2.0
-    assert document(lung_bench).airways is case.airways
+    assert document(lung_bench).airways is open_ended_airways()
     assert lung_bench.session.snapshot().undo_label is None
 
     edit(lung_bench, AddBranch(asked.lps, even_without_evidence=True))
@@ -260,7 +260,7 @@ def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_i
     assert np.array_equal(drawn[-1].points[-1], asked.error.way_lps[-1])
     assert all(b.name is None and b.confidence is None for b in drawn)
     lung_bench.session.undo()
-    assert document(lung_bench).airways is case.airways
+    assert document(lung_bench).airways is open_ended_airways()
 
 
 def test_a_route_over_a_drawn_branch_counts_it_as_drawn(lung_bench):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.track import Airways, AirwayTree, find_airways
+from carina.track.find.kept import KeptForVolume
+from carina.track.paths.path_grid import PathGrid
+from carina.track.paths.tracker import PathTracker
 from carina.volume.model import Volume
 
 SHAPE_ZYX = (34, 26, 32)
@@ -85,6 +88,17 @@ def open_ended_volume() -> Volume:
         near = (np.linalg.norm(places - tip, axis=1) < 5.0).reshape(values.shape)
         values[near & (values > -850)] = -850
     return Volume(values, case.volume.lps_from_ijk)
+
+
+@cache
+def open_ended_airways() -> Airways:
+    """The airways of the same case, with paths in that volume."""
+    airways, grid = edit_case().airways, PathGrid(open_ended_volume())
+    told = airways.tracker
+    tracker = PathTracker(grid, told.core, root_ijk=told.root_ijk, lumen_zyx=told.lumen_zyx)
+    assert told.given_nodes is not None
+    tracker.set_branches(told.branches, told.given_nodes)
+    return replace(airways, tracker=tracker, evidence=KeptForVolume())
 
 
 def in_plain_lung() -> tuple[float, float, float]:

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from edit_case import edit_case, open_ended_volume
+from edit_case import edit_case, open_ended_airways, open_ended_volume
 
 from carina.errors import NoEvidenceError
 from carina.track import AddBranch, Bridge, CutBranch, MoveFork, edit_airways, preview_edit
@@ -23,7 +23,7 @@ def opened(case):
     """The same case; two tubes have no end, so that ways lead into the lung, and a branch is cut that the CT shows."""
     volume = open_ended_volume()
     leaf = case.airways.tree.nearest_branch(case.tips[3])[0]
-    return volume, edit_airways(volume, case.airways, CutBranch(leaf.id)), leaf
+    return volume, edit_airways(volume, open_ended_airways(), CutBranch(leaf.id)), leaf
 
 
 def points_to_add(volume, case, leaf, count: int):
