@@ -129,3 +129,85 @@ pub(crate) fn looks_like_airway(section: &Section, own: f64, air: f64, blur: Blu
     };
     section.walled >= MIN_WALLED && own <= air + left * (wall - air) + blur.noise
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: ExtensionLimits = ExtensionLimits {
+        air: -1000.0,
+        lung: (-950, -700),
+        brightest: -500,
+        least_rise: 15.0,
+        gap_mm: 2.0,
+        min_length_mm: 2.0,
+        raised: 1.0,
+        most_reached: 0.02,
+        divided: None,
+    };
+    const DIVIDED: Divided = Divided {
+        axis: 2,
+        slice_mm: 3.0,
+        least_odds: 0.3,
+        least_probability: 0.7,
+    };
+
+    fn section(radius_mm: f64, walled: f64, rise: f64) -> Section {
+        Section {
+            walled,
+            radius_mm,
+            rise,
+        }
+    }
+
+    #[test]
+    fn a_thin_blurred_tube_is_likelier_an_airway_than_a_wide_gap_as_bright() {
+        let tube = log_odds(
+            &section(1.0, 0.95, 250.0),
+            -760.0,
+            3.0,
+            0.3,
+            &LIMITS,
+            DIVIDED,
+        );
+        let gap = log_odds(
+            &section(2.0, 0.75, 250.0),
+            -760.0,
+            1.1,
+            0.3,
+            &LIMITS,
+            DIVIDED,
+        );
+        assert!(tube > 0.0 && gap < 0.0, "{tube} {gap}");
+    }
+
+    #[test]
+    fn the_blur_of_a_tube_is_that_of_its_slices_if_blur_alone_made_it_bright() {
+        for along in [0.0, 0.4, 1.0] {
+            let across: f64 = (3.0 / 12f64.sqrt()).hypot(LEAST_BLUR_ACROSS_MM);
+            let up = (BLUR_IN_SLICE_MM * along).hypot(across * f64::sqrt(1.0 - along * along));
+            let sigma = (BLUR_IN_SLICE_MM * up).sqrt();
+            let left = (-0.5 * (1.2 / sigma).powi(2)).exp();
+            let own = -1000.0 + left * 600.0;
+            let ratio = blur_ratio(
+                &section(1.2, 1.0, -400.0 - own),
+                own,
+                along,
+                LIMITS.air,
+                DIVIDED,
+            );
+            assert!(ratio.abs() < 1e-9, "{along} {ratio}");
+        }
+    }
+
+    #[test]
+    fn every_product_of_two_figures_has_one_weight() {
+        let num = WEIGHTS.len();
+        assert!(
+            WEIGHTS
+                .iter()
+                .enumerate()
+                .all(|(n, row)| row.len() == num - n)
+        );
+    }
+}

@@ -302,7 +302,7 @@ impl<'a> Search<'a> {
         let beyond = way
             .iter()
             .filter(|n| f64::from(self.along_mm[**n as usize] - from_mm) > BEYOND_MM)
-            .map(|n| self.from_lumen_mm(ijk(*n)));
+            .map(|n| self.clearance_at(ijk(*n)));
         let clearance_mm = median(beyond.chain(std::iter::once(CLEAR_MM)));
         let (first, last) = (ijk(way[0]), ijk(way[way.len() - 1]));
         let spacing = self.smooth.grid().spacing_mm();
@@ -320,7 +320,7 @@ impl<'a> Search<'a> {
     }
 
     /// Distance to the lumen that was known before, at most [`CLEAR_MM`].
-    fn from_lumen_mm(&self, voxel: [usize; 3]) -> f64 {
+    fn clearance_at(&self, voxel: [usize; 3]) -> f64 {
         let mut least = CLEAR_MM;
         self.each_within(voxel, CLEAR_MM, |at, off_mm| {
             if self.lumen[at] == LUMEN {
