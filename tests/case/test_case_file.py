@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from edit_case import edit_case
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kept_case import ACTS, Doing, act, assert_same_airways, assert_same_moment, source_of, whole
 
 from carina.case import CaseFile, CaseFileError
 from carina.track import AddBranch, edit_airways
+from carina.track.paths.path_grid import PathGrid
 
 sequences = st.lists(st.tuples(st.sampled_from(ACTS), st.integers(0, 2**32 - 1)), min_size=6, max_size=14)
 
 
-def worked_on(acts, path):
+def worked_on(acts, path, case=None):
     """One works on in memory, the other saves, closes and opens again before each step: both do the same."""
-    doing = again = Doing()
+    doing = again = Doing(case)
     with CaseFile.create(path, source_of(doing.case)) as file:
         file.save(doing.moment())
     for place, (name, seed) in enumerate(acts):
@@ -60,6 +62,34 @@ def test_any_sequence_reopened_before_each_of_its_steps_is_that_of_a_case_that_s
 
 def test_a_branch_that_was_only_renamed_has_the_same_paths_when_it_was_put_away(tmp_path):
     worked_on([("rename", 3401), ("add", 1974794), ("root", 0), ("fold", 0)], tmp_path / "one.carina")
+
+
+@pytest.fixture(scope="module")
+def divided_case():
+    """The case whose slices are divided for search, paths and edits."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PathGrid, "of", classmethod(lambda cls, ct: cls(ct, 2)))
+        case = edit_case.__wrapped__()
+    assert case.airways.tracker.grid.parts == 2
+    assert case.airways.tracker.lumen_zyx.shape[0] == 2 * case.volume.shape_zyx[0]
+    return case
+
+
+@settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(acts=sequences)
+def test_any_sequence_in_divided_slices_is_that_of_a_case_that_stayed_open(acts, divided_case, tmp_path_factory):
+    worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina", divided_case)
+
+
+def test_the_lumen_in_divided_slices_comes_back(divided_case, tmp_path):
+    with CaseFile.create(tmp_path / "one.carina", source_of(divided_case)) as file:
+        file.save(Doing(divided_case).moment())
+    with CaseFile.open(tmp_path / "one.carina") as file:
+        airways = whole(file.load(divided_case.volume).first.airways, divided_case)
+    assert airways.tracker.grid.parts == 2
+    np.testing.assert_array_equal(airways.tracker.lumen_zyx, divided_case.airways.tracker.lumen_zyx)
+    np.testing.assert_array_equal(airways.lumen_zyx, divided_case.airways.lumen_zyx)
+    assert airways.lumen_zyx.shape == divided_case.volume.shape_zyx
 
 
 @pytest.mark.soak
