@@ -56,6 +56,10 @@ class Section:
     """From front to back."""
     septum_mm2: float
     """What is no air between its air."""
+    septum_hu: float
+    """Median of what is no air between its air; NaN where there is none."""
+    noise_hu: float
+    """Standard deviation of its air, from the median deviation."""
     peak: float
     """The brightest value in it or close round it, in HU."""
     leaves_in_front: bool
@@ -190,6 +194,9 @@ def follow_up(
         near = spread(whole, close_by) & ~region
         septum_mm2 = float(septum.sum() * dx * dy)
         peak = (float(values[near].max()) - zero) * to_hu if near.any() else -1000.0
+        own = values[region].astype(np.float64)
+        noise_hu = 1.4826 * float(np.median(np.abs(own - np.median(own)))) * to_hu
+        septum_hu = (float(np.median(values[septum])) - zero) * to_hu if septum.any() else float("nan")
         # Some slices with a wall between air and air make a tube; what stands on its cuff does not end it.
         if tubes < IN_A_TUBE:
             tubes = tubes + 1 if septum_mm2 >= SEPTUM_MM2 else 0
@@ -205,6 +212,8 @@ def follow_up(
                 width_mm=float(extent[1]),
                 depth_mm=float(extent[0]),
                 septum_mm2=septum_mm2,
+                septum_hu=septum_hu,
+                noise_hu=noise_hu,
                 peak=peak,
                 leaves_in_front=bool(len(front) and (front < middle[0] - 0.25 * extent[0] / dy).any()),
             )

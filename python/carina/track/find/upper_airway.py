@@ -66,8 +66,13 @@ LONGEST_TRACHEA_MM = 150.0
 USUAL_TRACHEA_MM = 110.0
 # A tube lies in the trachea for at least this.
 LEAST_TUBE_MM = 12.0
+# Plastic between air is at least so bright (median), blurred by thick slices, too. Noise that crosses the air's limit
+# is just above this limit of -800 HU.
+LEAST_PLASTIC_HU = -600.0
 # A tube whose wall lies on the trachea's all round: so bright all along, so narrow, for so long.
 LINE_HU = 500.0
+LINE_NOISES = 8.0
+"""The line is so many standard deviations of the noise brighter than water."""
 TIGHT_AREA = 0.55
 LEAST_TIGHT_MM = 25.0
 # Sections beside such an opening that reach forward are deeper than the trachea by this factor.
@@ -81,6 +86,11 @@ FORWARD_MM = 160.0
 ASIDE_MM = 25.0
 UP_DOWN_MM = 30.0
 OPEN_AIR_HU = -900.0
+# The mean of the world outside in blocks of this size, so far in front of the trachea's middle; that of lung is higher.
+PURE_AIR_HU, PURE_AIR_MM = -940.0, 7.0
+FRONT_MM = 25.0
+# A section this many times as large as the trachea's is lung: noise has opened the wall between them.
+LUNG_AREA = 5.0
 # Beside the trachea's own air this much of it is the world outside.
 OUTSIDE_MM3 = 12_000.0
 
@@ -129,19 +139,22 @@ def tube_in(sections: list[Section]) -> Tube | None:
     """Return the tube among the sections, from its tip up; None if there is no tube.
 
     Plastic or metal between the air in it and the air round it; or, where it fills the trachea, a narrow round lumen
-    with something as bright as its line all along.
+    with something as bright as its line all along. Both must be brighter than noise between the air or beside it.
     """
     heights = _heights(sections)
     open_all = float(np.median([s.area_mm2 for s in sections[: max(len(sections) // 3, 1)]]))
     peaks = np.array([s.peak for s in sections])
+    plastic_hu = np.array([s.septum_hu for s in sections])
+    line_hu = max(LINE_HU, LINE_NOISES * float(np.median([s.noise_hu for s in sections])))
     shows = np.array([s.septum_mm2 >= SEPTUM_MM2 for s in sections])
-    tight = np.array([s.area_mm2 <= TIGHT_AREA * open_all and s.peak >= LINE_HU for s in sections])
+    tight = np.array([s.area_mm2 <= TIGHT_AREA * open_all and s.peak >= line_hu for s in sections])
     for signs, least_mm in ((shows, LEAST_TUBE_MM), (shows | tight, LEAST_TIGHT_MM)):
         runs = [
             (first, last)
             for first, last in _runs(signs, heights, gap_mm=4.0)
             if heights[last] - heights[first] >= least_mm
             and _is_bright(peaks[first : last + 1], heights[last] - heights[first])
+            and _is_plastic(plastic_hu[first : last + 1][shows[first : last + 1]])
         ]
         if runs:
             return Tube(runs[0][0], runs[-1][1])
@@ -152,6 +165,11 @@ def _is_bright(peaks: NDArray[np.float64], length_mm: float) -> bool:
     """Whether plastic or metal shows: in many slices, or in some of a long way, where blur hides its line."""
     share = 0.9 if length_mm >= LEAST_TIGHT_MM else 0.6
     return bool(np.quantile(peaks, share) >= SEPTUM_HU)
+
+
+def _is_plastic(septum_hu: NDArray[np.float64]) -> bool:
+    """Return whether what is between the air is brighter than noise; true for a tube whose wall is on the trachea's."""
+    return not len(septum_hu) or bool(np.median(septum_hu) >= LEAST_PLASTIC_HU)
 
 
 def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: float) -> list[tuple[int, int]]:
@@ -368,6 +386,9 @@ def opening_in_front(
     cut = [s for s in sections if s.leaves_in_front]
     if not cut:
         return None
+    _, _, usual_mm2 = _typical(sections, _heights(sections), None)
+    if max(s.area_mm2 for s in sections) > LUNG_AREA * usual_mm2:
+        return None
     dx, dy, dz = volume.spacing_mm
     nk, nj, ni = volume.shape_zyx
     low, high = cut[0].k, cut[-1].k
@@ -404,6 +425,22 @@ def opening_in_front(
                 wider[tuple(ahead)] |= reached[tuple(behind)]
                 wider[tuple(behind)] |= reached[tuple(ahead)]
             reached = wider & free
-    if size * dx * dy * dz < OUTSIDE_MM3:
+    pure = _is_pure_air(volume.hu_zyx[part], (dz, dy, dx), scale)
+    # Nearer to the trachea the air may be its own, where noise hides a part of it.
+    pure[:, max(middle_j - int(FRONT_MM / dy) - part[1].start, 0) :] = False
+    if size * dx * dy * dz < OUTSIDE_MM3 or int((reached & pure).sum()) * dx * dy * dz < OUTSIDE_MM3:
         return None
     return part, reached
+
+
+def _is_pure_air(values: NDArray[np.int16], step_mm: tuple[float, float, float], scale: AirScale) -> NDArray[np.bool_]:
+    """Return the voxels (nz, ny, nx) in blocks whose mean is that of air; noise makes single voxels of lung as dark."""
+    sizes = [max(round(PURE_AIR_MM / step), 1) for step in step_mm]
+    padding = [(0, -n % size) for n, size in zip(values.shape, sizes, strict=True)]
+    whole = np.pad(values, padding, mode="edge").astype(np.float32)
+    (nz, ny, nx), (bz, by, bx) = whole.shape, sizes
+    means = whole.reshape(nz // bz, bz, ny // by, by, nx // bx, bx).mean(axis=(1, 3, 5))
+    pure = means <= scale.level(PURE_AIR_HU)
+    for axis, size in enumerate(sizes):
+        pure = np.repeat(pure, size, axis=axis)
+    return np.asarray(pure[: values.shape[0], : values.shape[1], : values.shape[2]], np.bool_)
