@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -25,6 +26,7 @@ from carina.errors import NoResultError, UsageError, check_type
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.beyond import NOTHING_BEYOND
 from carina.track.find.canonical import CanonicalOrder
+from carina.track.find.disturbed import Disturbed, find_disturbed
 from carina.track.find.filled import find_filled
 from carina.track.find.found import Airways
 from carina.track.find.given_start import GivenStart
@@ -152,11 +154,20 @@ def _found(
     lumen_threshold: float | None,
     given: NDArray[np.uint8] | None,
     stage: Stages,
+    *,
+    known: Disturbed | None = None,
 ) -> Airways:
-    """Find the airways in a grid of a volume in canonical order, for :func:`find_airways`."""
+    """Find the airways in a grid of a volume in canonical order, for :func:`find_airways`.
+
+    Parameters
+    ----------
+    known
+        The disturbed parts of the CT, if they were found before; closed parts are not searched.
+    """
     if grid.is_divided:
         stage.begin("dividing the slices")
     volume = grid.volume
+    given_root = root
     was_given_root = root is not None
     found_notes: list[str] = []
     badges: list[Note] = []
@@ -170,6 +181,7 @@ def _found(
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
     given_start: GivenStart | None = None
+    disturbed = Disturbed(grid)
     if given is not None:
         lumen, levels, end = given, None, float("nan")
         badges += doubts_of_given(volume, lumen)
@@ -179,10 +191,11 @@ def _found(
             root = trachea.top
             found_notes += trachea.notes
     else:
-        grown = grow(volume, root, lumen_threshold, stage, divided=grid.divided)
+        disturbed = find_disturbed(grid) if known is None else dataclasses.replace(known, grid=grid)
+        grown = grow(disturbed, root, lumen_threshold, stage)
         if grown.leaked and grid.is_divided:
             # Interpolated noise and rims lie in a row, and open walls that the slices themselves hold.
-            return _found(PathGrid(grid.ct), root, lumen_threshold, None, stage)
+            return _found(PathGrid(grid.ct), root, lumen_threshold, None, stage, known=disturbed)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
         noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
@@ -206,6 +219,12 @@ def _found(
             trachea_mm = None
         else:
             found_notes += [] if given_start is None else given_start.notes_if_moved_to(root)
+    removed_mm = 0.0
+    # Streaks cross: where one way through them is gone, the tree takes another one.
+    while (ends_mm := disturbed.without_ends(lumen, tracker.core, rows)) > 0.0:
+        removed_mm += ends_mm
+        tracker, rows, branches = _tracked(grid, lumen, levels, as_point(branches[0].points[0]), stage)
+    badges += disturbed.notes(removed_mm)
     core = tracker.core
     badges += [] if top is None else notes_of(top, branches)
     tree = AirwayTree(branches, _smooth=tracker.smooth)
@@ -220,6 +239,12 @@ def _found(
             thread_share=thread_confidence(size),
             judged=beyond.judged,
         )
+        if not disturbed.is_closed and disturbed.leaked(tree):
+            closed = dataclasses.replace(disturbed, is_closed=True)
+            # Where the streaks close the trachea, the tree that leaked is all there is.
+            with contextlib.suppress(NoResultError):
+                return _found(grid, given_root, lumen_threshold, None, stage, known=closed)
+        tree = disturbed.with_less_confidence(tree)
         filled = find_filled(searched, tree, lumen, noise, stage.cancel)
         uncertain = find_uncertain(searched, tree, leaks, filled)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)

@@ -108,7 +108,9 @@ def follow_beyond(
         accept strands of lung between vessels.
     """
     stage.begin("tracing the small airways")
-    volume = _in_adult_mm(searched.volume, size)
+    disturbed = searched.disturbed
+    clean = searched.volume if disturbed is None else disturbed.without_walls(searched.volume, scale)
+    volume = _in_adult_mm(clean, size)
     most_hu = SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
     is_softened = searched.raised > 0.0
     undershoot_hu = searched.left_hu

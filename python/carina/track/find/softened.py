@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import keep_cut_off_air_of, mix_with_blurs
+from carina.track.find.disturbed import Disturbed
 from carina.track.find.kernel import edge_undershoot_hu, undershoots_hu
 from carina.track.levels import AirScale
 from carina.track.paths.path_grid import DividedSlices
@@ -65,6 +66,8 @@ class Softened:
     """Whether the caller searches a softened copy if this search leaks."""
     divided: DividedSlices | None = None
     """The slices of the CT that were divided to make ``volume``; None where it has the CT's own."""
+    disturbed: Disturbed | None = None
+    """Parts of the CT whose values prove no small airway; None where they were not searched for."""
 
     def smoothed(self, sigma_mm: float) -> Softened:
         """Return a copy smoothed by a Gaussian of ``sigma_mm``, or of as many voxels if they are larger than 1 mm."""

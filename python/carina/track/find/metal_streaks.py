@@ -1,0 +1,140 @@
+"""Streaks of metal: which part of a CT they change.
+
+Streaks lie in the slices that contain metal and are straight lines from it. On circles round the metal they alternate
+between dark and bright, in the same way at every distance; nothing in a chest does so (docs/decisions/0088).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.levels import AirScale
+from carina.volume.model import Volume
+
+__all__ = ["find_streaks"]
+
+Plane = NDArray[np.int16]
+Mask = NDArray[np.bool_]
+Floats = NDArray[np.float32]
+
+METAL_HU = 2000.0
+"""Clips are brighter, also where a voxel contains only a part of one; so are dense contrast medium and enamel."""
+LEAST_METAL_HU = 1000.0
+"""Of a file that ends at a lower value than metal, voxels at its greatest value may be metal, down to this."""
+LEAST_METAL_MM2 = 0.4
+JOINED_MM = 4.0
+"""Metal so close together is one piece."""
+MOST_PIECES = 5
+"""The largest pieces of a slice are looked at."""
+
+NUM_DIRECTIONS = 180
+FROM_MM, TO_MM, STEP_MM = 3.0, 120.0, 1.0
+LOWEST_HU, HIGHEST_HU = -1024.0, 300.0
+"""Values beyond these, of metal and bone, count as these."""
+ROUND_DEG = 24.0
+"""The value of a direction is compared with the median of the directions within this angle."""
+ALONG_MM = 20.0
+"""A streak is as much darker or brighter than these over such a distance (median)."""
+STREAK_HU = 60.0
+# Share of the directions with a streak: beside the metal, and where the changed part ends. In 552 slices of four CTs
+# with dense contrast medium, calcium and catheters, 5 % at most beside it and 9 % from 18 to 38 mm; with noise of
+# 180 HU 16 % beside it; beside most clips 20 % or more.
+BESIDE_MM = 18.0
+LEAST_SHARE = 0.18
+LEAST_SHARE_FAR = 0.2
+SAME_MM = 2.0
+"""Slices so near to streaks contain a part of them."""
+
+
+def find_streaks(volume: Volume, scale: AirScale) -> Mask | None:
+    """Return the part (nz, ny, nx) of a CT that streaks of metal change; None where there are no streaks.
+
+    Parameters
+    ----------
+    volume
+        In canonical order: slices from the feet up.
+    """
+    metal = min(scale.level(METAL_HU), volume.value_range[1])
+    if metal < scale.level(LEAST_METAL_HU):
+        return None
+    dx, dy, dz = volume.spacing_mm
+    reach = max(round(SAME_MM / dz), 1)
+    region: Mask | None = None
+    for k, plane in enumerate(volume.hu_zyx):
+        if int(plane.max()) < metal:
+            continue
+        for centre in _pieces(plane >= metal, (dy, dx)):
+            radius_mm = _radius_mm(plane, centre, (dy, dx), scale)
+            if radius_mm is None:
+                continue
+            region = np.zeros(volume.shape_zyx, np.bool_) if region is None else region
+            j, i = (np.arange(n) - at for n, at in zip(plane.shape, centre, strict=True))
+            disc = np.hypot(j[:, None] * dy, i[None, :] * dx) <= radius_mm
+            region[max(k - reach, 0) : k + reach + 1] |= disc
+    return region
+
+
+def _pieces(metal: Mask, step_mm: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the centres (j, i) of the largest pieces of metal in a slice."""
+    voxels = np.argwhere(metal)
+    cells: dict[tuple[int, int], list[int]] = {}
+    for n, (j, i) in enumerate(np.floor(voxels * step_mm / JOINED_MM).astype(int).tolist()):
+        cells.setdefault((j, i), []).append(n)
+    pieces: list[list[int]] = []
+    while cells:
+        waiting = [cells.popitem()]
+        own: list[int] = []
+        while waiting:
+            (j, i), members = waiting.pop()
+            own += members
+            for by in np.ndindex(3, 3):
+                beside = (j + by[0] - 1, i + by[1] - 1)
+                if beside in cells:
+                    waiting.append((beside, cells.pop(beside)))
+        pieces.append(own)
+    pieces = [own for own in pieces if len(own) * step_mm[0] * step_mm[1] >= LEAST_METAL_MM2]
+    pieces.sort(key=lambda own: (-len(own), min(own)))
+    centres = [voxels[own].mean(axis=0) for own in pieces[:MOST_PIECES]]
+    return [(float(j), float(i)) for j, i in centres]
+
+
+def _radius_mm(
+    plane: Plane, centre: tuple[float, float], step_mm: tuple[float, float], scale: AirScale
+) -> float | None:
+    """Return how far the streaks of a piece of metal reach in a slice; None where it has no streaks."""
+    # Most metal has no streaks, which is seen close to it: the rest of the slice is not looked at.
+    close = np.arange(FROM_MM, BESIDE_MM + ALONG_MM, STEP_MM)
+    share = _share_of_streaks(plane, centre, close, step_mm, scale)
+    if share[close <= BESIDE_MM].mean() < LEAST_SHARE:
+        return None
+    away = np.arange(FROM_MM, TO_MM, STEP_MM)
+    share = _share_of_streaks(plane, centre, away, step_mm, scale)
+    ends = np.flatnonzero((share < LEAST_SHARE_FAR) & (away > BESIDE_MM))
+    return float(away[int(ends[0])]) if len(ends) else TO_MM
+
+
+def _share_of_streaks(
+    plane: Plane,
+    centre: tuple[float, float],
+    away: NDArray[np.float64],
+    step_mm: tuple[float, float],
+    scale: AirScale,
+) -> NDArray[np.float64]:
+    """Return the share of the directions that are brighter or darker than those beside them, at each distance."""
+    turns = 2.0 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
+    j = np.rint(centre[0] + np.sin(turns)[:, None] * away / step_mm[0]).astype(int)
+    i = np.rint(centre[1] + np.cos(turns)[:, None] * away / step_mm[1]).astype(int)
+    inside = (j >= 0) & (j < plane.shape[0]) & (i >= 0) & (i < plane.shape[1])
+    seen = plane[np.clip(j, 0, plane.shape[0] - 1), np.clip(i, 0, plane.shape[1] - 1)].astype(np.float32)
+    seen = np.clip(seen, scale.level(LOWEST_HU), scale.level(HIGHEST_HU)) / np.float32(scale.span(1.0))
+    usual = _running_median(seen, round(0.5 * ROUND_DEG / 360.0 * NUM_DIRECTIONS), axis=0, mode="wrap")
+    streaks = _running_median(seen - usual, round(0.5 * ALONG_MM / STEP_MM), axis=1, mode="edge")
+    return np.asarray((inside & (np.abs(streaks) >= STREAK_HU)).mean(axis=0), np.float64)
+
+
+def _running_median(values: Floats, reach: int, *, axis: int, mode: str) -> Floats:
+    padding = [(reach, reach) if n == axis else (0, 0) for n in range(2)]
+    padded = np.pad(values, padding, mode="wrap" if mode == "wrap" else "edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=axis)
+    return np.asarray(np.partition(windows, reach, axis=-1)[..., reach], np.float32)
