@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carina.disk import disk_trouble
-from carina.errors import CarinaError
+from carina.errors import CarinaError, DiskError
 from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import way_between
 from carina.session.flight_copies import flight_count, whole_flights
@@ -540,6 +540,9 @@ class Keeper:
             picture = self._files.picture(scene)
             with self._watched():
                 self.held.put_picture(picture, self._records.now_s())
+        except DiskError as trouble:
+            # The next write of the case reports the disk; the thumbnail is created again when the case is closed.
+            logger.info("the disk refused the thumbnail of the case (%s)", trouble.code)
         except Exception as trouble:
             log_fault(logger, "the thumbnail of the case could not be created", trouble)
         if self.info.problem == ELSEWHERE:
