@@ -46,6 +46,15 @@ def test_only_thick_slices_of_a_fine_ct_are_divided(spacing_mm, parts):
     assert PathGrid.parts_of(grid.ct, (20, 24, 29)) is None
 
 
+def test_a_grid_with_needlessly_thin_parts_is_none_of_a_ct():
+    # A damaged or hostile case file must not make Carina interpolate a volume of many times the memory.
+    ct = volume((0.7, 0.7, 0.8))
+    nz, ny, nx = ct.shape_zyx
+    assert PathGrid.parts_of(ct, (nz, ny, nx)) == 1
+    assert PathGrid.parts_of(ct, (2 * nz, ny, nx)) is None
+    assert PathGrid.parts_of(volume((0.7, 0.7, 50.0)), (17 * nz, ny, nx)) is None
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_both_grids_cover_the_same_place(axis):
     spacing = [0.7, 0.7, 0.7]

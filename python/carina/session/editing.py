@@ -72,7 +72,7 @@ class TreeEditing(Subject):
         return self.core.jobs.start(f"edit {number}", words, work)
 
     def unfold(self, case: OpenCase) -> None:
-        """Airways that undo came back to are built again, with the session locked."""
+        """Build the airways again that undo came back to, with the session locked."""
         airways: Any = case.document.airways
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold()
@@ -80,7 +80,7 @@ class TreeEditing(Subject):
             case.measured.became(airways, whole)
 
     def fold(self, case: OpenCase) -> None:
-        """Airways of steps far away are kept small, with the session locked."""
+        """Fold the airways of steps that are far from the present one, with the session locked."""
         folded: dict[int, Any] = {}
 
         def fold(document: Document) -> Document:
@@ -141,7 +141,7 @@ class TreeEditing(Subject):
 
 
 def _with_names(document: Document, edited: Any, named: Any) -> Document:
-    """The document with the names in place, if it holds these edited airways."""
+    """Return the document with the names in place, if it holds these edited airways."""
     if document.airways is not edited:
         return document
     return replace(
@@ -153,17 +153,17 @@ def _with_names(document: Document, edited: Any, named: Any) -> Document:
 
 
 def found_airways(document: Document) -> Any:
-    """The airways of a document as they were found, before any edit."""
+    """Return the airways of a document as they were found, before any edit."""
     return getattr(document.airways, "base", None) or document.airways
 
 
 def airway_words(airways: Any) -> str | None:
-    """The notes on airways as one line."""
+    """Return the notes on airways as one line."""
     return "; ".join(str(note) for note in airways.report) or None
 
 
 def _lost(before: Document, after: Document) -> list[str]:
-    """What an edit took away with it, in words."""
+    """Return a line for each path and route that an edit removed."""
     lines = [
         f"there is no longer a path to {new.name}: {new.problem}"
         for old, new in zip(before.targets, after.targets, strict=True)
@@ -188,6 +188,6 @@ def _needed_airways(document: Document) -> Any:
 
 
 def _points_of(edit: TreeEdit) -> tuple[tuple[float, float, float], ...]:
-    """The points of an edit that must lie in the scan; a stroke may run over its edge."""
+    """Return the points of an edit that must lie in the scan; a stroke may run over its edge."""
     point = getattr(edit, "lps", None)
     return () if point is None else (point,)

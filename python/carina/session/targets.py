@@ -36,7 +36,7 @@ SNAP_MM = 5.0
 def searched_target(
     volume: Volume, airways: Airways | None, target: Target, *, progress: Progress, cancel: Cancel
 ) -> Target:
-    """The target with its path by the cost ``walls`` or ``paper``, or with the reason why there is none.
+    """Return the target with its path by the cost ``walls`` or ``paper``, or with the reason why there is none.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def searched_target(
 
 
 def tracked_target(airways: Airways | None, target: Target) -> Target:
-    """The target with its path through ``airways``, or with the reason why there is none.
+    """Return the target with its path through ``airways``, or with the reason why there is none.
 
     A path that was searched without the lumen stays as it is: only what is told of it depends on the airways.
     """
@@ -108,7 +108,7 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
 
 
 def needed_target(document: Document, target_id: str) -> Target:
-    """The target of that number.
+    """Return the target of that number.
 
     Raises
     ------

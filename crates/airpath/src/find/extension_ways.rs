@@ -21,10 +21,11 @@ const FILL_RADII: f64 = 1.5;
 const FILL_NODES: usize = 2;
 /// The direction of a way is taken over this much of it, to both sides, mm.
 const TANGENT_MM: f64 = 2.0;
-/// A way that leaves an airway is beside it for so long, mm; beyond, it is looked at how far it is from any, at most so far.
+/// The distance of a way from the known lumens is measured beyond its first part, which lies beside the airway that it
+/// leaves. Longer distances count as the second of these; both mm.
 const BEYOND_MM: f64 = 5.0;
 const CLEAR_MM: f64 = 6.0;
-/// The lung round a way, mm.
+/// Radius of the lung around a way in which reached voxels are counted, mm.
 const AROUND_MM: f64 = 8.0;
 /// What a voxel may give a path, in thresholds: one bright wall must not pay for a long way without.
 const MOST_GAIN: f64 = 3.0;

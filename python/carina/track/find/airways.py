@@ -34,10 +34,10 @@ from carina.track.find.growth import doubts_of_given, given_lumen, grow
 from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
 from carina.track.find.size import thread_confidence
-from carina.track.find.spurs import without_spurs
 from carina.track.find.top_of_trachea import TopOfTrachea, notes_of
 from carina.track.find.totals import doubt_of_totals
 from carina.track.find.trachea_search import trachea_in
+from carina.track.find.twigs import without_twigs
 from carina.track.levels import AirScale
 from carina.track.names.naming import name_tree
 from carina.track.paths.path_grid import PathGrid
@@ -296,7 +296,7 @@ def _tracked(
     stage.begin("calculating the paths")
     core.solve_all(cancel=stage.cancel, progress=stage.share)
     stage.begin("building the branches")
-    rows = without_spurs(core.branches(cancel=stage.cancel, progress=stage.share))
+    rows = without_twigs(core.branches(cancel=stage.cancel, progress=stage.share))
     return PathTracker(grid, core, lumen_zyx=sparse_mask(lumen)), rows, branches_from_rows(rows)
 
 

@@ -33,8 +33,8 @@ THIN_SLICE_MM = 1.0
 THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
-# In divided slices a section pays by how much the logarithm of its odds exceeds this, and a way must have so much of it
-# over its length (docs/decisions/0086).
+# In divided slices a section counts for a way by how much the logarithm of its odds exceeds the first of these.
+# The second is the least probability that a way, and all ways that it leaves, are airways (docs/decisions/0086).
 LEAST_ODDS = 0.3
 LEAST_PROBABILITY = 0.7
 
@@ -115,8 +115,7 @@ def follow_beyond(
     is_softened = searched.raised > 0.0
     undershoot_hu = searched.left_hu
     if undershoot_hu is None:
-        but_axis = None if searched.divided is None else searched.divided.axis
-        undershoot_hu = edge_undershoot_hu(searched.volume, scale, but_axis=but_axis)
+        undershoot_hu = edge_undershoot_hu(searched.volume, scale)
     is_sharp = undershoot_hu is not None and undershoot_hu > most_hu
     least_rise = scale.span(LEAST_RISE_HU)
     if undershoot_hu is not None and is_sharp:

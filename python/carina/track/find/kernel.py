@@ -22,17 +22,12 @@ NUM_VOXELS = 400_000
 MIN_EDGES = 150
 
 
-def edge_undershoot_hu(volume: Volume, scale: AirScale, *, but_axis: int | None = None) -> float | None:
+def edge_undershoot_hu(volume: Volume, scale: AirScale) -> float | None:
     """How much darker lung is just beside soft tissue than a few millimetres farther on, HU.
 
     Blur makes it brighter, so a CT with a soft kernel has none (about 0, or less). An edge-enhancing kernel lays a dark
     rim along every vessel and along the pleura: a connected sheet that is closed by tissue on one side and by brighter
     lung on the other, as the inside of a small airway is. Its depth is what such a rim pretends.
-
-    Parameters
-    ----------
-    but_axis
-        Axis that is not looked at, 0 to 2 for i to k: interpolation across slices leaves rims of its own.
 
     Returns
     -------
@@ -40,18 +35,16 @@ def edge_undershoot_hu(volume: Volume, scale: AirScale, *, but_axis: int | None 
         Median over edges along the two axes that show most of it; None where there are too few edges or voxels are too
         long.
     """
-    found = sorted(depth for depth in undershoots_hu(volume, scale, but_axis) if depth is not None)
+    found = sorted(depth for depth in undershoots_hu(volume, scale) if depth is not None)
     # A kernel sharpens in the slice; across slices there may be less of it.
     return None if not found else float(np.mean(found[-2:]))
 
 
-def undershoots_hu(
-    volume: Volume, scale: AirScale, but_axis: int | None = None
-) -> tuple[float | None, float | None, float | None]:
-    """Return the same along i, j and k; None for ``but_axis`` and where edges are too few or voxels too long."""
+def undershoots_hu(volume: Volume, scale: AirScale) -> tuple[float | None, float | None, float | None]:
+    """The same along i, j and k, one each; None where there are too few edges or voxels are too long."""
     x, y, z = (
-        None if voxel_mm > MOST_VOXEL_MM or axis == but_axis else _along(volume.hu_zyx, 2 - axis, voxel_mm, scale)
-        for axis, voxel_mm in enumerate(volume.spacing_mm)
+        _along(volume.hu_zyx, 2 - axis, spacing_mm, scale) if spacing_mm <= MOST_VOXEL_MM else None
+        for axis, spacing_mm in enumerate(volume.spacing_mm)
     )
     return x, y, z
 

@@ -121,7 +121,7 @@ class Softened:
         )
 
 
-def as_it_is(volume: Volume, undershoot_hu: float | None = None, divided: DividedSlices | None = None) -> Softened:
+def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
     """Return the CT itself, whatever its kernel.
 
     Parameters
@@ -130,35 +130,29 @@ def as_it_is(volume: Volume, undershoot_hu: float | None = None, divided: Divide
         The CT.
     undershoot_hu
         Depth of its rims, if a softened copy is to be searched where the search of the CT itself leaks along them.
-    divided
-        The slices that were divided to make ``volume``, if any were.
     """
-    can_be_softened = undershoot_hu is not None
-    return Softened(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=can_be_softened, divided=divided)
+    return Softened(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=undershoot_hu is not None)
 
 
-def softened(
-    volume: Volume, scale: AirScale, most_hu: float = SOFT_HU, divided: DividedSlices | None = None
-) -> Softened:
+def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softened:
     """Return the CT without what its kernel raised, if the kernel is an edge-enhancing one.
 
     The kernel is taken for one that raises detail by ``1 + a (1 - g)``, where g is a Gaussian's transfer (its blur:
     :data:`SEAM_MM`). The inverse never raises anything, noise least of all. ``a`` is the least with which the dark rims
     beside soft tissue are at most ``most_hu`` deep, in the plane or the direction in which there are rims.
     """
-    but_axis = None if divided is None else divided.axis
-    undershoot = edge_undershoot_hu(volume, scale, but_axis=but_axis)
+    undershoot = edge_undershoot_hu(volume, scale)
     if undershoot is None or undershoot <= SOFT_HU:
-        return Softened(volume, undershoot, 0.0, 0.0, volume, None, divided=divided)
+        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
     slab = _middle_of(volume)
-    x, y, z = (depth is not None and depth > SOFT_HU for depth in undershoots_hu(slab, scale, but_axis))
+    x, y, z = (depth is not None and depth > SOFT_HU for depth in undershoots_hu(slab, scale))
     axes = (x, y, z)
     if not any(axes):
-        return Softened(volume, undershoot, 0.0, 0.0, volume, None, divided=divided)
+        return Softened(volume, undershoot, 0.0, 0.0, volume, None)
 
     def is_soft(raised: float) -> bool:
         lowered = dataclasses.replace(slab, hu_zyx=_lowered(slab, raised, axes))
-        left = undershoots_hu(lowered, scale, but_axis)
+        left = undershoots_hu(lowered, scale)
         depths = [depth for depth, is_sharp in zip(left, axes, strict=True) if is_sharp and depth is not None]
         return not depths or float(np.mean(depths)) <= most_hu
 
@@ -169,8 +163,7 @@ def softened(
             low, high = (low, middle) if is_soft(middle) else (middle, high)
     values = _lowered(volume, high, axes)
     copy = dataclasses.replace(volume, hu_zyx=values)
-    left_hu = edge_undershoot_hu(copy, scale, but_axis=but_axis)
-    return Softened(copy, undershoot, high, 0.0, volume, values, left_hu, divided=divided)
+    return Softened(copy, undershoot, high, 0.0, volume, values, edge_undershoot_hu(copy, scale))
 
 
 def _middle_of(volume: Volume) -> Volume:

@@ -208,9 +208,9 @@ def stenosis_of(
     """Return the narrowest usable section of a branch against its reference; None if it does not exceed its error.
 
     The reference is the line through the healthy sections of the branch itself (at least 0.9 of its wide part), taken
-    at the narrowest place, where they lie on both sides of it or are 3 mm long on one. The neighbours' reference
-    applies if the branch has none of its own, or if it is beyond its error wider than the branch's widest section: the
-    branch is narrow all along.
+    at the narrowest place, where they lie on both sides of it or are 3 mm long on one. The reference by
+    the neighbours applies if the branch has none, or if it exceeds the widest section of the branch by more than the
+    error of that reference: the branch is narrow all along.
 
     The error is half of a 95 % interval. It contains the error of the narrowest section, which is the extreme of all
     independent sections; that of the healthy sections and their scatter; and for a narrowing without a healthy section

@@ -25,6 +25,8 @@ WIDEST_MM = 1.0
 """Wider voxels do not show the airways that thick slices break."""
 LEAST_SLICES = 4
 MOST_PARTS = 16
+LEAST_PART_MM = 0.5
+"""A case file with thinner parts is damaged: its grid would take much memory."""
 
 
 class DividedSlices(NamedTuple):
@@ -85,7 +87,8 @@ class PathGrid:
         """Return into how many parts a grid of this shape divides the CT; None if the shape is that of no such grid."""
         axis = 2 - int(np.argmax(ct.spacing_mm))
         parts = shape_zyx[axis] // ct.shape_zyx[axis]
-        return parts if 1 <= parts <= MOST_PARTS and cls(ct, parts).shape_zyx == shape_zyx else None
+        is_possible = parts == 1 or (1 < parts <= MOST_PARTS and ct.spacing_mm[2 - axis] / parts >= LEAST_PART_MM)
+        return parts if is_possible and cls(ct, parts).shape_zyx == shape_zyx else None
 
     def __repr__(self) -> str:
         return f"PathGrid(parts={self.parts}, shape_zyx={self.shape_zyx})"

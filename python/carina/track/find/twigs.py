@@ -1,4 +1,4 @@
-"""Remove short false branches: parts of a wide airway's own section that look like a branch of it."""
+"""Remove twigs of wide airways: tips that do not leave the section of the airway that they branch from."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["without_spurs"]
+__all__ = ["without_twigs"]
 
 Points = NDArray[np.float64]
 
 NEAR_TOP = 3.0
-"""A spur leaves the trachea within this many radii of its upper end."""
+"""A cut end leaves the trachea within this many radii of its upper end."""
 INSIDE = 1.5
-"""A spur stays within this many radii of the trachea's axis; a bronchus leaves them."""
+"""A cut end stays within this many radii of the trachea's axis; a bronchus leaves them."""
 LEAST_FALL_MM = 2.0
 """A branch that goes down by more is a bronchus."""
 LEAST_BULGING_MM = 3.0
@@ -24,8 +24,8 @@ AXIS_MM = 15.0
 """The axis above the upper end continues the first part of the trachea, of this length."""
 
 
-def without_spurs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the compiled tracker's rows of branches without spurs.
+def without_twigs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the compiled tracker's rows of branches without twigs of wide airways.
 
     Where the scan or the search cuts the trachea obliquely, its section is longer than wide. The centreline starts in
     one end of it, and the other end looks like a branch. A bulge of the wall of a wide airway looks like a short branch
@@ -42,7 +42,7 @@ def without_spurs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     number = 1
     while number < len(rows):
         siblings = [other for other, row in enumerate(rows) if row["parent"] == rows[number]["parent"]]
-        if _is_spur(rows, number, siblings) or _is_bulge(rows, number, siblings):
+        if _is_cut_end(rows, number, siblings) or _is_bulge(rows, number, siblings):
             rows = _without(rows, number)
             number = 1
         else:
@@ -64,7 +64,7 @@ def _is_bulge(rows: Sequence[dict[str, Any]], number: int, siblings: Sequence[in
     return bool(away.max() <= radius)
 
 
-def _is_spur(rows: Sequence[dict[str, Any]], number: int, below: Sequence[int]) -> bool:
+def _is_cut_end(rows: Sequence[dict[str, Any]], number: int, below: Sequence[int]) -> bool:
     """Return whether a branch of the root is a leaf inside the trachea's own section, near its upper end."""
     if rows[number]["parent"] != 0 or len(below) < 2 or any(row["parent"] == number for row in rows):
         return False
@@ -92,17 +92,17 @@ def _length_mm(points: Points) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def _without(rows: Sequence[dict[str, Any]], spur: int) -> list[dict[str, Any]]:
+def _without(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
     """Return the rows without a leaf; its parent takes the only other child in, if there is one."""
-    above = rows[spur]["parent"]
-    kept = [number for number, row in enumerate(rows) if row["parent"] == above and number != spur]
+    above = rows[twig]["parent"]
+    kept = [number for number, row in enumerate(rows) if row["parent"] == above and number != twig]
     merged = kept[0] if len(kept) == 1 else None
     below = set() if merged is None else {merged}
     for number, row in enumerate(rows):
         # Parents come first.
         if row["parent"] in below:
             below.add(number)
-    gone = {spur, merged}
+    gone = {twig, merged}
     place: dict[int | None, int | None] = {None: None}
     for number in range(len(rows)):
         if number not in gone:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import carina
-from carina.track.find.spurs import without_spurs
+from carina.track.find.twigs import without_twigs
 from carina.volume import Volume
 
 
@@ -46,7 +46,7 @@ def test_the_two_parts_of_the_trachea_become_one_and_all_generations_move_up(at)
     if at == 1:
         rows = [{**one, "parent": 2} if one["parent"] == 1 else one for one in rows]
     before = [one["parent"] for one in rows]
-    cleaned = without_spurs(rows)
+    cleaned = without_twigs(rows)
     assert [one["parent"] for one in cleaned] == [None, 0, 0]
     assert [one["generation"] for one in cleaned] == [0, 1, 1]
     trachea = cleaned[0]
@@ -68,7 +68,7 @@ def test_the_two_parts_of_the_trachea_become_one_and_all_generations_move_up(at)
 )
 def test_a_bronchus_stays(other):
     rows = [*TRUNK, other]
-    assert without_spurs(rows) == rows
+    assert without_twigs(rows) == rows
 
 
 def test_a_trachea_of_which_little_is_seen_keeps_both_main_bronchi():
@@ -78,7 +78,7 @@ def test_a_trachea_of_which_little_is_seen_keeps_both_main_bronchi():
         row(0, 1, (0.0, 0.0, 0.0), (30.0, 0.0, -20.0), radius=6.0),
         row(2, 2, (30.0, 0.0, -20.0), (50.0, 0.0, -40.0), radius=4.0),
     ]
-    assert without_spurs(rows) == rows
+    assert without_twigs(rows) == rows
 
 
 def off_segment(points, a, b):
@@ -112,12 +112,12 @@ def test_the_search_finds_no_branch_where_the_end_of_the_trachea_is_longer_than_
 
 def test_a_bulge_of_a_wide_airway_is_no_branch():
     bulge = row(1, 2, CARINA, (-19.0, -158.5, 258.5), radius=5.0)
-    cleaned = without_spurs([*TRUNK, bulge])
+    cleaned = without_twigs([*TRUNK, bulge])
     assert len(cleaned) == len(TRUNK)
     rows = [*TRUNK, row(2, 3, (-30.0, -158.0, 250.0), (-40.0, -150.0, 240.0), radius=5.0)]
     rows.append(row(2, 3, (-30.0, -158.0, 250.0), (-32.0, -160.0, 247.0), radius=4.0))
     rows.append(row(4, 4, (-40.0, -150.0, 240.0), (-50.0, -140.0, 230.0), radius=3.0))
-    cleaned = without_spurs(rows)
+    cleaned = without_twigs(rows)
     assert [one["parent"] for one in cleaned] == [None, 0, 1, 1, 2]
     assert [one["generation"] for one in cleaned] == [0, 1, 2, 2, 3]
     np.testing.assert_array_equal(cleaned[2]["points"][-1], (-40.0, -150.0, 240.0))
