@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import carina
-from carina.errors import UsageError
+from carina.errors import NoResultError, UsageError
 from carina.track import edit_airways, rebuild_airways
 from carina.track.edit.folded import fold_airways
 from carina.track.edit.kinds import CutBranch, PaintLumen
+from carina.track.find.growth import grow
 from carina.track.paths.path_grid import PathGrid
 from carina.track.tree.airway_tree import Branch
 from carina.track.tree.uncertain import at_most_as_probable
@@ -146,6 +147,45 @@ def test_the_brush_covers_whole_voxels_of_the_ct(thick):
     i, j, k = np.floor(ct.to_ijk(np.array(end)) + 0.5).astype(int)
     assert slices[0] == k
     assert painted.lumen_zyx[k, j, i] == 1
+    rows, columns = new[:, 1], new[:, 2]
+    assert painted.tracker.lumen_zyx[3 * k : 3 * k + 3, rows, columns].all()
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+def test_divided_slices_stored_in_another_order_give_the_same_airways(thick, order):
+    ct, airways = thick
+    values = np.ascontiguousarray(ct.hu_zyx.transpose(order)[::-1])
+    matrix = ct.lps_from_ijk.copy()
+    matrix[:3, :3] = ct.lps_from_ijk[:3, :3][:, [2 - axis for axis in order[::-1]]]
+    # The first axis of the array runs the other way.
+    matrix[:3, 3] += matrix[:3, 2] * (values.shape[0] - 1)
+    matrix[:3, 2] *= -1.0
+    other = Volume(values, matrix)
+    found = carina.find_airways(other)
+    assert found.tracker.grid.parts == 3
+    assert found.tracker.lumen_zyx.shape == found.tracker.grid.shape_zyx
+    np.testing.assert_array_equal(found.lumen_zyx, airways.lumen_zyx.transpose(order)[::-1])
+    np.testing.assert_array_equal(found.tracker.lumen_zyx, airways.tracker.lumen_zyx.transpose(order)[::-1])
+    for one, two in zip(found.tree.branches, airways.tree.branches, strict=True):
+        np.testing.assert_allclose(one.points, two.points, atol=1e-6)
+    root = found.tracker.volume.to_lps(np.array(found.tracker.root_ijk, dtype=float))
+    assert np.linalg.norm(root - airways.tree.root.points[0]) < 2.0
+    assert found.tracker.path_to(airways.tree.tips()[0].tip_lps).length_mm > 100.0
+
+
+def test_where_divided_slices_show_no_trachea_those_of_the_ct_are_searched(thick, monkeypatch):
+    ct, _ = thick
+
+    def grow_in_own_slices(disturbed, *arguments):
+        if disturbed.grid.is_divided:
+            raise NoResultError("no trachea was found")
+        return grow(disturbed, *arguments)
+
+    monkeypatch.setattr("carina.track.find.airways.grow", grow_in_own_slices)
+    found = carina.find_airways(ct)
+    assert found.tracker.grid.parts == 1
+    assert found.tracker.lumen_zyx.shape == ct.shape_zyx
+    assert len(found.tree) > 20
 
 
 def test_airways_of_another_ct_are_refused(thick):
