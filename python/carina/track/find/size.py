@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from carina.track.tree.uncertain import THREAD_SHARE
 from carina.volume.model import Volume
 
-__all__ = ["ADULT_MM", "WIDE_PART", "search_size", "thread_confidence"]
+__all__ = ["ADULT_MM", "WIDE_PART", "longest_trachea_mm", "search_size", "thread_confidence", "usual_trachea_mm"]
 
 ADULT_MM = 16.0
 """Trachea from which on the lengths of the search are those of an adult."""
@@ -18,6 +18,10 @@ WIDE_PART = 75.0
 EDGE_VOXELS = 0.5
 # A trachea of 4 mm is a newborn's.
 LEAST_SIZE = 0.25
+# An adult's trachea is 100 to 140 mm long, and in proportion longer if it is wider than usual, up to so many times.
+LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
+USUAL_DIAMETER_MM = 17.3
+MOST_LONGER = 1.2
 # The thinnest airways were verified in adult chests only: their confidence falls over so much of the size.
 THREAD_FALL = 0.04
 UNPROVEN_THREAD = 0.5
@@ -39,6 +43,26 @@ def search_size(volume: Volume, diameters_mm: NDArray[np.float64]) -> float:
     voxel_mm = sorted(volume.spacing_mm)[1]
     wide_mm = float(np.percentile(diameters_mm, WIDE_PART)) + EDGE_VOXELS * voxel_mm
     return float(np.clip(wide_mm / ADULT_MM, LEAST_SIZE, 1.0))
+
+
+def _longer(diameter_mm: float) -> float:
+    return float(np.clip(diameter_mm / USUAL_DIAMETER_MM, 1.0, MOST_LONGER))
+
+
+def longest_trachea_mm(diameter_mm: float) -> float:
+    """Return the greatest length of a trachea of this diameter, from the carina to the cords, mm.
+
+    Examples
+    --------
+    >>> longest_trachea_mm(16.0), longest_trachea_mm(25.0)
+    (150.0, 180.0)
+    """
+    return LONGEST_TRACHEA_MM * _longer(diameter_mm)
+
+
+def usual_trachea_mm(diameter_mm: float) -> float:
+    """Return the height above the carina at which most tracheas of this diameter begin, mm."""
+    return USUAL_TRACHEA_MM * _longer(diameter_mm)
 
 
 def thread_confidence(size: float) -> float:

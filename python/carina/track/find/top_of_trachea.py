@@ -11,7 +11,6 @@ from carina._core import flood_lumen
 from carina.track.find.air_upwards import SEPTUM_MM2, Section, follow_up
 from carina.track.find.softened import Softened
 from carina.track.find.upper_airway import (
-    USUAL_TRACHEA_MM,
     Cords,
     Tube,
     as_one_trachea,
@@ -159,10 +158,11 @@ def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: 
 def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
     """Return the lasting notes about the top of the trachea."""
     notes: list[Note] = []
-    if top.cords is not None and not top.cords.are_seen:
+    if top.cords is not None and top.cords.root_above_carina_mm is not None:
         words = (
             "the scan continues above the trachea, but the vocal cords were not identified: the tree begins "
-            f"{USUAL_TRACHEA_MM:.0f} mm above the carina, where most tracheas begin; check its start in the slices"
+            f"{top.cords.root_above_carina_mm:.0f} mm above the carina, where most tracheas begin; check its start in "
+            "the slices"
         )
         notes.append(Note(LARYNX, words, badge=True))
     elif top.cords is not None:

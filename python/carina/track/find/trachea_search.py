@@ -13,6 +13,7 @@ from carina._core import find_trachea_voxels
 from carina.errors import NoResultError
 from carina.track.find.air_upwards import Section, follow_up
 from carina.track.find.root_checks import LUNG_HU, UP_FIRST_MM, has_lung
+from carina.track.find.size import longest_trachea_mm
 from carina.track.find.whole_trachea import (
     AIR_END_HU,
     MISSED_MM,
@@ -54,9 +55,6 @@ TRACHEA_DOUBTS = {
 # The lowest voxels of a trachea may be in one main bronchus. The air is followed down from a place this far above those
 # voxels, so that both main bronchi are met.
 SURELY_ABOVE_MM = 20.0
-# A trachea is 100 to 140 mm long; higher up it is larynx and throat.
-MAX_TRACHEA_MM = 150.0
-
 
 NO_LUNGS = (
     "this scan shows no lungs, so the airways cannot be found: it may be a CT of the head or neck, where only the "
@@ -126,7 +124,9 @@ def trachea_in(
         raise NoResultError(problem)
     voxels = found["voxels_ijk"]
     points = volume.to_lps(voxels)
-    near = np.linalg.norm(points - found["carina_lps"], axis=1) <= MAX_TRACHEA_MM
+    # Higher up it is larynx and throat.
+    longest_mm = longest_trachea_mm(float(np.median(found["diameters_mm"])))
+    near = np.linalg.norm(points - found["carina_lps"], axis=1) <= longest_mm
     voxels, points = voxels[near], points[near]
     seeds = [(int(i), int(j), int(k)) for i, j, k in voxels]
     notes = [TRACHEA_DOUBTS[doubt] for doubt in found["doubts"]]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.air_upwards import SEPTUM_HU, SEPTUM_MM2, Section, disc, spread
+from carina.track.find.size import longest_trachea_mm, usual_trachea_mm
 from carina.track.levels import AirScale
 from carina.volume.model import Volume
 
@@ -61,9 +62,9 @@ SIZES = (0.4, 1.2)
 LEAST_NECK_MM = 90.0
 # The cone under the cords begins to narrow so far below them, at most.
 CONE_MM = 9.0
-# A trachea is 100 to 140 mm long; what is followed farther is more than that, whether cords are seen or not.
-LONGEST_TRACHEA_MM = 150.0
-USUAL_TRACHEA_MM = 110.0
+# Above the carina each section has this share of the median section's area; gaps of so much are noise.
+AREAS_OF_TRACHEA = (0.6, 1.6)
+CARINA_GAP_MM = 4.0
 # A tube lies in the trachea for at least this.
 LEAST_TUBE_MM = 12.0
 # Plastic between air is at least so bright (median), blurred by thick slices, too. Noise that crosses the air's limit
@@ -102,10 +103,14 @@ class Cords:
     begins_at: int
     """Of the first section below the cricoid: where the tree begins."""
     above_root_mm: float
-    are_seen: bool = True
-    """False where only the length tells that what was followed is no trachea any more."""
+    root_above_carina_mm: float | None = None
+    """None where the cords are seen. Else only the length shows that what was followed is more than a trachea."""
     size: float = 1.0
     """Size of the larynx relative to an adult's."""
+
+    @property
+    def are_seen(self) -> bool:
+        return self.root_above_carina_mm is None
 
     @property
     def cricoid_above_root_mm(self) -> float:
@@ -194,7 +199,6 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
     heights = _heights(sections)
     typical = _typical(sections, heights, tube)
     diameter = 2.0 * float(np.sqrt(typical[2] / np.pi))
-    up = heights - heights[0]
     least = LEAST_DIAMETERS_IN_A_TUBE if tube is not None and tube.first == 0 else LEAST_DIAMETERS
     for first, last in _larynges(sections, tube, typical, least * diameter):
         # The true cords: the first least area, for the false ones lie above; not far above where the cone begins.
@@ -212,10 +216,24 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
             wanted = heights[at] - root_below_cords_mm(size)
             root = int(below[np.argmin(np.abs(heights[below] - wanted))])
             return Cords(at, root, float(heights[at] - heights[root]), size=size)
-    if up[-1] > LONGEST_TRACHEA_MM:
-        root = int(np.flatnonzero(up <= USUAL_TRACHEA_MM)[-1])
-        return Cords(len(sections) - 1, root, float(up[-1] - up[root]), are_seen=False)
+    above = heights - heights[_carina(sections, heights)]
+    usual_mm = 2.0 * float(np.sqrt(np.median([section.area_mm2 for section in sections]) / np.pi))
+    if above[-1] > longest_trachea_mm(usual_mm):
+        root = int(np.flatnonzero(above <= usual_trachea_mm(usual_mm))[-1])
+        return Cords(len(sections) - 1, root, float(above[-1] - above[root]), float(above[root]))
     return None
+
+
+def _carina(sections: list[Section], heights: NDArray[np.float64]) -> int:
+    """Return the index of the lowest section of the trachea; sections of bronchi may lie below it."""
+    areas = np.array([section.area_mm2 for section in sections])
+    low, high = np.array(AREAS_OF_TRACHEA) * np.median(areas)
+    like = (areas >= low) & (areas <= high)
+    middle = len(sections) // 2
+    for first, last in _runs(like, heights, gap_mm=CARINA_GAP_MM):
+        if last >= middle:
+            return min(first, middle)
+    return 0
 
 
 def root_below_cords_mm(size: float) -> float:

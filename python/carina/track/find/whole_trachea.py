@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track.find.air_upwards import Section, disc, follow_up, grown, spread
+from carina.track.find.size import longest_trachea_mm
 from carina.track.levels import AirScale
 from carina.track.stages import Stages
 from carina.volume.model import Volume
@@ -38,7 +39,6 @@ MISSED_MM = 10.0
 LIKE_IT = (0.6, 1.5)
 # Share of the sections above that are like the trachea's where it goes on.
 MOSTLY = 0.65
-LONGEST_TRACHEA_MM = 150.0
 # The trachea's wall, which is left as it is; air in the gullet and in the lung is farther away.
 OWN_WALL_MM = 2.0
 
@@ -113,6 +113,10 @@ def _parts_apart_mm(volume: Volume, section: Section) -> float | None:
     return abs(one - other)
 
 
+def _longest_mm(area_mm2: float) -> float:
+    return longest_trachea_mm(2.0 * float(np.sqrt(area_mm2 / np.pi)))
+
+
 def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
     """Return whether sections like the trachea's continue above the slice in which the trachea was found to begin.
 
@@ -122,7 +126,7 @@ def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
         Sections from the carina up.
     """
     z = next((s.centre_lps[2] for s in sections if s.k >= top_k), None)
-    if z is None or z - sections[0].centre_lps[2] > LONGEST_TRACHEA_MM - MISSED_MM:
+    if z is None or z - sections[0].centre_lps[2] > _longest_mm(area_mm2) - MISSED_MM:
         return False
     above = [s for s in sections if s.k > top_k and s.centre_lps[2] - z <= 3.0 * MISSED_MM]
     if not above or above[-1].centre_lps[2] - z < MISSED_MM:
@@ -137,7 +141,7 @@ def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> li
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
     last = 0
     for n, section in enumerate(sections):
-        if section.centre_lps[2] - sections[0].centre_lps[2] > LONGEST_TRACHEA_MM:
+        if section.centre_lps[2] - sections[0].centre_lps[2] > _longest_mm(area_mm2):
             break
         if section.k <= top_k or low <= section.area_mm2 <= high:
             last = n
