@@ -213,6 +213,14 @@ def test_a_mirrored_chest_is_said_to_be_one_and_keeps_its_sides():
         assert {"LML", "LB1", "LB7", "RB1+2"} & {b.name for b in named.branches} >= {"LML", "LB1"}
 
 
+def test_a_part_of_a_turned_chest_is_not_said_to_be_mirrored():
+    tree = moved(true_tree(5), turned((1.0, 0.0, 0.0), 30.0))
+    is_outside = {b.id for b in tree.branches[1:] if b.points[:, 2].min() < -25.0 or b.points[:, 2].max() > 30.0}
+    part = name_tree(without(tree, is_outside))
+    assert len(part) >= 12
+    assert "track.mirrored" not in {note.code for note in part.notes}
+
+
 def test_an_ordinary_chest_is_not_said_to_be_mirrored():
     for seed in SEEDS:
         named = name_tree(true_tree(seed))

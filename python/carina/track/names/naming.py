@@ -250,6 +250,21 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         turn = math.acos(max(-1.0, min(1.0, (float(np.trace(frame)) - 1.0) / 2.0)))
         return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (LOG_MIRRORED if mirrored else 0.0), solver
 
+    def refined(
+        score: float, solver: Solver, frame: NDArray[np.float64], *, mirrored: bool = False
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Return the frame after the rotations that bring the named branches closer to their expected directions."""
+        solution = solver.solution()
+        for _ in range(2):
+            closer = _closer_frame(rules, bronchi, solution, frame, mirrored=mirrored)
+            if closer is None:
+                break
+            other, solver = attempt(closer, mirrored=mirrored)
+            if other <= score + 0.5:
+                break
+            score, solution, frame = other, solver.solution(), closer
+        return score, frame
+
     frame = np.eye(3)
     score, best = attempt(frame)
     guess = body_frame(bronchi, lungs)
@@ -258,19 +273,14 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
         if other > score:
             score, best, frame = other, solver, guess
     mirrored = False
+    first = frame
+    score, frame = refined(score, best, first)
     if lungs:
-        other, solver = attempt(frame, mirrored=True)
+        other, solver = attempt(first, mirrored=True)
+        # A turned patient may resemble a mirrored one until the frame is refined.
         if other > score:
-            score, best, mirrored = other, solver, True
-    solution = best.solution()
-    for _ in range(2):
-        closer = _closer_frame(rules, bronchi, solution, frame, mirrored=mirrored)
-        if closer is None:
-            break
-        other, solver = attempt(closer, mirrored=mirrored)
-        if other <= score + 0.5:
-            break
-        score, solution, frame = other, solver.solution(), closer
+            score, frame = refined(other, solver, first, mirrored=True)
+            mirrored = True
     solution = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held).solution()
     fit = fit_of(rules, bronchi, lungs, frame, mirrored=mirrored, max_forks=COARSE_FORKS) if judges_fit else None
     return _Named(bronchi, solution, rules, frame, mirrored, fit)
