@@ -539,7 +539,8 @@ def extend_lumen(
     min_length_mm: float,
     raised: float = 1.0,
     most_reached: float = 1.0,
-    divided: tuple[int, float, float, float] | None = None,
+    least_probability: float = 0.0,
+    divided: tuple[int, float, float] | None = None,
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:

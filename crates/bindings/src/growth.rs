@@ -24,7 +24,7 @@ use crate::watch::PyWatch;
 
 /// Follow the airways beyond the flood's end; `lumen_zyx` (1 inside) is changed in place, what is added gets 2.
 #[pyfunction]
-#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, raised=1.0, most_reached=1.0, divided=None, cancel=None, progress=None))]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, raised=1.0, most_reached=1.0, least_probability=0.0, divided=None, cancel=None, progress=None))]
 fn extend_lumen<'py>(
     py: Python<'py>,
     values_zyx: PyReadonlyArray3<'py, i16>,
@@ -38,7 +38,8 @@ fn extend_lumen<'py>(
     min_length_mm: f64,
     raised: f64,
     most_reached: f64,
-    divided: Option<(usize, f64, f64, f64)>,
+    least_probability: f64,
+    divided: Option<(usize, f64, f64)>,
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -55,11 +56,11 @@ fn extend_lumen<'py>(
         min_length_mm,
         raised,
         most_reached,
-        divided: divided.map(|(axis, slice_mm, least_odds, least_probability)| Divided {
+        least_probability,
+        divided: divided.map(|(axis, slice_mm, least_odds)| Divided {
             axis,
             slice_mm,
             least_odds,
-            least_probability,
         }),
     };
     let watch = PyWatch::new(cancel, progress);

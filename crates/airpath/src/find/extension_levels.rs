@@ -23,6 +23,8 @@ pub struct ExtensionLimits {
     pub raised: f64,
     /// The search is given up once it has reached more than this share of the lung.
     pub most_reached: f64,
+    /// The least probability of a way and all that it leaves.
+    pub least_probability: f64,
     /// Where thick slices were divided; None where voxels have the CT's own size.
     pub divided: Option<Divided>,
 }
@@ -36,8 +38,6 @@ pub struct Divided {
     pub slice_mm: f64,
     /// A section pays by how much its log-odds exceed this.
     pub least_odds: f64,
-    /// The least probability of a way and all that it leaves.
-    pub least_probability: f64,
 }
 
 /// One airway that was followed beyond the flood's end.
@@ -47,7 +47,7 @@ pub struct Followed {
     pub voxels: Vec<u32>,
     /// Length, mm.
     pub length_mm: f64,
-    /// That it and all that it leaves are airways; 1 where they were not judged by odds.
+    /// That it and all that it leaves are airways; 1 for the thinnest airways, which are judged in another way.
     pub probability: f64,
     /// Mean rise to the wall over what the lung pretends (1 is no better than the darkest fiftieth of lung).
     pub contrast: f64,

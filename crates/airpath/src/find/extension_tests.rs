@@ -14,6 +14,7 @@ const LIMITS: ExtensionLimits = ExtensionLimits {
     min_length_mm: 4.0,
     raised: 1.0,
     most_reached: 1.0,
+    least_probability: 0.0,
     divided: None,
 };
 
@@ -134,6 +135,24 @@ fn lung_round_a_tube_that_ends_adds_nothing() {
         assert_eq!(found.num_voxels, 0);
         assert!(chest.lumen.iter().all(|v| *v <= 1));
     }
+}
+
+#[test]
+fn a_straight_tube_is_likely_and_no_way_is_kept_below_the_least_probability() {
+    let follow = |least_probability: f64| {
+        let mut chest = drawn(30.0, 20.0, 50.0, |_| 1.0);
+        let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
+        let limits = ExtensionLimits {
+            least_probability,
+            ..LIMITS
+        };
+        extend(view, &mut chest.lumen, &limits, &Unwatched).unwrap()
+    };
+    let found = follow(0.7);
+    assert_eq!(found.followed.len(), 1);
+    let probability = found.followed[0].probability;
+    assert!((0.9..1.0).contains(&probability), "{probability}");
+    assert_eq!(follow(probability + 1e-6).followed, vec![]);
 }
 
 #[test]

@@ -5,8 +5,8 @@ use carina_grid::Grid;
 use crate::find::extension_levels::{Divided, ExtensionLimits};
 use crate::find::tubeness::Section;
 
-/// Blur of a scanner with a smooth kernel (sigma): 1.4 mm full width.
-const SCANNER_BLUR_MM: f64 = 0.6;
+/// Blur of a scanner with a smooth kernel in a CT that was interpolated once (sigma): 1.8 mm full width.
+const SCANNER_BLUR_MM: f64 = 0.75;
 /// Below this many widths of the blur a radius is the blur's own, and says nothing about how dark the lumen should be.
 const BLURRED: f64 = 0.75;
 /// Share of the sides of a section on which there must be wall; a fork leaves a quarter open.
@@ -22,9 +22,11 @@ const WEIGHTS: [&[f64]; 7] = [
     &[-7.69, 3.79],
     &[-1.98],
 ];
-/// Of 1, the evidence of its sections (logarithm), the distance from other lumens (mm), the share of the lung round it that
-/// the search reached, and straightness (distance of its ends over its length).
-pub(crate) const WAY_WEIGHTS: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95];
+/// Of 1, the evidence of a way's sections (logarithm), the distance from other lumens (mm), the share of the lung round it
+/// that the search reached, and straightness (distance of its ends over its length).
+pub(crate) const WAY_WEIGHTS: [f64; 5] = [-8.23, 1.09, 0.57, -8.62, 6.44];
+/// The same where the evidence is the sum of the sections' log-odds.
+pub(crate) const WAY_WEIGHTS_DIVIDED: [f64; 5] = [-7.64, 1.03, 0.61, -2.82, 3.95];
 
 /// Blur in the slices and least blur across them (sigma), mm.
 const BLUR_IN_SLICE_MM: f64 = 0.65;
@@ -89,6 +91,12 @@ pub(crate) fn log_odds(
         .sum()
 }
 
+/// Probability that a way is an airway if what it leaves is one; the figures are those of [`WAY_WEIGHTS`].
+pub(crate) fn probability_of_way(figures: [f64; 5], weights: &[f64; 5]) -> f64 {
+    let odds: f64 = weights.iter().zip(figures).map(|(w, f)| w * f).sum();
+    1.0 / (1.0 + (-odds).exp())
+}
+
 /// How bright the middle is, as a share of the way from air to the wall.
 fn share_of_wall(section: &Section, own: f64, air: f64) -> f64 {
     if section.rise > 0.0 {
@@ -143,13 +151,13 @@ mod tests {
         min_length_mm: 2.0,
         raised: 1.0,
         most_reached: 0.02,
+        least_probability: 0.7,
         divided: None,
     };
     const DIVIDED: Divided = Divided {
         axis: 2,
         slice_mm: 3.0,
         least_odds: 0.3,
-        least_probability: 0.7,
     };
 
     fn section(radius_mm: f64, walled: f64, rise: f64) -> Section {
@@ -197,6 +205,23 @@ mod tests {
                 DIVIDED,
             );
             assert!(ratio.abs() < 1e-9, "{along} {ratio}");
+        }
+    }
+
+    #[test]
+    fn a_straight_way_away_from_other_lumens_is_likelier_than_one_that_winds_beside_them() {
+        for weights in [WAY_WEIGHTS, WAY_WEIGHTS_DIVIDED] {
+            let of = |evidence: f64, clear_mm: f64, reached: f64, straight: f64| {
+                probability_of_way([1.0, evidence.ln(), clear_mm, reached, straight], &weights)
+            };
+            let clear = of(8.0, 6.0, 0.01, 0.95);
+            assert!(clear > 0.8, "{clear}");
+            assert!(of(2.0, 6.0, 0.01, 0.95) < clear);
+            assert!(of(8.0, 2.0, 0.01, 0.95) < clear);
+            assert!(of(8.0, 6.0, 0.2, 0.95) < clear);
+            assert!(of(8.0, 6.0, 0.01, 0.5) < clear);
+            let winding = of(4.0, 2.5, 0.1, 0.6);
+            assert!(winding < 0.3, "{winding}");
         }
     }
 

@@ -7,7 +7,9 @@ use carina_grid::VolumeView;
 
 use crate::find::extension_levels::{Divided, ExtensionLimits, Followed, LUMEN, Levels, PENDING};
 use crate::find::extension_reach::{Faces, Node, places};
-use crate::find::extension_verdict::{Blur, WAY_WEIGHTS, log_odds, looks_like_airway};
+use crate::find::extension_verdict::{
+    Blur, WAY_WEIGHTS, WAY_WEIGHTS_DIVIDED, log_odds, looks_like_airway, probability_of_way,
+};
 use crate::find::thin_profile::Profile;
 use crate::find::tubeness::{REACH_MM, Section, section};
 use carina_leastcost::{TrackError, Watch};
@@ -199,7 +201,7 @@ impl<'a> Search<'a> {
 
     /// The part of a way that pays, if that is enough for an airway.
     ///
-    /// In divided slices a way is first judged by odds, which need much evidence; then as in any other CT.
+    /// In divided slices the sections are first judged by odds, which need much evidence; then as in any other CT.
     fn worth(&self, way: &[u32], limits: &ExtensionLimits) -> Option<Path> {
         let sections = self.sections(way);
         limits
@@ -218,11 +220,9 @@ impl<'a> Search<'a> {
         let threshold = f64::from(self.levels.followed);
         // Two of 100 voxels of lung pass the threshold: two deviations, of which one is allowed for.
         let blur = Blur::on(self.smooth.grid(), 0.5 * threshold);
-        let start_mm = self.before[way[0] as usize];
-        let start_mm = if start_mm == NONE {
-            0.0
-        } else {
-            self.along_mm[start_mm as usize]
+        let (start_mm, probability_before) = match self.before[way[0] as usize] {
+            NONE => (0.0, 1.0),
+            before => (self.along_mm[before as usize], self.kept[before as usize]),
         };
         let (mut gain, mut best, mut last_mm) = (0.0, (0.0, 0, 0.0), start_mm);
         let (mut sum, mut sum_at_best) = (0.0, 0.0);
@@ -259,24 +259,26 @@ impl<'a> Search<'a> {
                 evidence_at_best = evidence;
             }
         }
-        let (_, num, length_mm) = best;
-        let straight_mm = self.straight_mm(&way[..num]);
-        let before = self.before[way[0] as usize];
-        let mut probability = if before == NONE {
-            1.0
+        let (most_gain, num, length_mm) = best;
+        let way = &way[..num];
+        let straight_mm = self.straight_mm(way);
+        let (weights, evidence) = if divided.is_some() {
+            (WAY_WEIGHTS_DIVIDED, evidence_at_best)
         } else {
-            self.kept[before as usize]
+            (WAY_WEIGHTS, most_gain)
         };
-        if divided.is_some() && num > 0 {
-            probability /=
-                1.0 + (-self.way_odds(&way[..num], evidence_at_best, straight_mm, limits)).exp();
-        }
-        let is_airway = straight_mm >= limits.min_length_mm
-            && divided.is_none_or(|divided| probability >= divided.least_probability)
+        let is_long = num > 0 && straight_mm >= limits.min_length_mm;
+        let probability = if is_long {
+            probability_before * self.way_probability(way, evidence, straight_mm, limits, &weights)
+        } else {
+            0.0
+        };
+        let is_airway = is_long
+            && probability >= limits.least_probability
             && sum_at_best >= self.levels.kept * length_mm
-            && self.is_round(&way[..num]);
+            && self.is_round(way);
         is_airway.then(|| Path {
-            nodes: way[..num].to_vec(),
+            nodes: way.to_vec(),
             radius_mm: sections[..num]
                 .iter()
                 .map(|s| s.section.radius_mm)
@@ -286,13 +288,14 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Logarithm of the odds that a way in divided slices is an airway, from what no single section shows.
-    fn way_odds(
+    /// Probability that a way is an airway if what it leaves is one, from what no single section shows.
+    fn way_probability(
         &self,
         way: &[u32],
         evidence: f64,
         straight_mm: f64,
         limits: &ExtensionLimits,
+        weights: &[f64; 5],
     ) -> f64 {
         let ijk = |n: u32| {
             self.smooth
@@ -317,7 +320,7 @@ impl<'a> Search<'a> {
             self.reached_share(ijk(way[way.len() / 2]), limits),
             apart_mm / straight_mm.max(1e-3),
         ];
-        WAY_WEIGHTS.iter().zip(figures).map(|(w, f)| w * f).sum()
+        probability_of_way(figures, weights)
     }
 
     /// Distance to the lumen that was known before, at most [`CLEAR_MM`].

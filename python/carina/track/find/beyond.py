@@ -33,10 +33,10 @@ THIN_SLICE_MM = 1.0
 THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
-# In divided slices a section counts for a way by how much the logarithm of its odds exceeds the first of these.
-# The second is the least probability that a way, and all ways that it leaves, are airways (docs/decisions/0086).
-LEAST_ODDS = 0.3
+# The least probability that a way, and all ways that it leaves, are airways (docs/decisions/0091).
 LEAST_PROBABILITY = 0.7
+# In divided slices a section counts for a way by how much the logarithm of its odds exceeds this (docs/decisions/0086).
+LEAST_ODDS = 0.3
 
 # What tells a search that runs out (docs/decisions/0040). Rims darker than this beside every edge look like airways; a
 # soft kernel leaves none. Where there is noise, edges are found where it makes them steep: that pretends a part of it.
@@ -78,7 +78,7 @@ class Beyond:
     threads_lps: NDArray[np.float64]
     """(n, 3) LPS mm, points along the thinnest airways, which were judged by what the CT shows along 5 mm of each."""
     judged: NDArray[np.float64]
-    """(n, 4) LPS mm and probability, points along airways in divided slices that were judged by odds."""
+    """(n, 4) LPS mm and probability, points along the airways that were followed beyond the flood."""
     leaked: bool
     """Whether the search ran out into the lung with the lung's own bar, or would have along the rims of a kernel."""
 
@@ -124,7 +124,7 @@ def follow_beyond(
     divided = None
     if searched.divided is not None:
         axis, slice_mm = searched.divided
-        divided = (axis, slice_mm / size, LEAST_ODDS, LEAST_PROBABILITY)
+        divided = (axis, slice_mm / size, LEAST_ODDS)
 
     def extended(raised: float) -> dict[str, Any]:
         return extend_lumen(
@@ -139,6 +139,7 @@ def follow_beyond(
             min_length_mm=MIN_FOLLOWED_MM + THICK_SECTIONS * max(max(volume.spacing_mm) - THIN_SLICE_MM, 0.0),
             raised=raised,
             most_reached=MOST_REACHED,
+            least_probability=LEAST_PROBABILITY,
             divided=divided,
             cancel=stage.cancel,
             progress=stage.share,

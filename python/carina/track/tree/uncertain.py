@@ -240,8 +240,8 @@ def with_confidence(
     thread_share
         Confidence of a branch along ``threads_lps`` whose own score is lower.
     judged
-        (n, 4) LPS mm and probability, points along airways that were found in divided slices: a branch along them has
-        at most their probability, because interpolated values show a wall where there may be none.
+        (n, 4) LPS mm and probability, points along airways that were followed beyond the flood: a branch along them has
+        at most their probability, because noise and interpolation show a wall where there may be none.
     """
     branches = tuple(_judged_with(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
     if judged is not None and len(judged):
