@@ -220,6 +220,7 @@ def test_lobes_outside_a_cropped_scan_are_reported_as_outside(chest, part):
     for axis, one in zip((2, 1, 0), cut, strict=False):
         place[:3, 3] += (one.start or 0) * place[:3, axis]
     airways = carina.find_airways(Volume(np.ascontiguousarray(made.volume.hu_zyx[cut]), place))
+    assert airways.root_lps[2] > 105.0, "the tree begins at the top of the trachea"
     assert {absence.name for absence in airways.absent} == outside
     for absence in airways.absent:
         assert absence.kind == "outside"

@@ -14,6 +14,7 @@ from carina.track.find.upper_airway import (
     Cords,
     Tube,
     as_one_trachea,
+    carina_of,
     opening_in_front,
     the_cords,
     tube_in,
@@ -33,6 +34,9 @@ AIR_END_HU = -800.0
 WALL_HU = 40.0
 AT_CARINA_MM = 10.0
 MOST_BELOW = 0.85
+# A trachea that is so long above the seeds, and has so many times the area of what they are in: they are in a bronchus.
+LEAST_ABOVE_MM = 40.0
+WIDER_ABOVE = 1.5
 # More air than a throat holds is the world outside.
 MOST_THROAT_MM3 = 150_000.0
 
@@ -79,7 +83,7 @@ def top_of_trachea(
     trachea = sections if cords is None else sections[: cords.begins_at + 1]
     opening = opening_in_front(volume, scale, trachea)
     if tube is None and cords is None and opening is None:
-        return None
+        return _above_a_bronchus(soft, seeds, sections)
     is_open = opening is not None or _leaves_with_its_tube(trachea, tube)
     trachea, cut = as_one_trachea(volume, sections, tube, len(trachea), is_open=is_open)
     top = trachea[-1]
@@ -106,6 +110,32 @@ def top_of_trachea(
         starts_in_it=tube is not None and tube.first == 0,
         is_open=is_open,
         cords=cords,
+    )
+
+
+def _above_a_bronchus(
+    soft: Softened, seeds: list[tuple[int, int, int]], sections: list[Section]
+) -> TopOfTrachea | None:
+    """Return the trachea above a bronchus that was taken for the trachea; None if the seeds are in the trachea."""
+    trachea = sections[carina_of(sections) :]
+    above = [section for section in trachea if section.k > seeds[0][2]]
+    below = [section.area_mm2 for section in sections if section.k <= seeds[0][2]]
+    if not above or not below or above[-1].centre_lps[2] - above[0].centre_lps[2] < LEAST_ABOVE_MM:
+        return None
+    if np.median([section.area_mm2 for section in above]) < WIDER_ABOVE * np.median(below):
+        return None
+    top = above[-1]
+    return TopOfTrachea(
+        seeds=[section.voxel for section in reversed(trachea)],
+        start=as_point(soft.volume.to_lps(np.array(top.voxel, dtype=np.float64))),
+        searched=soft,
+        upper_zyx=None,
+        sections=[],
+        tip_lps=None,
+        cut=[],
+        starts_in_it=False,
+        is_open=False,
+        cords=None,
     )
 
 

@@ -18,6 +18,7 @@ __all__ = [
     "Cords",
     "Tube",
     "as_one_trachea",
+    "carina_of",
     "opening_in_front",
     "root_below_cords_mm",
     "sees_a_larynx",
@@ -216,7 +217,7 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
             wanted = heights[at] - root_below_cords_mm(size)
             root = int(below[np.argmin(np.abs(heights[below] - wanted))])
             return Cords(at, root, float(heights[at] - heights[root]), size=size)
-    above = heights - heights[_carina(sections, heights)]
+    above = heights - heights[carina_of(sections)]
     usual_mm = 2.0 * float(np.sqrt(np.median([section.area_mm2 for section in sections]) / np.pi))
     if above[-1] > longest_trachea_mm(usual_mm):
         root = int(np.flatnonzero(above <= usual_trachea_mm(usual_mm))[-1])
@@ -224,8 +225,9 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
     return None
 
 
-def _carina(sections: list[Section], heights: NDArray[np.float64]) -> int:
+def carina_of(sections: list[Section]) -> int:
     """Return the index of the lowest section of the trachea; sections of bronchi may lie below it."""
+    heights = _heights(sections)
     areas = np.array([section.area_mm2 for section in sections])
     low, high = np.array(AREAS_OF_TRACHEA) * np.median(areas)
     like = (areas >= low) & (areas <= high)
