@@ -20,6 +20,10 @@ const GENTLE_ROUNDS: usize = 16;
 /// On the way back to the chain the inside is looked for in such steps.
 const GENTLE_SHARE: f64 = 0.125;
 const GENTLE_PULL: f64 = 1.0;
+/// A corner of more than 20 degrees from one point to the next is sharp.
+const SHARP_COSINE: f64 = 0.94;
+const RELAXING_ROUNDS: usize = 30;
+const RELAXING_SHARE: f64 = 0.5;
 /// The pull of a point that stays where it is.
 pub const FIXED: f64 = 1e9;
 
@@ -142,7 +146,7 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
             })
             .collect();
         if bad.is_empty() {
-            return smooth;
+            return relaxed(smooth, given, inside);
         }
         for m in bad {
             if !is_gentle {
@@ -173,7 +177,58 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
             *found = *given;
         }
     }
-    smooth
+    relaxed(smooth, given, inside)
+}
+
+/// Spreads sharp corners over the points beside them, as far as the lumen allows.
+///
+/// Where the lumen is one voxel wide, points that were pulled inside leave a corner between two smooth parts.
+fn relaxed(mut points: Vec<Point>, pull: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
+    let last = points.len() - 1;
+    // The least cosine of the turns at a point and at its neighbours.
+    let sharpest = |points: &[Point], m: usize| {
+        (m.saturating_sub(1).max(1)..(m + 2).min(last))
+            .map(|n| cosine(points[n - 1], points[n], points[n + 1]))
+            .fold(1.0, f64::min)
+    };
+    for _ in 0..RELAXING_ROUNDS {
+        let sharp: Vec<usize> = (1..last)
+            .filter(|&m| cosine(points[m - 1], points[m], points[m + 1]) < SHARP_COSINE)
+            .collect();
+        if sharp.is_empty() {
+            break;
+        }
+        for m in sharp {
+            for near in m.saturating_sub(2).max(1)..(m + 3).min(last) {
+                let flat = between(points[near - 1], points[near + 1], 0.5);
+                let moved = between(points[near], flat, RELAXING_SHARE);
+                let holds = pull[near] < FIXED
+                    && inside(moved)
+                    && inside(between(points[near - 1], moved, 0.5))
+                    && inside(between(moved, points[near + 1], 0.5));
+                if holds {
+                    let (before, old) = (sharpest(&points, near), points[near]);
+                    points[near] = moved;
+                    if sharpest(&points, near) < before {
+                        points[near] = old;
+                    }
+                }
+            }
+        }
+    }
+    points
+}
+
+/// Cosine of the turn at a point of a line; 1 where the line goes straight on.
+fn cosine(before: Point, here: Point, after: Point) -> f64 {
+    let [one, two] = [(before, here), (here, after)]
+        .map(|(a, b)| -> Point { std::array::from_fn(|x| b[x] - a[x]) });
+    let both = length(one) * length(two);
+    if both > 0.0 {
+        (0..3).map(|x| one[x] * two[x]).sum::<f64>() / both
+    } else {
+        1.0
+    }
 }
 
 /// Solves (W + lambda D'D) x = W y for the three coordinates; D takes second differences. Symmetric, five diagonals,
@@ -236,6 +291,40 @@ fn solve(points: &[Point], pull: &[f64], lambda: f64) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_corner_is_spread_where_the_lumen_allows_it_and_no_new_one_arises() {
+        let line: Vec<Point> = (0..20)
+            .map(|n| {
+                let n = f64::from(n);
+                if n < 10.0 {
+                    [n, 0.0, 0.0]
+                } else {
+                    [9.0 + 0.7 * (n - 9.0), 0.7 * (n - 9.0), 0.0]
+                }
+            })
+            .collect();
+        let turns = |points: &[Point]| {
+            points
+                .windows(3)
+                .map(|p| {
+                    cosine(p[0], p[1], p[2])
+                        .clamp(-1.0, 1.0)
+                        .acos()
+                        .to_degrees()
+                })
+                .fold(0.0, f64::max)
+        };
+        assert!(turns(&line) > 44.0);
+        let free = relaxed(line.clone(), &[1.0; 20], |_| true);
+        assert!(turns(&free) < 21.0, "{}", turns(&free));
+        assert_eq!((free[0], free[19]), (line[0], line[19]));
+        let narrow = relaxed(line.clone(), &[1.0; 20], |p| {
+            p[1] < 0.05 || p[0] - p[1] > 8.95
+        });
+        assert!(turns(&narrow) <= turns(&line) + 1e-9);
+        assert_eq!(relaxed(line.clone(), &[FIXED; 20], |_| true), line);
+    }
 
     fn staircase() -> Vec<Point> {
         // A line drawn with steps of one unit, as a voxel path draws it.
