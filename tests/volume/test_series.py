@@ -192,3 +192,27 @@ def test_a_bounded_message_keeps_its_beginning_and_its_remedy():
     assert bounded_message("short") == "short"
     assert bounded_list(["a", "b", "c"], at_most=2) == "a; b and 1 more"
     assert bounded_name("n" * 200).count("n") == 56
+
+
+def test_the_thickness_of_the_slices_is_stored_where_all_state_the_same(write_series, expected_lps_from_ijk):
+    volume = open_volume(write_series())
+    assert volume.source.slice_thickness_mm == 5.0
+    np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk)
+
+
+@pytest.mark.parametrize("thickness", ["", "0", "-2", "500", None])
+def test_an_impossible_or_missing_thickness_is_not_known(write_series, thickness):
+    def edit(dataset, _index):
+        if thickness is None:
+            del dataset.SliceThickness
+        else:
+            dataset.SliceThickness = thickness
+
+    assert open_volume(write_series(edit=edit)).source.slice_thickness_mm is None
+
+
+def test_slices_of_two_thicknesses_have_none(write_series):
+    def edit(dataset, index):
+        dataset.SliceThickness = 5.0 if index else 2.5
+
+    assert open_volume(write_series(edit=edit)).source.slice_thickness_mm is None

@@ -332,9 +332,16 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         other_series=tuple(others),
         notes=tuple(said),
         acquired_on=acquisition_date(first.path),
+        slice_thickness_mm=_common_thickness_mm(series.slices),
     )
     watch.step("Reading the slices", 1.0)
     return Volume(values, series.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
+
+
+def _common_thickness_mm(slices: Sequence[SliceHeader]) -> float | None:
+    """Return the thickness that all slices state, to 0.01 mm; None where they differ or some state none."""
+    found = {None if header.thickness_mm is None else round(header.thickness_mm, 2) for header in slices}
+    return found.pop() if len(found) == 1 else None
 
 
 def _read_slices(

@@ -1,7 +1,7 @@
 """Where the voxels of a DICOM series are, from the tags of every slice; refuses what is no regular, straight grid.
 
 The third axis is the way from slice to slice as ImagePositionPatient gives it (PS3.3 C.7.6.2.1.1). SliceThickness is
-never used: it is how much tissue one slice averages, and overlapping or gapped series are common.
+never used for it: it is how much tissue one slice averages, and overlapping or gapped series are common.
 
 Tolerances (each tested on both sides):
 

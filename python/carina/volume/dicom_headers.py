@@ -89,13 +89,15 @@ _TAGS = sorted({
     "ImagePositionPatient", "LossyImageCompression", "NumberOfFrames", "PhotometricInterpretation",
     "ModalityLUTSequence", "PixelPaddingRangeLimit", "PixelPaddingValue", "PixelRepresentation", "PixelSpacing",
     "ProtocolName", "RescaleIntercept", "RescaleSlope", "RescaleType", "Rows", "SOPClassUID", "SOPInstanceUID",
-    "SamplesPerPixel", "SeriesInstanceUID", "SharedFunctionalGroupsSequence", *IDENTITY, *SETTINGS,
+    "SamplesPerPixel", "SeriesInstanceUID", "SharedFunctionalGroupsSequence", "SliceThickness", *IDENTITY, *SETTINGS,
 })  # fmt: skip
 
 
 _DATES = ("AcquisitionDate", "AcquisitionDateTime", "StudyDate")
 _DATE_TAGS = [Tag(keyword) for keyword in _DATES]
 FIRST_CT_YEAR = 1971
+MOST_THICKNESS_MM = 20.0
+"""Thicker slices are no CT of a chest: the tag holds another unit or a default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +121,8 @@ class SliceHeader:
     """Unit direction of growing row index."""
     spacing_mm: tuple[float, float]
     """Distance of columns, distance of rows: (x, y), the reverse of PixelSpacing's order."""
+    thickness_mm: float | None
+    """SliceThickness; None where the tag is missing or is not a possible thickness."""
     slope: float
     intercept: float
     has_slope: bool
@@ -369,6 +373,15 @@ class _Tags:
         return values
 
 
+def _thickness_mm(tags: _Tags) -> float | None:
+    """Return SliceThickness; None where it is missing or impossible, which is no reason to refuse a series."""
+    try:
+        thickness_mm = float(tags.text("SliceThickness"))
+    except ValueError:
+        return None
+    return thickness_mm if 0.0 < thickness_mm <= MOST_THICKNESS_MM else None
+
+
 def _is_little_endian(dataset: Dataset) -> bool:
     return dataset.original_encoding[1] is not False
 
@@ -511,6 +524,7 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         row_lps=row_lps,
         column_lps=column_lps,
         spacing_mm=(spacing[1], spacing[0]) if spacing else (0.0, 0.0),
+        thickness_mm=_thickness_mm(tags),
         slope=slope[0] if slope else 1.0,
         intercept=intercept[0] if intercept else 0.0,
         has_slope=slope is not None,

@@ -84,6 +84,8 @@ class VolumeSource:
     acquired_on: str | None = field(default=None, repr=False)
     """ISO date on which the scan was made, where its files say one. For this person's own list of cases alone: it tells
     two scans apart and, with other things, whose they are. No file, message or log holds it."""
+    slice_thickness_mm: float | None = None
+    """SliceThickness of DICOM: how much tissue one slice averages. None where the files do not state one thickness."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
