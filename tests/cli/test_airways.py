@@ -21,6 +21,29 @@ def case(tmp_path_factory):
     return folder
 
 
+def test_airways_states_the_calibrated_shares_of_thick_slices(carina, tmp_path):
+    chest = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=4)
+    write_phantom(chest, tmp_path)
+    found = carina("airways", tmp_path / "ct.nii.gz", "--json")
+    report = found.json()
+    assert report["calibrated_shares"]["slice_mm"] == 3.0
+    assert [share["to_mm"] for share in report["calibrated_shares"]["shares"]] == [None, 6.0, 4.0, 3.0, 2.0]
+    (badge,) = [badge for badge in report["badges"] if badge["code"] == "track.thick-slices"]
+    share = report["calibrated_shares"]["shares"][3]
+    low, mean, high = (f"{100 * share[key]:.0f}" for key in ("least", "typical", "most"))
+    assert f"{mean} % ({low} to {high} %) of those of 2 to 3 mm" in badge["words"]
+    assert badge["words"] in report["notes"]
+    assert f"note: {badge['words']}" in found.err
+    words = carina("airways", tmp_path / "ct.nii.gz")
+    assert badge["words"] in words.out + words.err
+
+
+def test_airways_of_thin_slices_states_no_shares(carina, case):
+    report = carina("airways", case / "ct.nii.gz", "--json").json()
+    assert report["calibrated_shares"] is None
+    assert report["badges"] == []
+
+
 def test_airways_says_what_it_found_and_writes_tree_and_lumen(carina, case, tmp_path):
     tree, lumen = tmp_path / "t.json", tmp_path / "lumen.nii.gz"
     found = carina("airways", case / "ct.nii.gz", "-o", tree, "--mask", lumen, "--json")

@@ -29,7 +29,7 @@ def chest(tmp_path_factory):
 
 @cache
 def wall_of(airways: carina.Airways) -> carina.WallField:
-    return carina.track.wall_field(airways.tracker.volume, airways)
+    return carina.track.wall_field(airways.tracker.grid.ct, airways)
 
 
 @pytest.fixture
@@ -95,6 +95,32 @@ def test_airways_reports_a_mirrored_chest_in_the_terminal_and_as_a_badge(mirrore
     assert any(note.startswith("the airways are mirrored") for note in document["notes"])
     assert result.stderr.count("note: the airways are mirrored") == 1
     assert [badge["code"] for badge in json.loads(tree.read_text(encoding="utf-8"))["badges"]] == ["track.mirrored"]
+
+
+@pytest.fixture(scope="module")
+def thick_chest(tmp_path_factory):
+    """A chest with a nodule in slices of 3 mm, as a file, and a point in the nodule."""
+    made = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, nodule=True)
+    folder = tmp_path_factory.mktemp("thick")
+    carina.write_phantom(made, folder)
+    return folder / "ct.nii.gz", made.truth["nodule"]["center_lps"]
+
+
+def test_a_plan_in_thick_slices_states_the_calibrated_shares_everywhere(thick_chest, found_once, tmp_path) -> None:
+    path, place = thick_chest
+    output = tmp_path / "plan.html"
+    result = run(path, place, "--json", "-o", str(output))
+    assert result.exit_code in (0, 4), result.output
+    document = json.loads(result.stdout)
+    (badge,) = [one for one in document["badges"] if one["code"] == "track.thick-slices"]
+    assert result.stderr.count(f"note: {badge['words']}") == 1
+    assert badge["words"] in document["notes"]
+    sentence = badge["words"][0].upper() + badge["words"][1:]
+    assert sentence + "." in document["report"]["uncertain"]
+    assert sentence in " ".join(output.read_text(encoding="utf-8").split())
+    shares = document["calibrated_shares"]
+    assert (shares["slice_mm"], shares["distance_mm"]) == (3.0, 3.0)
+    assert all(f"{100 * one['most']:.0f} %" in sentence for one in shares["shares"])
 
 
 def test_no_route_is_exit_code_4_with_the_reason(chest, found_once, monkeypatch: pytest.MonkeyPatch) -> None:

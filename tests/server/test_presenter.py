@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from carina.scopes import scope_preset
 from carina.server.presenter import start_message, state_message
+from carina.volume import Note
 from small_case import small_bench
 
 
@@ -24,6 +27,13 @@ def test_the_badges_of_the_case_and_of_its_airways_stay_in_the_state():
     shown = state_message(bench.session.snapshot(), frame_rate_hz=60.0)
     assert [(note.code, note.words, note.badge) for note in shown.badges] == [("import.lossy", "a test", True)]
     assert shown.case.notes == shown.badges
+    thick = Note("track.thick-slices", "slices of 3 mm: a test", badge=True)
+    snapshot = bench.session.snapshot()
+    assert snapshot.document is not None
+    airways: Any = snapshot.document.airways
+    airways.badges = (thick,)
+    shown = state_message(snapshot, frame_rate_hz=60.0)
+    assert [(note.code, note.words) for note in shown.badges][1:] == [(thick.code, thick.words)]
     bench.open("raw")
     shown = state_message(bench.session.snapshot(), frame_rate_hz=60.0)
     assert [note.code for note in shown.badges] == ["import.not-hu", "import.lossy"]

@@ -85,6 +85,7 @@ def find(
     lumen_ml = float(np.count_nonzero(inside_zyx)) * abs(np.linalg.det(volume.lps_from_ijk[:3, :3])) / 1000.0
     deepest = max(branch.generation for branch in airways.tree.branches)
     length_mm = sum(branch.length_mm for branch in airways.tree.branches)
+    shares = airways.calibrated_shares
     if as_json:
         print_json(
             {
@@ -98,6 +99,7 @@ def find(
                 "notes": list(airways.notes),
                 "absent": [_absence_row(absence) for absence in airways.absent],
                 "badges": badges.to_json(),
+                "calibrated_shares": None if shares is None else shares.to_json(),
                 "added": list(added.rows),
                 "branches": rows,
                 **({} if not added.refused else {"error": error_json(added.refused[0])}),

@@ -38,6 +38,7 @@ from carina.track.targets.tracking import track_paths
 from carina.track.tree.airway_tree import AirwayTree, Branch, Route, TreeRow
 from carina.track.tree.between import way_between
 from carina.track.tree.drawn import DrawnPart, drawn_part, drawn_tree, kind_words
+from carina.track.tree.thick_slices import CalibratedShares, CalibreShare
 from carina.track.tree.uncertain import Uncertainty
 
 __all__ = [
@@ -50,6 +51,8 @@ __all__ = [
     "BranchSummary",
     "BranchWay",
     "Bridge",
+    "CalibratedShares",
+    "CalibreShare",
     "CutBranch",
     "DrawnPart",
     "EditPreview",

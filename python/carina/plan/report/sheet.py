@@ -28,7 +28,7 @@ from carina.plan.turns import Turn, TurnList
 from carina.plan.verdict import Verdict
 from carina.render import Renderer
 from carina.scopes import WallField
-from carina.track import Airways, LumenOutline, branch_side_and_lobe, wall_field
+from carina.track import Airways, CalibratedShares, LumenOutline, branch_side_and_lobe, wall_field
 from carina.version import VERSION
 from carina.volume import Volume, ct_digest
 
@@ -152,6 +152,8 @@ class PlanSheet:
     """Of the person who plans."""
     patient: str | None
     provenance: Provenance
+    calibrated_shares: CalibratedShares | None
+    """Shares of airways that the search finds in such thick slices; None in thin ones."""
 
     @property
     def route(self) -> PlannedRoute | None:
@@ -170,6 +172,7 @@ class PlanSheet:
         return self.plan.to_json() | {
             "verdicts": [verdict.to_json() for verdict in self.verdicts],
             "turns": None if self.turns is None else self.turns.to_json(),
+            "calibrated_shares": None if self.calibrated_shares is None else self.calibrated_shares.to_json(),
             "report": {
                 "route": self.route_number,
                 "operator": self.operator,
@@ -291,6 +294,7 @@ def make_sheet(
         notes=tuple(notes),
         patient=patient,
         provenance=_provenance(volume, made_on),
+        calibrated_shares=airways.calibrated_shares,
     )
     told(1.0)
     return sheet

@@ -45,6 +45,7 @@ from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, br
 from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.calibrated_size import with_size_note
+from carina.track.tree.thick_slices import with_slice_note
 from carina.track.tree.uncertain import Uncertainty, with_confidence
 from carina.volume.model import Note, Volume
 from carina.volume.sparse_mask import sparse_mask
@@ -260,7 +261,10 @@ def _found(
     if given is not None:
         tree = unnamed_where_doubted(tree)
     tree = with_size_note(tree)
-    # Doubts about the tree itself: it does not look like a human one, or its size was not calibrated.
+    if given is None:
+        tree = with_slice_note(tree, grid.ct)
+    # Doubts about the tree itself: it does not look like a human one, its size was not calibrated, or thick slices hide
+    # airways.
     badges += tree.notes
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])

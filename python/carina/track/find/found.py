@@ -27,6 +27,7 @@ from carina.track.find.kept import KeptForVolume
 from carina.track.names.absent import Absence, find_absent
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree
+from carina.track.tree.thick_slices import CalibratedShares, shares_of
 from carina.track.tree.uncertain import Uncertainty
 from carina.volume.model import Note
 
@@ -132,6 +133,14 @@ class Airways:
         These notes stay with the tree through edits and exports; their texts are in ``notes`` too.
         """
         return self.tree.notes
+
+    @property
+    def calibrated_shares(self) -> CalibratedShares | None:
+        """Shares of airways that the search finds in slices as thick as these, by calibre; None in thin slices.
+
+        They are None, too, for a segmentation from another tool, and for a tree that was stored before they were known.
+        """
+        return shares_of(self.tree, self.tracker.grid.ct)
 
     @property
     def report(self) -> tuple[str, ...]:

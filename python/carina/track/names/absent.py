@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -16,6 +17,7 @@ from carina.track.names.naming import segments_of_unnamed
 from carina.track.names.scan_extent import ScanExtent
 from carina.track.names.words import MIRRORED_CHEST, bare_name, name_words
 from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.track.tree.thick_slices import CalibratedShares, miss_text, shares_of
 from carina.track.tree.uncertain import Uncertainty, slice_from_feet, slice_text
 from carina.volume.model import Volume
 
@@ -54,6 +56,8 @@ AT_END_MM = 4.0
 # A tip that is no longer than this may be the stump of a lobe's bronchus.
 STUMP_MM = 10.0
 _SWAP = {ord("R"): "L", ord("L"): "R"}
+MAY_BE_HIDDEN = ("lost", "fine", "nothing")
+"""Kinds of absences that thick slices alone may explain."""
 
 
 @one_line
@@ -86,10 +90,18 @@ class Absence:
     num_slices: int | None = None
     has_clips: bool = False
     """Surgical clips are at the stump."""
+    hidden_by: CalibratedShares | None = None
+    """Thick slices that may hide it; None where the slices are thin or do not explain it."""
 
     @property
     def reason(self) -> str:
         """What the CT shows in its place; the window, the command line, reports and exports use this text."""
+        hidden = "" if self.hidden_by is None else miss_text(self.hidden_by, self.width_mm)
+        return self._shown + hidden
+
+    @property
+    def _shown(self) -> str:
+        """What the CT shows in its place, without the effect of thick slices."""
         at = slice_text(self.slice_number, self.num_slices)
         where = f"{self.beyond_mm or 0.0:.0f} mm beyond the start of {self.carrier}"
         width = f"{self.width_mm or 0.0:.1f} mm wide{at}"
@@ -197,7 +209,12 @@ def find_absent(
                 trunk = [_on_side(_TRUNKS[key], is_mirrored)] if key in _TRUNKS else []
                 stems = found.stems_of(segment)
                 missing.append(_Missing(segment, key, (*stems, *trunk, there, *carriers), frozenset({segment})))
-    return tuple(found.absence(one, missing) for one in missing)
+    absences = tuple(found.absence(one, missing) for one in missing)
+    slices = None if volume is None else shares_of(tree, volume)
+    return tuple(
+        dataclasses.replace(absence, hidden_by=slices) if absence.kind in MAY_BE_HIDDEN else absence
+        for absence in absences
+    )
 
 
 @dataclass(frozen=True, slots=True)
