@@ -15,7 +15,7 @@ from carina.track.edit.kinds import CutBranch, PaintLumen
 from carina.track.find.growth import grow
 from carina.track.paths.path_grid import PathGrid
 from carina.track.tree.airway_tree import Branch
-from carina.track.tree.uncertain import at_most_as_probable
+from carina.track.tree.uncertain import as_probable_as_its_way
 from carina.volume import Volume
 from made import made_phantom
 
@@ -211,10 +211,22 @@ def test_divided_slices_show_airways_that_the_slices_themselves_hide(thick, monk
         assert np.median(off_mm) < 3.5
 
 
-def test_what_was_found_by_odds_has_at_most_their_probability():
+def test_the_walls_count_for_less_than_the_odds_of_the_way():
     points = np.stack([np.zeros(12), np.zeros(12), -np.arange(12.0)], axis=1)
-    branch = Branch(0, None, (), 0, None, "tracked", points, np.ones(12), confidence=0.99)
-    judged = np.column_stack([points + 0.5, np.full(12, 0.8)])
-    assert at_most_as_probable(branch, judged).confidence == 0.8
-    assert at_most_as_probable(branch, np.add(judged, [0.0, 0.0, 0.0, 0.195])).confidence == 0.99
-    assert at_most_as_probable(branch, np.add(judged, [5.0, 0.0, 0.0, 0.0])).confidence == 0.99
+    branch = Branch(0, None, (), 0, None, "tracked", points, np.ones(12), confidence=0.5)
+
+    def confidence_of(walls, way, off_mm=0.5):
+        judged = np.column_stack([points + off_mm, np.full(12, way)])
+        return as_probable_as_its_way(dataclasses.replace(branch, confidence=walls), judged).confidence
+
+    # Walls that show nothing leave the probability of the way.
+    assert confidence_of(0.5, 0.8) == 0.8
+    assert 0.5 < confidence_of(0.01, 0.8) < 0.8 < confidence_of(0.99, 0.8) < 0.95
+    assert confidence_of(0.0, 0.8) == confidence_of(0.01, 0.8)
+    assert confidence_of(1.0, 1.0) < 1.0
+    # Certain is a branch only where both are.
+    assert confidence_of(0.999, 0.94) == confidence_of(0.94, 0.99) == 0.94
+    assert confidence_of(0.97, 0.98) == 0.97
+    # Farther than 2 mm from a way, a branch keeps its own.
+    assert confidence_of(0.99, 0.8, off_mm=5.0) == 0.99
+    assert confidence_of(None, 0.8) is None

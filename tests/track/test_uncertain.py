@@ -10,7 +10,7 @@ import pytest
 from carina.errors import NoResultError
 from carina.track import AirwayTree, Branch, find_airways
 from carina.track.find.airway_ends import find_uncertain
-from carina.track.tree.uncertain import with_confidence
+from carina.track.tree.uncertain import MOST_BESIDE_RIMS, wall_noise, with_confidence
 from carina.volume.model import Volume
 
 
@@ -117,3 +117,35 @@ def test_an_empty_mask_is_refused_in_words(chest):
     with pytest.raises(NoResultError, match="no voxel is set") as caught:
         find_airways(chest.volume, lumen_zyx=np.zeros(chest.volume.shape_zyx, np.uint8))
     assert caught.value.exit_code == 4
+
+
+def walled_tube(radius_mm: float) -> tuple[Volume, AirwayTree]:
+    """Return a straight tube with a wall of 1 mm along z, and the tree of its only branch."""
+    x, y = np.meshgrid(np.arange(40), np.arange(40), indexing="ij")
+    off = np.hypot(x - 20.0, y - 20.0)
+    plane = np.where(off <= radius_mm, -1000, np.where(off <= radius_mm + 1.0, -100, -860)).astype(np.int16)
+    volume = Volume(np.ascontiguousarray(np.broadcast_to(plane.T, (60, 40, 40))), np.eye(4))
+    points = np.linspace([20.0, 20.0, 50.0], [20.0, 20.0, 10.0], 41)
+    return volume, AirwayTree((Branch(0, None, (), 0, None, "tracked", points, np.full(41, radius_mm)),))
+
+
+def test_a_thin_lumen_beside_rims_is_never_certain_and_a_wide_one_is():
+    for radius_mm, is_limited in ((1.5, True), (4.0, False)):
+        volume, tree = walled_tube(radius_mm)
+        for rims_hu in (None, 5.0, 30.0):
+            confidence = with_confidence(volume, tree, 10.0, rims_hu=rims_hu).root.confidence
+            assert confidence is not None
+            if is_limited and rims_hu == 30.0:
+                assert confidence == MOST_BESIDE_RIMS
+            else:
+                assert confidence > MOST_BESIDE_RIMS
+
+
+def test_the_noise_of_a_wall_grows_slower_than_that_of_a_voxel():
+    assert wall_noise(10.0) == 10.0
+    assert wall_noise(25.0) == pytest.approx(25.0)
+    assert 25.0 < wall_noise(40.0) < 40.0
+    volume, tree = walled_tube(3.0)
+    confidences = [with_confidence(volume, tree, noise).root.confidence for noise in (25.0, 60.0, 100.0, 400.0)]
+    assert confidences == sorted(confidences, reverse=True)
+    assert confidences[-1] < 0.1

@@ -178,6 +178,7 @@ def _found(
     leaks = np.empty((0, 3))
     beyond = NOTHING_BEYOND
     size = 1.0
+    rims_hu: float | None = None
     # None: the root was not found by a split into two main bronchi.
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
@@ -201,6 +202,7 @@ def _found(
         searched = grown.searched
         noise, leaks, trachea_mm, top = grown.noise, grown.leaks_lps, grown.trachea_mm, grown.top
         beyond, size, given_start = grown.beyond, grown.size, grown.given_start
+        rims_hu = grown.rims_hu
         badges += grown.badges
         found_notes += grown.notes
     assert root is not None
@@ -239,6 +241,7 @@ def _found(
             beyond.threads_lps,
             thread_share=thread_confidence(size),
             judged=beyond.judged,
+            rims_hu=rims_hu,
         )
         if not disturbed.is_closed and disturbed.leaked(tree):
             closed = dataclasses.replace(disturbed, is_closed=True)

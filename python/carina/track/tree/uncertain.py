@@ -43,6 +43,19 @@ AIRWAY_SHARE = (
 THREAD_SHARE = 0.95
 NEAR_THREAD_MM = 1.5
 NEAR_JUDGED_MM = 2.0
+WALL_WEIGHT = 0.2
+"""Weight of the walls' log odds beside those of a way that was judged by odds: both are from the same values."""
+SUREST_WALLS, SUREST_WAY = 0.99, 0.995
+MOST_OF_ONE = 0.94
+"""Greatest confidence of a branch of which the way or the walls alone are more certain."""
+# Walls are means of three sections and of neighbouring steps. Their noise grows slower than that of a voxel, by which a
+# wall is measured in CTs with as much noise as those on which AIRWAY_SHARE was fitted, or less.
+USUAL_NOISE_HU = 25.0
+NOISE_POWER = 0.75
+# In painted CTs with a sharp kernel one in ten lumens so thin that score best is a rim that looks like a wall.
+SHARP_RIM_HU = 15.0
+THIN_VOXELS = 2.0
+MOST_BESIDE_RIMS = 0.95
 # The last stretch of a branch runs into its blind end.
 BLUNT_MM = 2.0
 NUM_SECTIONS = 12
@@ -223,13 +236,14 @@ def with_confidence(
     *,
     thread_share: float = THREAD_SHARE,
     judged: NDArray[np.float64] | None = None,
+    rims_hu: float | None = None,
 ) -> AirwayTree:
     """Fill each branch's confidence that it is airway, from what the CT shows across it.
 
     Three things count, each from 0 to 1: the share of sides with wall; how far the wall rises above the lumen, over the
-    noise (``1 - exp(-rise / 3 noise)``); and the diameter in voxels (a lumen below 2 voxels is a blur: half of it is
-    taken on trust). They are multiplied; a branch has the median of its sections. That score becomes a probability: how
-    often branches of phantoms that score so are true airways.
+    noise of a wall (``1 - exp(-rise / 3 wall_noise)``); and the diameter in voxels (a lumen below 2 voxels is a blur:
+    half of it is taken on trust). They are multiplied; a branch has the median of its sections. That score becomes a
+    probability: how often branches of phantoms that score so are true airways.
 
     Parameters
     ----------
@@ -240,22 +254,41 @@ def with_confidence(
     thread_share
         Confidence of a branch along ``threads_lps`` whose own score is lower.
     judged
-        (n, 4) LPS mm and probability, points along airways that were followed beyond the flood: a branch along them has
-        at most their probability, because noise and interpolation show a wall where there may be none.
+        (n, 4) LPS mm and probability, points along airways that were followed beyond the flood. In a branch along them
+        the walls count for less, because noise and interpolation show a wall where there may be none.
+    rims_hu
+        Depth of the dark rims that the kernel leaves beside edges; None where there are none.
     """
     branches = tuple(_judged_with(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
     if judged is not None and len(judged):
-        branches = tuple(at_most_as_probable(branch, judged) for branch in branches)
+        branches = tuple(as_probable_as_its_way(branch, judged) for branch in branches)
+    if rims_hu is not None and rims_hu >= SHARP_RIM_HU:
+        voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
+        branches = tuple(_beside_rims(branch, voxel_mm) for branch in branches)
     return dataclasses.replace(tree, branches=branches)
 
 
-def at_most_as_probable(branch: Branch, judged: NDArray[np.float64]) -> Branch:
+def as_probable_as_its_way(branch: Branch, judged: NDArray[np.float64]) -> Branch:
+    """Return a branch along a way that was judged by odds with the probability of both: of the way and of its walls.
+
+    Above 0.94 the confidence is at most that of each: a branch is certain only if the way and the walls are.
+    """
     off_mm = np.linalg.norm(branch.points[:, None] - judged[None, :, :3], axis=2)
     is_near = off_mm.min(axis=1) <= NEAR_JUDGED_MM
     if branch.confidence is None or is_near.mean() < 0.5:
         return branch
-    probability = float(np.median(judged[off_mm.argmin(axis=1)[is_near], 3]))
-    return dataclasses.replace(branch, confidence=round(min(branch.confidence, probability), 3))
+    way = min(float(np.median(judged[off_mm.argmin(axis=1)[is_near], 3])), SUREST_WAY)
+    walls = min(max(branch.confidence, 1.0 - SUREST_WALLS), SUREST_WALLS)
+    odds = way / (1.0 - way) * (walls / (1.0 - walls)) ** WALL_WEIGHT
+    confidence = max(min(odds / (1.0 + odds), MOST_OF_ONE), min(way, branch.confidence))
+    return dataclasses.replace(branch, confidence=round(confidence, 3))
+
+
+def _beside_rims(branch: Branch, voxel_mm: float) -> Branch:
+    is_thin = float(np.median(branch.radius)) < THIN_VOXELS * voxel_mm
+    if branch.confidence is None or not is_thin:
+        return branch
+    return dataclasses.replace(branch, confidence=min(branch.confidence, MOST_BESIDE_RIMS))
 
 
 def _judged_with(
@@ -279,7 +312,19 @@ def judged(volume: Volume, branch: Branch, noise: float) -> Branch:
     return dataclasses.replace(branch, confidence=round(float(share), 3))
 
 
+def wall_noise(noise: float) -> float:
+    """Return the noise by which a wall is measured, from that of a voxel in the air of the trachea.
+
+    Examples
+    --------
+    >>> wall_noise(20.0), round(wall_noise(60.0), 1)
+    (20.0, 48.2)
+    """
+    return noise if noise <= USUAL_NOISE_HU else USUAL_NOISE_HU * (noise / USUAL_NOISE_HU) ** NOISE_POWER
+
+
 def _wall_score(volume: Volume, branch: Branch, noise: float) -> float:
+    noise = wall_noise(noise)
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     # Not at the forks, where a side is open.
