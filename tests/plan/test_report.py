@@ -63,6 +63,8 @@ def test_the_json_is_that_of_carina_plan_and_what_only_the_report_tells(tmp_path
     made = plan().to_json() | {
         "verdicts": [one.to_json() for one in verdicts()],
         "turns": turns(airways(), plan()).to_json(),
+        # The voxels are 1.1 mm.
+        "calibrated_shares": None,
     }
     assert told == json.loads(json.dumps(made, allow_nan=False))
     assert own["route"] == 1 and own["patient"] is None
