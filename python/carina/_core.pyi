@@ -449,6 +449,7 @@ def cast_sections(
     *,
     min_contrast: float,
     brightest_wall: float,
+    wall_rise: float,
     noise: float,
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,

@@ -293,7 +293,7 @@ def test_taper_is_told_from_five_sections_over_five_millimetres(num, length_mm, 
 
 def test_planes_that_are_none_are_refused(chest):
     arguments = (chest.volume.hu_zyx, chest.volume.lps_from_ijk)
-    levels = {"min_contrast": 100.0, "brightest_wall": 100.0, "noise": 10.0}
+    levels = {"min_contrast": 100.0, "brightest_wall": 100.0, "wall_rise": 1020.0, "noise": 10.0}
     with pytest.raises(UsageError, match="normal with length"):
         cast_sections(*arguments, [[0.0, 0, 0]], [[0.0, 0, 0]], [3.0], **levels)
     with pytest.raises(UsageError, match="radius"):

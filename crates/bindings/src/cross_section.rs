@@ -24,13 +24,13 @@ use crate::watch::PyWatch;
 #[pyclass(frozen, module = "carina._core")]
 struct SectionCasts {
     grid: Grid,
-    noise: f64,
+    levels: SectionLevels,
     casts: Vec<Cast>,
 }
 
 /// Cast the rays of planes across airways; 64 rays each.
 #[pyfunction]
-#[pyo3(signature = (values_zyx, lps_from_ijk, centres_lps, normals_lps, radius_mm, *, min_contrast, brightest_wall, noise, cancel=None, progress=None))]
+#[pyo3(signature = (values_zyx, lps_from_ijk, centres_lps, normals_lps, radius_mm, *, min_contrast, brightest_wall, wall_rise, noise, cancel=None, progress=None))]
 fn cast_sections(
     py: Python<'_>,
     values_zyx: PyReadonlyArray3<'_, i16>,
@@ -40,6 +40,7 @@ fn cast_sections(
     radius_mm: Vec<f64>,
     min_contrast: f32,
     brightest_wall: f32,
+    wall_rise: f32,
     noise: f32,
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
@@ -63,6 +64,7 @@ fn cast_sections(
     let levels = SectionLevels {
         min_contrast,
         brightest_wall,
+        wall_rise,
         noise,
     };
     let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
@@ -72,7 +74,7 @@ fn cast_sections(
         .map_err(|e| watch.error(e))?;
     Ok(SectionCasts {
         grid,
-        noise: f64::from(noise),
+        levels,
         casts,
     })
 }
@@ -128,7 +130,7 @@ impl SectionCasts {
                 .iter()
                 .map(|cast| {
                     let voxel_mm = voxel_in_plane_mm(&self.grid, plane_axes(cast.normal));
-                    Section::of(cast, blur.as_ref(), voxel_mm, self.noise)
+                    Section::of(cast, blur.as_ref(), voxel_mm, self.levels)
                 })
                 .collect()
         });

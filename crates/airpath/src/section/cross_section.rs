@@ -34,8 +34,10 @@ const PLANES_PER_LOOK: usize = 16;
 const EDGE_VOX: f64 = 0.1;
 /// Half of a 95 % interval, in standard deviations.
 const HALF_95: f64 = 1.96;
-/// How far the correction for the blur may be off, as a share of it (one standard deviation).
-const TRUST: f64 = 0.35;
+/// Error of a radius whose blur is not known, as a share of it.
+const UNKNOWN_BLUR: f64 = 0.2;
+/// Error of a wall by the model of the blur, over that of the radius.
+const WALL_BY_MODEL: f64 = 2.0;
 
 /// Where to cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -171,6 +173,19 @@ fn cast(
     })
 }
 
+/// Edges that lie as near to the section's circle as the blur in their direction makes them uncertain.
+///
+/// Thick slices do not show the shape of an airway across them. The circle has the area that the certain edges tell.
+fn rounded_across(edge_mm: &[f64; NUM_RAYS], weights: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
+    let (mut square, mut total) = (0.0, 0.0);
+    for n in (0..NUM_RAYS).filter(|n| edge_mm[*n].is_finite()) {
+        square += weights[n] * edge_mm[n].powi(2);
+        total += weights[n];
+    }
+    let circle_mm = (square / total).sqrt();
+    std::array::from_fn(|n| circle_mm + weights[n] * (edge_mm[n] - circle_mm))
+}
+
 fn share_met(rays: &[Edges; NUM_RAYS]) -> f64 {
     rays.iter().filter(|r| r.inner_mm.is_some()).count() as f64 / NUM_RAYS as f64
 }
@@ -180,7 +195,8 @@ impl Section {
     ///
     /// `voxel_mm` is the spacing in the plane.
     #[must_use]
-    pub fn of(cast: &Cast, blur: Option<&Blur>, voxel_mm: f64, noise: f64) -> Self {
+    pub fn of(cast: &Cast, blur: Option<&Blur>, voxel_mm: f64, levels: SectionLevels) -> Self {
+        let noise = f64::from(levels.noise);
         let axes = plane_axes(cast.normal);
         let raw_mm = without_outliers(&cast.rays);
         let thick_mm: [f64; NUM_RAYS] = std::array::from_fn(|n| {
@@ -191,11 +207,12 @@ impl Section {
                 f64::NAN
             }
         });
-        let radius_mm = median(raw_mm.iter().copied().filter(|r| r.is_finite()).collect());
-        let correction = blur.map(|b| b.correction(axes, &thick_mm, radius_mm));
+        let correction =
+            blur.map(|b| b.correction(cast, &raw_mm, &thick_mm, f64::from(levels.wall_rise)));
         let shift: [f64; NUM_RAYS] =
             std::array::from_fn(|n| correction.as_ref().map_or(0.0, |c| c.shift_mm[n]));
-        let edge_mm: [f64; NUM_RAYS] = std::array::from_fn(|n| raw_mm[n] + shift[n]);
+        let weights = blur.map_or([1.0; NUM_RAYS], |b| b.weights(axes));
+        let edge_mm = rounded_across(&std::array::from_fn(|n| raw_mm[n] + shift[n]), &weights);
         let mut section = Self {
             centre: cast.centre,
             area_mm2: f64::NAN,
@@ -241,28 +258,27 @@ impl Section {
                 }
             });
         }
-        section.set_errors(cast, voxel_mm, noise, blur.map_or(0.0, Blur::mean_mm));
+        section.set_errors(cast, voxel_mm, noise, correction.map(|c| c.error));
         section
     }
 
     /// The errors: half of an interval meant to hold the truth in 95 of 100 cases.
     ///
     /// One edge is known to `e`, with `e^2 = (noise / slope)^2 + (0.1 voxel)^2`. A section of radius `r` has as many
-    /// independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. The correction for the blur
-    /// depends on the blur's shape, of which only the width is known: it is trusted to 0.35 of itself, and never better than
-    /// a twentieth of the blur's sigma `b`: `s = max(0.35 shift, b / 20)`. Together `2 * 1.96 * sqrt(e^2 / n + s^2)` for the
-    /// equivalent diameter. A width has fewer edges for itself: `n / 4`. The wall adds both its edges.
-    fn set_errors(&mut self, cast: &Cast, voxel_mm: f64, noise: f64, blur_mm: f64) {
+    /// independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. To their error, `1.96 e /
+    /// sqrt(n)`, comes that of the model of the blur ([`Correction::error`]; without a blur all of it). A width has fewer
+    /// edges for itself: `n / 4`. The wall adds both its edges.
+    fn set_errors(&mut self, cast: &Cast, voxel_mm: f64, noise: f64, model: Option<f64>) {
         let edge = edge_error_mm(cast, &self.edge_mm, voxel_mm, noise);
         let num_rays = NUM_RAYS as f64 * self.share;
         let num = (std::f64::consts::PI * self.equivalent_mm / voxel_mm).clamp(1.0, num_rays);
-        let trust = (TRUST * self.shift_mm.abs()).max(0.05 * blur_mm);
-        let half = |num: f64, shift: f64| HALF_95 * (edge * edge / num + shift * shift).sqrt();
-        self.equivalent_error_mm = 2.0 * half(num, trust);
-        self.width_error_mm = 2.0 * half((num / 4.0).max(1.0), trust);
+        let model_mm = 0.5 * self.equivalent_mm * model.unwrap_or(UNKNOWN_BLUR);
+        let half = |num: f64, model_mm: f64| (HALF_95 * edge / num.sqrt()).hypot(model_mm);
+        self.equivalent_error_mm = 2.0 * half(num, model_mm);
+        self.width_error_mm = 2.0 * half((num / 4.0).max(1.0), model_mm);
         if self.wall_mm.is_finite() {
             let num = (num * self.wall_share).max(1.0);
-            self.wall_error_mm = half(num / 2.0, 2.0 * trust);
+            self.wall_error_mm = half(num / 2.0, WALL_BY_MODEL * model_mm);
         }
     }
 

@@ -1,5 +1,6 @@
 //! Cross-sections of an airway.
 
+pub mod blurred_tube;
 pub mod cross_section;
 pub mod deblur;
 pub mod profile;

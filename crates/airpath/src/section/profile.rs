@@ -14,6 +14,8 @@ pub struct SectionLevels {
     pub min_contrast: f32,
     /// A wall is not brighter than this: cartilage with lime and vessels with contrast medium are cut down to it.
     pub brightest_wall: f32,
+    /// A wall of soft tissue rises so far above air.
+    pub wall_rise: f32,
     /// Standard deviation of the noise.
     pub noise: f32,
 }

@@ -13,6 +13,7 @@ use carina_leastcost::Unwatched;
 const LEVELS: SectionLevels = SectionLevels {
     min_contrast: 100.0,
     brightest_wall: 100.0,
+    wall_rise: 1020.0,
     noise: 5.0,
 };
 const SIGMA_MM: f64 = 0.5;
@@ -168,7 +169,7 @@ fn measure(grid: &Grid, tube: &Tube) -> Section {
         seen_sigma_mm(wide),
     );
     let voxel_mm = voxel_in_plane_mm(grid, plane_axes(tube.axis));
-    Section::of(&cast, Some(&blur), voxel_mm, 5.0)
+    Section::of(&cast, Some(&blur), voxel_mm, LEVELS)
 }
 
 proptest! {
@@ -226,7 +227,7 @@ fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
     let grid = grid([0.6; 3], 10.0);
     let values = draw(&grid, &tube);
     let cast = cut(&grid, &values, &tube);
-    let raw = Section::of(&cast, None, 0.6, 5.0);
+    let raw = Section::of(&cast, None, 0.6, LEVELS);
     assert!(raw.equivalent_mm < 5.8, "{}", raw.equivalent_mm);
     assert!(raw.wall_mm > 1.1, "{} {:?}", raw.wall_mm, &cast.rays[..4]);
     let section = measure(&grid, &tube);
@@ -256,7 +257,7 @@ fn the_blur_is_found_on_edges_against_thick_tissue() {
     let blur = Blur::of_casts(&grid, &casts).unwrap();
     // 0.03: the interpolation's own blur.
     assert!((blur.in_plane_mm - SIGMA_MM).abs() < 0.04, "{blur:?}");
-    let section = Section::of(&casts[0], Some(&blur), 0.6, 5.0);
+    let section = Section::of(&casts[0], Some(&blur), 0.6, LEVELS);
     assert!(section.wall_mm.is_nan(), "no far side");
     assert!(
         (section.equivalent_mm - 12.0).abs() < 0.15,
@@ -302,7 +303,7 @@ fn a_plane_in_solid_tissue_or_in_open_air_has_no_section() {
             normal: [0.0, 0.0, 1.0],
             radius_mm: 2.0,
         };
-        let section = Section::of(&cast_plane(view, plane, LEVELS), None, 1.0, 5.0);
+        let section = Section::of(&cast_plane(view, plane, LEVELS), None, 1.0, LEVELS);
         assert!(!section.is_measured());
     }
 }

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.track.measures.diameter import branch_diameter, narrowest_diameter
 
 __all__ = [
     "BranchSummary",
@@ -39,7 +40,7 @@ DIAMETERS_TO_FORK = 3.0
 """Mean length of an airway from fork to fork over its diameter (Weibel 1963)."""
 DEVIATIONS_95 = 1.96
 """Standard deviations on each side of a mean that hold 95 % of a normal distribution."""
-SECTION_REACH_MM = 1.0
+SECTION_REACH_MM = 1.5
 """A section also contains values of the airway this far above and below its plane, by blur and voxels."""
 
 
@@ -96,10 +97,12 @@ class BranchSummary:
     num_sections: int = 0
     """Sections that count."""
     mean_mm: float | None = None
-    """Mean equivalent diameter."""
+    """Diameter of the branch (:mod:`carina.track.measures.diameter`): the median; the mean from earlier versions."""
     mean_error_mm: float | None = None
     min_mm: float | None = None
-    """Least equivalent diameter."""
+    """Its narrowest diameter: the least of running medians; the least section from earlier versions."""
+    min_error_mm: float | None = None
+    """None from earlier versions."""
     min_at_mm: float | None = None
     taper: float | None = None
     """Change of the equivalent diameter per mm of way (mm/mm): below 0 where the branch narrows."""
@@ -143,19 +146,20 @@ def summed_up(
     length = float(at_mm[-1])
     if not usable.any():
         return BranchSummary(length_mm=length, angle_deg=angle_deg)
-    at, diameter = at_mm[usable], equivalent_mm[usable]
-    least = int(np.argmin(diameter))
+    used = (at_mm[usable], equivalent_mm[usable], error_mm[usable])
+    whole, narrowest = branch_diameter(*used), narrowest_diameter(*used)
+    assert whole is not None and narrowest is not None
     walls = usable & np.isfinite(wall_mm)
     return BranchSummary(
         length_mm=length,
         angle_deg=angle_deg,
         num_sections=int(usable.sum()),
-        mean_mm=float(diameter.mean()),
-        # Neighbouring sections share their voxels and the correction for the blur: their errors do not average out.
-        mean_error_mm=float(np.median(error_mm[usable])),
-        min_mm=float(diameter[least]),
-        min_at_mm=float(at[least]),
-        taper=_slope(at, diameter),
+        mean_mm=whole.mm,
+        mean_error_mm=whole.error_mm,
+        min_mm=narrowest.mm,
+        min_error_mm=narrowest.error_mm,
+        min_at_mm=narrowest.at_mm,
+        taper=_slope(used[0], used[1]),
         wall_mm=float(np.median(wall_mm[walls])) if walls.any() else None,
         wall_error_mm=float(np.median(wall_error_mm[walls])) if walls.any() else None,
         measured_stenosis=stenosis,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +15,7 @@ from carina._core import cast_sections
 from carina.display import one_line
 from carina.errors import CancelledError, UsageError
 from carina.track.levels import AirScale, air_scale
+from carina.track.measures.diameter import Diameter, narrowest_diameter, with_scatter
 from carina.track.measures.forks import (
     ForkMeasures,
     angle_deg,
@@ -50,6 +53,8 @@ MIN_CONTRAST_HU = 100.0
 """A wall rises at least this far above its lumen; 4 standard deviations of the noise where that is more."""
 BRIGHTEST_WALL_HU = 100.0
 """Cartilage with lime and vessels with contrast medium count as so much: else the half-way level would be theirs."""
+WALL_RISE_HU = 1020.0
+"""The wall of an airway, soft tissue of 20 HU, rises so far above air. A thinner wall shows less, by its thickness."""
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
 """Where fewer rays than this meet a wall the lumen is open to another one: as at a fork."""
@@ -107,6 +112,13 @@ class BranchMeasures:
         """(n,) sections that count in the summary."""
         usable: NDArray[np.bool_] = np.isfinite(self.equivalent_mm) & ~self.at_junction & ~self.at_edge
         return usable
+
+    def narrowest(self, until_mm: float = math.inf) -> Diameter | None:
+        """Return the narrowest diameter up to a place along the branch; None where no section counts."""
+        used = self.is_usable & (self.at_mm <= until_mm)
+        return narrowest_diameter(
+            self.at_mm[used], self.equivalent_mm[used], self.equivalent_error_mm[used], branch_id=self.branch_id
+        )
 
     def to_json(self) -> dict[str, Any]:
         """As JSON values; None where there is no figure. Without the rays."""
@@ -196,6 +208,20 @@ class TreeMeasures:
         """The fork at the end of a branch; None at a tip."""
         return next((fork for fork in self.forks if fork.branch_id == branch_id), None)
 
+    def narrowest_of_route(self, branch_ids: Iterable[int], until_mm: float = math.inf) -> Diameter | None:
+        """Return the narrowest diameter of the branches of a route; None where none of their sections counts.
+
+        Parameters
+        ----------
+        branch_ids
+            The branches of the route, from the trachea.
+        until_mm
+            Way along the last branch to the end of the route.
+        """
+        ids = list(dict.fromkeys(branch_ids))
+        found = [self.of(branch_id).narrowest(until_mm if branch_id == ids[-1] else math.inf) for branch_id in ids]
+        return min((one for one in found if one is not None), key=lambda one: one.mm, default=None)
+
     def to_json(self) -> dict[str, Any]:
         """The document ``carina-measures`` version 1: LPS, mm, degrees; errors are half of a 95 % interval.
 
@@ -252,8 +278,8 @@ def measure_tree(
     Notes
     -----
     Edges lie half-way between the lumen's lowest value and the wall's peak along each of 64 rays, and are then
-    corrected for the scan's own blur (``docs/decisions/0016-measures.md``). A wall thinner than about half the blur
-    cannot be told from one of that thickness.
+    corrected for the scan's own blur: the tube of soft tissue is fitted whose blurred image has these edges and rises
+    (``docs/decisions/0089-one-diameter.md``).
 
     Examples
     --------
@@ -310,6 +336,8 @@ def measure_tree(
             None if parent is None else float(np.median(parent.radius)),
         )
         flags |= columns["share"] < OPEN_SHARE
+        if keys[number] not in known:
+            columns |= _errors_with_scatter(columns, flags)
         sections.append({**columns, "at_junction": flags})
     measured = tuple(
         known[key] if key in known and _is_same(known[key], one) else one
@@ -402,6 +430,7 @@ def _cast(
         np.concatenate([np.zeros(0), *radius]),
         min_contrast=scale.span(MIN_CONTRAST_HU),
         brightest_wall=scale.level(BRIGHTEST_WALL_HU),
+        wall_rise=scale.span(WALL_RISE_HU),
         noise=noise,
         cancel=cancel,
         progress=share,
@@ -431,12 +460,20 @@ def _columns(rows: dict[str, Any], which: slice, normals: Floats) -> dict[str, A
     part["at_edge"] = part.pop("left_share") > 0.0
     width = part.pop("width_error_mm")
     part["min_error_mm"] = part["max_error_mm"] = width
-    # d(pi d^2 / 4) = pi d / 2 dd.
-    part["area_error_mm2"] = 0.5 * np.pi * part["equivalent_mm"] * part["equivalent_error_mm"]
+    part["area_error_mm2"] = np.full_like(part["area_mm2"], np.nan)
     del part["wall_share"]
     for name in ("edge_mm", "outer_mm"):
         part[name] = np.rint(part[name] * RAYS_PER_MM) / RAYS_PER_MM
     return part
+
+
+def _errors_with_scatter(columns: dict[str, Any], at_junction: NDArray[np.bool_]) -> dict[str, Floats]:
+    """Return the errors of diameters and areas of a branch's sections, with their scatter."""
+    diameter = columns["equivalent_mm"]
+    usable = np.isfinite(diameter) & ~at_junction & ~columns["at_edge"]
+    error = with_scatter(columns["at_mm"], diameter, columns["equivalent_error_mm"], usable)
+    # d(pi d^2 / 4) = pi d / 2 dd.
+    return {"equivalent_error_mm": error, "area_error_mm2": 0.5 * np.pi * diameter * error}
 
 
 def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[BranchMeasures, ...]:
