@@ -123,6 +123,8 @@ def test_a_kept_stenosis_within_its_error_is_neither_shown_nor_exported():
     ] * 6
     for row in measures.to_json()["branches"]:
         assert (row["summary"]["stenosis"] is None) == (row["branch"] in within)
+    assert {branch.method for branch in measures.branches} == {1}
+    assert all(one.by_earlier_method for one in sent)
     for own in measures.branches:
         detail = branch_detail_message(AskBranchDetail(7, own.branch_id), own)
         assert (detail.measures.stenosis_percent is None) == (own.branch_id in within)

@@ -21,6 +21,7 @@ def measured(branch_id, *, usable=(False, True, True, True), **summary):
         "mean_mm": 6.1,
         "mean_error_mm": 0.2,
         "min_mm": 5.0,
+        "min_error_mm": None,
         "min_at_mm": 20.0,
         "taper": -0.02,
         "wall_mm": None,
@@ -30,6 +31,7 @@ def measured(branch_id, *, usable=(False, True, True, True), **summary):
     widths = np.array([9.0, 7.0, 5.0, np.nan])
     return SimpleNamespace(
         branch_id=branch_id,
+        is_by_earlier_method=summary.pop("is_by_earlier_method", False),
         at_mm=np.array([0.0, 10.0, 20.0, 30.0]),
         equivalent_mm=widths,
         equivalent_error_mm=np.array([0.1, 0.2, 0.3, np.nan]),
@@ -50,6 +52,12 @@ def test_a_branch_in_figures_leaves_out_its_junctions():
     assert (sent.min_lumen_mm, sent.min_lumen_error_mm, sent.min_at_mm) == (5.0, 0.3, 20.0)
     assert (sent.wall_mm, sent.wall_error_mm) == (None, None)
     assert (sent.stenosis_percent, sent.stenosis_error_percent, sent.stenosis_at_mm) == (31.0, 6.0, 20.0)
+
+
+def test_the_narrowest_diameter_has_its_own_error_and_an_earlier_method_is_sent():
+    sent = branch_measures(measured(4, min_error_mm=0.4, is_by_earlier_method=True))
+    assert (sent.min_lumen_error_mm, sent.by_earlier_method) == (0.4, True)
+    assert not branch_measures(measured(4)).by_earlier_method
 
 
 def test_a_branch_of_junctions_alone_has_no_widest_place():

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
 from carina.track import AirwayTree, Branch, find_airways, measure_tree
+from carina.track.measures.diameter import branch_diameter, narrowest_diameter, with_scatter
 from carina.track.measures.forks import angle_deg, directions
 from carina.track.measures.summary import ReferenceDiameter, Stenosis, diameter_by_neighbours, stenosis_of, summed_up
 from carina.volume.model import Volume
@@ -93,6 +94,77 @@ def test_only_what_changed_is_measured_again(chest, measured, monkeypatch):
     whole = measure_tree(chest.volume, edited)
     # The blur of the whole scan is kept; that of the shorter tree differs by a thousandth.
     np.testing.assert_allclose(fresh.of(tip.id).edge_mm, whole.of(tip.id).edge_mm, atol=2e-3)
+
+
+def test_measures_by_an_earlier_method_are_not_reused(chest, measured, monkeypatch):
+    airways, measures = measured
+    counts = []
+
+    def counted(hu, matrix, centres, *rest, **options):
+        counts.append(len(centres))
+        return cast_sections(hu, matrix, centres, *rest, **options)
+
+    monkeypatch.setattr("carina.track.measures.tree.cast_sections", counted)
+    branches = (dataclasses.replace(measures.branches[0], method=1), *measures.branches[1:])
+    again = measure_tree(chest.volume, airways, previous=dataclasses.replace(measures, branches=branches))
+    assert counts == [sum(len(branch.points) for branch in airways.tree.branches)]
+    assert not any(branch.is_by_earlier_method for branch in again.branches)
+    assert branches[0].is_by_earlier_method
+    assert branches[0].to_json()["by_earlier_method"]
+
+
+def test_a_route_is_as_narrow_as_its_narrowest_branch_before_its_end(measured):
+    airways, measures = measured
+    tree = airways.tree
+    tip = tree.tips()[0]
+    ids = [branch.id for branch in tree.lineage(tip.id)]
+    found = measures.narrowest_of_route(ids)
+    assert found.mm == min(measures.of(i).summary.min_mm for i in ids if measures.of(i).summary.min_mm is not None)
+    assert found.branch_id in ids
+    assert found.error_mm == measures.of(found.branch_id).summary.min_error_mm
+    assert measures.narrowest_of_route([]) is None
+    before_all = measures.narrowest_of_route([ids[0]], until_mm=-1.0)
+    assert before_all is None
+    assert measures.narrowest_of_route(ids[:1]).mm == measures.of(ids[0]).narrowest().mm
+
+
+@given(
+    num=st.integers(1, 60),
+    diameter=st.floats(1.0, 20.0),
+    noise=st.floats(0.0, 0.1),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=80, deadline=None)
+def test_the_diameter_of_a_branch_is_that_of_its_sections_whatever_their_order(num, diameter, noise, seed):
+    rng = np.random.default_rng(seed)
+    at = 0.7 * np.arange(num)
+    sections = diameter * (1.0 + noise * rng.standard_normal(num))
+    usable = np.ones(num, dtype=bool)
+    by_model = np.full(num, 0.05 * diameter)
+    error = with_scatter(at, sections, by_model, usable)
+    whole, narrowest = branch_diameter(at, sections, error), narrowest_diameter(at, sections, error)
+    assert sections.min() <= narrowest.mm <= whole.mm + 1e-9 <= sections.max() + 2e-9
+    assert whole.error_mm >= 0.05 * diameter - 1e-9
+    assert narrowest.at_mm in at
+    order = rng.permutation(num)
+    shuffled = branch_diameter(at[order], sections[order], error[order])
+    assert (shuffled.mm, shuffled.error_mm) == pytest.approx((whole.mm, whole.error_mm), rel=1e-6)
+    # A branch that is twice as wide has twice the diameter and twice the error.
+    twice = branch_diameter(2.0 * at, 2.0 * sections, 2.0 * error)
+    assert (twice.mm, twice.error_mm) == pytest.approx((2.0 * whole.mm, 2.0 * whole.error_mm), rel=1e-6, abs=1e-9)
+    assert (error >= by_model).all()
+
+
+def test_one_disturbed_section_changes_neither_the_diameter_nor_the_narrowest_place():
+    at = np.arange(20.0)
+    sections, error = np.linspace(8.0, 6.0, 20), np.full(20, 0.2)
+    plain = narrowest_diameter(at, sections, error)
+    disturbed = sections.copy()
+    disturbed[10] = 2.0
+    assert narrowest_diameter(at, disturbed, error).mm == pytest.approx(plain.mm, abs=0.1)
+    assert branch_diameter(at, disturbed, error).mm == pytest.approx(7.0, abs=0.1)
+    assert branch_diameter(at, disturbed, error).error_mm > branch_diameter(at, sections, error).error_mm
+    assert branch_diameter(*(np.zeros(0),) * 3) is None
 
 
 def test_the_document_is_plain_json_and_a_missing_branch_is_refused(measured):

@@ -135,6 +135,7 @@ class SummaryFacts(_Facts, frozen=True, omit_defaults=True):
     mean_mm: Mm | None = None
     mean_error_mm: Mm | None = None
     min_mm: Mm | None = None
+    min_error_mm: Mm | None = None
     min_at_mm: Mm | None = None
     taper: Number | None = None
     wall_mm: Mm | None = None
@@ -160,6 +161,8 @@ class MeasuredFacts(_Facts, frozen=True):
     fork: ForkFacts | None
     found_by: ShortWords
     """The version of Carina that measured the sections."""
+    method: Count = 1
+    """How they were measured, as :attr:`carina.track.BranchMeasures.method`; earlier versions did not write it."""
 
 
 class MeasuresFacts(_Facts, frozen=True):

@@ -78,6 +78,7 @@ def branch_facts(measures: BranchMeasures, fork: ForkMeasures | None) -> f.Measu
             angle_between_deg=fork.angle_between_deg,
         ),
         found_by=measures.found_by,
+        method=measures.method,
     )
 
 
@@ -118,6 +119,7 @@ def branch_from(
         at_edge=_frozen(marks & AT_EDGE != 0),
         summary=_summary(facts.summary),
         found_by=facts.found_by,
+        method=facts.method,
         **{name: _frozen(value) for name, value in values.items()},
     )
 

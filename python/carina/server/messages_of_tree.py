@@ -52,8 +52,10 @@ class BranchMeasures(FrozenValue, frozen=True):
 
     branch_id: BranchId
     length_mm: float
+    by_earlier_method: bool
+    """An earlier version measured the branch, by a method that reads small airways too wide."""
     lumen_mm: float | None
-    """Mean."""
+    """Median."""
     lumen_error_mm: float | None
     min_lumen_mm: float | None
     """At its narrowest place."""

@@ -55,16 +55,17 @@ def branch_measures(measures: Any) -> wire.BranchMeasures:
     """Return the summary of :class:`carina.track.BranchMeasures`."""
     summary = measures.summary
     widths = np.where(measures.is_usable, measures.equivalent_mm, np.nan)
-    least, most = (None, None) if np.isnan(widths).all() else (int(np.nanargmin(widths)), int(np.nanargmax(widths)))
+    most = None if np.isnan(widths).all() else int(np.nanargmax(widths))
     errors = measures.equivalent_error_mm
     stenosis = summary.stenosis
     return wire.BranchMeasures(
         branch_id=measures.branch_id,
         length_mm=round(summary.length_mm, 2),
+        by_earlier_method=measures.is_by_earlier_method,
         lumen_mm=_number(summary.mean_mm),
         lumen_error_mm=_number(summary.mean_error_mm),
         min_lumen_mm=_number(summary.min_mm),
-        min_lumen_error_mm=None if least is None else _number(errors[least]),
+        min_lumen_error_mm=_number(_narrowest_error_mm(measures)),
         min_at_mm=_number(summary.min_at_mm),
         max_lumen_mm=None if most is None else _number(widths[most]),
         max_lumen_error_mm=None if most is None else _number(errors[most]),
@@ -76,6 +77,15 @@ def branch_measures(measures: Any) -> wire.BranchMeasures:
         stenosis_error_percent=None if stenosis is None else _number(stenosis.percent_error, 1),
         stenosis_at_mm=None if stenosis is None else _number(stenosis.at_mm),
     )
+
+
+def _narrowest_error_mm(measures: Any) -> float | None:
+    """Return the error of the narrowest diameter; that of the least section where an earlier version measured it."""
+    summary = measures.summary
+    if summary.min_mm is None or summary.min_error_mm is not None:
+        return cast(float | None, summary.min_error_mm)
+    widths = np.where(measures.is_usable, measures.equivalent_mm, np.nan)
+    return float(measures.equivalent_error_mm[int(np.nanargmin(widths))])
 
 
 def branch_detail_message(message: wire.AskBranchDetail, measures: Any) -> wire.BranchDetail:

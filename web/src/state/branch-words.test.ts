@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import type { BranchMeasures, TreeBranch } from "../wire/messages";
+import type { BranchMeasures, TreeBranch, TreeDocument } from "../wire/messages";
 import { type BranchTree, buildTree, headOf, rowChildren, type TreeExtras } from "./airways";
 import {
   calibreOf,
@@ -23,6 +23,7 @@ function branch(id: number, parent: number | null, children: number[], change: P
 const MEASURES: BranchMeasures = {
   branch_id: 1,
   length_mm: 29.4,
+  by_earlier_method: false,
   lumen_mm: 6.12,
   lumen_error_mm: 0.21,
   min_lumen_mm: 4.05,
@@ -75,7 +76,7 @@ const NBSP = "\u202f";
 describe("a bronchus that a side branch cuts in two", () => {
   const name = { name: "RB6", name_from: "anatomy", name_confidence: 0.9 } as const;
   const given = (change: Partial<TreeBranch> = {}): BranchTree => {
-    const tree = buildTree({
+    const document: TreeDocument = {
       format: "carina-tree",
       version: 1,
       space: "LPS",
@@ -88,6 +89,12 @@ describe("a bronchus that a side branch cuts in two", () => {
         branch(3, 1, [5], { ...name, radius: [1.5, 1.5], name_confidence: 0.55, generation: 2, ...change }),
         branch(4, 1, [], { generation: 2 }),
         branch(5, 3, [], { generation: 3 }),
+      ],
+    };
+    const tree = buildTree(document, {
+      measures: [
+        { ...MEASURES, branch_id: 1, lumen_mm: 4 },
+        { ...MEASURES, branch_id: 3, lumen_mm: 3 },
       ],
     });
     if (tree === null) throw new Error("no tree");
@@ -146,6 +153,15 @@ describe("a branch in words", () => {
     expect(facts.get("Taper")?.value).toBe("\u22123.4 mm per 100 mm");
     expect(facts.get("Narrowing")).toMatchObject({ value: `33 % \u00b1 5 at 12${NBSP}mm`, warns: true });
     expect(factsOf(node(tree, 2)).map((fact) => fact.term)).toEqual(["Generation", "Length", "Lumen"]);
+  });
+
+  it("has no diameter until it is measured, and states where an earlier version measured it", () => {
+    const lumenOf = (made: BranchTree, id: number) => factsOf(node(made, id)).find((fact) => fact.term === "Lumen");
+    expect(lumenOf(tree, 2)?.value).toBe("not measured yet");
+    expect(calibreOf(node(tree, 2))).toBeNull();
+    const old = made({ measures: [{ ...MEASURES, by_earlier_method: true }] });
+    expect(factsOf(node(old, 1)).find((fact) => fact.term === "Measured by")).toMatchObject({ warns: true });
+    expect(factsOf(node(tree, 1)).some((fact) => fact.term === "Measured by")).toBe(false);
   });
 
   it("has a narrowing wherever the server reports a stenosis", () => {

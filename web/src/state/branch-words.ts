@@ -82,9 +82,9 @@ export function calibreOf(head: BranchNode): string | null {
   return least === most ? least : `${least}\u2013${most}`;
 }
 
-/** The lumen's diameter, measured or from the centreline; null where there is none: what a person drew has no calibre. */
+/** The branch's diameter; null until it is measured, and for a branch that a person drew. */
 export const lumenMm = (node: BranchNode): number | null =>
-  node.branch.kind === "manual" ? null : (node.measures?.lumen_mm ?? node.diameterMm);
+  node.branch.kind === "manual" ? null : (node.measures?.lumen_mm ?? null);
 
 /** How the name came about. */
 export function nameWords(node: BranchNode): string | null {
@@ -94,7 +94,7 @@ export function nameWords(node: BranchNode): string | null {
   return sure === null ? "automatic name" : `automatic name, ${percent(sure)} confidence`;
 }
 
-const withError = (value: number | null, error: number | null, digits = 1): string | null =>
+export const withError = (value: number | null, error: number | null, digits = 1): string | null =>
   value === null ? null : error === null ? mm(value, digits) : `${fixed(value, digits)} \u00b1 ${mm(error, digits)}`;
 
 /** A narrowing that is not surely larger than this is within what healthy airways do. */
@@ -106,7 +106,10 @@ export interface Fact {
   readonly warns?: boolean;
 }
 
-/** The figures of a branch, measured where they are, else from its centreline. */
+const EARLIER_METHOD =
+  "an earlier version, which reads small airways too wide; any edit of the tree measures them again";
+
+/** The figures of a branch. */
 export function factsOf(node: BranchNode): readonly Fact[] {
   const measures = node.branch.kind === "manual" ? null : node.measures;
   const facts: (Fact | null)[] = [
@@ -125,8 +128,11 @@ export function factsOf(node: BranchNode): readonly Fact[] {
     );
   }
   if (node.branch.kind === "manual") facts.push({ term: "Lumen", value: "not measured: drawn by hand" });
-  else if (measures === null) facts.push({ term: "Lumen", value: `about ${mm(node.diameterMm)}` });
-  else facts.push(...measuredFacts(measures));
+  else if (measures === null) facts.push({ term: "Lumen", value: "not measured yet" });
+  else {
+    facts.push(...measuredFacts(measures));
+    if (measures.by_earlier_method) facts.push({ term: "Measured by", value: EARLIER_METHOD, warns: true });
+  }
   return facts.filter((fact) => fact !== null);
 }
 

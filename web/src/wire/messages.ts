@@ -1613,6 +1613,7 @@ export interface BranchTitle {
 export interface BranchMeasures {
   readonly branch_id: number;
   readonly length_mm: number;
+  readonly by_earlier_method: boolean;
   readonly lumen_mm: number | null;
   readonly lumen_error_mm: number | null;
   readonly min_lumen_mm: number | null;

@@ -95,6 +95,6 @@ def _robust_scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:
         return 0.0
     one, other = np.triu_indices(len(at_mm), k=1)
     run = at_mm[other] - at_mm[one]
-    slope = float(np.median((diameter_mm[other] - diameter_mm[one])[run > 0.0] / run[run > 0.0]))
+    slope = float(np.median((diameter_mm[other] - diameter_mm[one])[run != 0.0] / run[run != 0.0]))
     rest = diameter_mm - slope * at_mm
     return 1.4826 * float(np.median(np.abs(rest - np.median(rest))))

@@ -48,6 +48,8 @@ Floats = NDArray[np.float64]
 
 FORMAT = "carina-measures"
 VERSION = 1
+METHOD = 2
+"""How sections are measured; 1: by the flat wall of versions before decision 0089."""
 
 MIN_CONTRAST_HU = 100.0
 """A wall rises at least this far above its lumen; 4 standard deviations of the noise where that is more."""
@@ -106,12 +108,27 @@ class BranchMeasures:
     summary: BranchSummary
     found_by: str = CARINA_VERSION
     """The version of Carina that measured the sections."""
+    method: int = METHOD
+    """How they were measured: see :data:`METHOD`."""
+
+    @property
+    def is_by_earlier_method(self) -> bool:
+        """Whether an earlier version measured the sections; its diameters of small airways differ by up to a third."""
+        return self.method != METHOD
 
     @property
     def is_usable(self) -> NDArray[np.bool_]:
         """(n,) sections that count in the summary."""
         usable: NDArray[np.bool_] = np.isfinite(self.equivalent_mm) & ~self.at_junction & ~self.at_edge
         return usable
+
+    def diameter_near(self, point_lps: Floats) -> float | None:
+        """Return the diameter of the usable section nearest to a point, mm; None where no section counts."""
+        used = np.flatnonzero(self.is_usable)
+        if not len(used):
+            return None
+        away = np.square(self.centre_lps[used] - point_lps).sum(axis=1)
+        return float(self.equivalent_mm[used[int(np.argmin(away))]])
 
     def narrowest(self, until_mm: float = math.inf) -> Diameter | None:
         """Return the narrowest diameter up to a place along the branch; None where no section counts."""
@@ -138,6 +155,7 @@ class BranchMeasures:
         ]
         return {
             "branch": self.branch_id,
+            "by_earlier_method": self.is_by_earlier_method,
             "summary": self.summary.to_json(),
             "center_lps": np.round(self.centre_lps, 3).tolist(),
             "normal_lps": np.round(self.normal_lps, 5).tolist(),
@@ -259,7 +277,7 @@ def measure_tree(
         Lumen and tree.
     previous
         Measures of these airways before an edit: branches whose points are the same are taken over, with the blur and
-        the noise of the scan. Forks and summaries are always made anew.
+        the noise of the scan. Forks and summaries are always made anew. Measures by an earlier method are not used.
     progress, cancel
         Told what is going on; asked whether to stop.
 
@@ -291,6 +309,8 @@ def measure_tree(
     True
     """
     tree = airways.tree
+    if previous is not None and any(branch.is_by_earlier_method for branch in previous.branches):
+        previous = None
     if progress is not None:
         progress("measuring the airways", 0.0)
     _go_on(cancel)
