@@ -11,6 +11,8 @@ from edit_case import edit_case, in_plain_lung, open_ended_volume
 
 from carina.export import write_mask
 from carina.phantom import write_phantom
+from carina.track import find_airways, measure_tree
+from carina.volume import open_volume
 from made import made_phantom
 
 
@@ -153,6 +155,20 @@ def test_a_branch_without_evidence_is_exit_4_with_its_way_and_the_rest_is_writte
     assert "--even-without-evidence" in ended.err
     assert len(json.loads(tree.read_text())["branches"]) == report["num_branches"]
     assert report["drawn_mm"] == 0.0
+
+
+def test_diameters_are_those_that_are_measured_with_their_errors(carina, lung_case):
+    volume = open_volume(lung_case[1])
+    root = np.array([float(part) for part in lung_case[-1].split(",")])
+    airways = find_airways(volume, root_lps=root, lumen_zyx=edit_case().airways.lumen_zyx)
+    measures = measure_tree(volume, airways)
+    ended = carina(*lung_case, "--json")
+    rows = ended.json()["branches"]
+    assert [row["id"] for row in rows] == [branch.branch_id for branch in measures.branches]
+    for row, own in zip(rows, measures.branches, strict=True):
+        assert row["lumen_mm"] == own.summary.mean_mm
+        assert row["lumen_error_mm"] == own.summary.mean_error_mm
+    assert f"{rows[0]['lumen_mm']:.1f} mm wide" in carina(*lung_case).out
 
 
 def test_a_branch_that_is_drawn_all_the_same_is_labelled_everywhere(carina, lung_case, tmp_path):

@@ -345,7 +345,7 @@ def test_a_tree_is_drawn_from_the_front_with_a_table_of_its_branches() -> None:
     assert float(inner[0].split(",")[1]) < y0, "the trachea comes from above"
     rows = [[cell.text for cell in row] for row in root.iter("tr")]
     assert rows == [
-        ["branch", "generation", "length, mm", "diameter, mm"],
+        ["branch", "generation", "length, mm", "lumen found, mm"],
         ["Trachea", "0", "80.2", "8.0"],
         ["<b>mine</b>", "1", "42.4", "6.0"],
     ]

@@ -35,6 +35,22 @@ def test_measures_follow_the_airways_and_are_told_as_a_change_of_the_tree():
     assert "tree" in bench.of_type(Changed)[-1].topics
 
 
+def test_the_place_of_the_tip_has_a_diameter_once_the_airways_are_measured():
+    class Sections:
+        @staticmethod
+        def of(branch_id):
+            return SimpleNamespace(diameter_near=lambda lps: 10.0 + branch_id)
+
+    bench = small_bench(measure_tree=lambda volume, airways, **options: Sections)
+    bench.session.do(OpenPath("case"))
+    bench.background.run_next()
+    assert bench.session.pose_info().lumen_mm is None
+    bench.background.run_all()
+    pose = bench.session.pose_info()
+    assert pose.lumen_mm == 10.0 + pose.branch.id
+    assert "pose" in bench.of_type(Changed)[-1].topics
+
+
 def test_an_edit_is_measured_from_what_was_known_and_undo_never_shows_the_wrong_tree():
     def edit_airways(volume, airways, edit, **options):
         return SimpleNamespace(**vars(airways))

@@ -28,7 +28,7 @@ from carina.export import (
     write_mask,
     write_tree,
 )
-from carina.track import Absence, Airways, drawn_tree, kind_words, lumen_mask
+from carina.track import Absence, Airways, TreeMeasures, TreeRow, drawn_tree, kind_words, lumen_mask, measure_tree
 from carina.volume import open_mask
 
 __all__ = ["find", "write"]
@@ -81,7 +81,8 @@ def find(
         note = None if drawn.words is None else f"{drawn.words}: not from the CT"
         write_mask(mask, inside_zyx, volume, note=note, badges=badges.notes)
         say(f"wrote {mask}")
-    rows = _rows(airways)
+    measures = measure_tree(volume, airways, progress=progress_printer())
+    rows = _rows(airways, measures)
     lumen_ml = float(np.count_nonzero(inside_zyx)) * abs(np.linalg.det(volume.lps_from_ijk[:3, :3])) / 1000.0
     deepest = max(branch.generation for branch in airways.tree.branches)
     length_mm = sum(branch.length_mm for branch in airways.tree.branches)
@@ -112,7 +113,7 @@ def find(
     )
     for row in airways.tree.rows():
         kind = kind_words(row.branches[0].kind)
-        wide = f"{row.calibre:>4} mm wide" if kind is None else f"{kind}: the CT shows no airway here"
+        wide = _width(row, measures) if kind is None else f"{kind}: the CT shows no airway here"
         show(f"{'  ' * row.depth}{row.id:>4} {row.name or '-':<18} {row.length_mm:6.1f} mm long, {wide}")
     for absence in airways.absent:
         show(absence.words)
@@ -214,7 +215,7 @@ def _airways(
     return airways
 
 
-def _rows(airways: Airways) -> list[dict[str, Any]]:
+def _rows(airways: Airways, measures: TreeMeasures) -> list[dict[str, Any]]:
     row_of = {branch.id: row.id for row in airways.tree.rows() for branch in row.branches}
     return [
         {
@@ -230,7 +231,18 @@ def _rows(airways: Airways) -> list[dict[str, Any]]:
             "confidence": branch.confidence,
             "doubtful_mm": round(branch.doubtful_mm, 2),
             "length_mm": branch.length_mm,
-            "lumen_mm": 2.0 * float(np.median(branch.radius)) if branch.kind == "tracked" else None,
+            "lumen_mm": measures.of(branch.id).summary.mean_mm,
+            "lumen_error_mm": measures.of(branch.id).summary.mean_error_mm,
         }
         for branch in airways.tree.branches
     ]
+
+
+def _width(row: TreeRow, measures: TreeMeasures) -> str:
+    """Return the diameters of a row's pieces in words: "3.1 to 4.0", one number where both read the same."""
+    found = [measures.of(branch.id).summary.mean_mm for branch in row.branches]
+    known = [f"{mm:.1f}" for mm in sorted(mm for mm in found if mm is not None)]
+    if not known:
+        return "its width cannot be measured"
+    width = known[0] if known[0] == known[-1] else f"{known[0]} to {known[-1]}"
+    return f"{width:>4} mm wide"

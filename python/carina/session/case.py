@@ -294,7 +294,7 @@ def new_case(
             parts,
             jobs=jobs,
             lock=lock,
-            changed=partial(changed, "state", "tree"),
+            changed=partial(changed, "state", "tree", "pose"),
             measured=measured,
             lost=say_lost,
         ),
@@ -359,14 +359,13 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
     if airways is not None:
         inside = inside and in_lumen(case.info.volume, airways.lumen_zyx, at)
     branch: Branch | None = None
-    lumen_mm: float | None = None
     if path_mm is not None and route is not None:
         n = int(np.argmin(np.abs(route.cumulative_mm - path_mm)))
         branch = None if index is None or not route.lumen_known else index.branch(int(route.branch_ids[n]))
-        lumen_mm = 2.0 * float(route.radius_mm[n]) if route.lumen_known else None
     elif index is not None and inside:
-        branch, radius_mm, _ = index.nearest(at)
-        lumen_mm = 2.0 * radius_mm
+        branch, _, _ = index.nearest(at)
+    measures = None if branch is None or airways is None else case.measures.of(airways)
+    lumen_mm = None if measures is None or branch is None else measures.of(branch.id).diameter_near(at)
     return PoseInfo(
         pose_id=pose_id,
         pose=tip.pose,

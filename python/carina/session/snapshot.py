@@ -86,7 +86,7 @@ class PoseInfo:
     branch: Branch | None
     """The branch that it lies in; None outside the airways."""
     lumen_mm: float | None
-    """Diameter of the lumen at the nearest centreline point."""
+    """Diameter of the nearest section of the branch away from its forks; None until the airways are measured."""
     inside: bool
     scope: ScopeState | None = None
     """The scope in the lumen, in mode *scope*."""

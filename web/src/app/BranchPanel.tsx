@@ -7,7 +7,7 @@ import type { BranchNode } from "../state/airways";
 import { shownBranch } from "../state/app-state";
 import { drawnWords, factsOf, nameWords } from "../state/branch-words";
 import { sentence } from "../state/format";
-import { centrelinePoints, measuredPoints } from "../state/profile";
+import { measuredPoints } from "../state/profile";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Icon } from "./icons";
@@ -60,10 +60,14 @@ export function BranchPanel() {
 
 function Chart({ node }: { node: BranchNode }) {
   const profile = useApp((state) => (state.detail?.branch_id === node.branch.id ? state.detail.profile : null));
-  const points = profile === null ? centrelinePoints(node) : measuredPoints(profile);
-  const words =
-    profile === null ? "Lumen diameter (mm), estimated; not yet measured" : "Lumen diameter (mm) along the branch";
-  return <ProfileChart points={points} title={`Lumen along ${node.label}`} words={words} />;
+  if (profile === null) return <p className="empty">Not measured yet.</p>;
+  return (
+    <ProfileChart
+      points={measuredPoints(profile)}
+      title={`Lumen along ${node.label}`}
+      words="Lumen diameter (mm) along the branch"
+    />
+  );
 }
 
 function BranchName({ node }: { node: BranchNode }) {

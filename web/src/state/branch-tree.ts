@@ -9,7 +9,7 @@ export interface BranchNode {
   label: string;
   side: Side;
   lengthMm: number;
-  /** Median diameter, mm. */
+  /** Of the lumen that the search found, mm: to order and draw branches. The measured diameter is in `measures`. */
   diameterMm: number;
   children: BranchNode[];
   /** The pieces of its bronchus, which side branches cut in two, from the trachea outwards: one row of the list. */

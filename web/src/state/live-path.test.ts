@@ -87,7 +87,7 @@ describe("what is said beside the cursor", () => {
   it("is length, narrowest place and certainty, and what is new or moved", () => {
     expect(livePathLines(answer(1)).lines).toEqual([
       "10\u202fmm from the tracheal entry",
-      "narrowest 4.2\u202fmm",
+      "fits up to 4.2\u202fmm",
       "86 % confidence",
     ]);
     const more = livePathLines(answer(1, { new_mm: 12.5, snapped_mm: 1.25, confidence: null })).lines;

@@ -25,7 +25,7 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
     return { lines: [firstSentences(sentence(answer.problem ?? "no path to this point"))], warns: true };
   }
   const lines = [`${mm(answer.length_mm, 0)} from the tracheal entry`];
-  if (answer.min_diameter_mm !== null) lines.push(`narrowest ${mm(answer.min_diameter_mm)}`);
+  if (answer.min_diameter_mm !== null) lines.push(`fits up to ${mm(answer.min_diameter_mm)}`);
   if (answer.confidence !== null) lines.push(`${fixed(100 * answer.confidence)} % confidence`);
   if (answer.new_mm !== null && answer.new_mm > SMALL_MM) lines.push(`${mm(answer.new_mm)} beyond the tree`);
   if (answer.snapped_mm !== null && answer.snapped_mm > SMALL_MM) {

@@ -34,8 +34,8 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
     of: (route) => (route.from_carina_mm === null ? "\u2013" : mm(route.from_carina_mm, 0)),
   },
   {
-    title: "Narrowest",
-    words: "Smallest lumen diameter on the way",
+    title: "Fits up to",
+    words: "Diameter of the largest ball that passes along the whole way; it decides whether a scope fits",
     of: (route) => mm(route.narrowest_mm),
   },
   {

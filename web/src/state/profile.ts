@@ -1,7 +1,6 @@
 /** The chart of a branch: lumen against the way along it, with its error, as places in a picture of a given size. */
 
 import type { BranchProfile } from "../wire/messages";
-import type { BranchNode } from "./airways";
 
 export interface ProfilePoint {
   readonly atMm: number;
@@ -18,18 +17,6 @@ export function measuredPoints(profile: BranchProfile): ProfilePoint[] {
     const lumenMm = profile.lumen_mm[n] ?? null;
     if (lumenMm === null) return [];
     return [{ atMm, lumenMm, errorMm: profile.lumen_error_mm[n] ?? null, atJunction: profile.at_junction[n] ?? false }];
-  });
-}
-
-/** From the centreline's distance to the wall, until the branch is measured. */
-export function centrelinePoints(node: BranchNode): ProfilePoint[] {
-  let along = 0;
-  return node.branch.points.map((point, n) => {
-    const before = node.branch.points[n - 1];
-    if (before !== undefined) {
-      along += Math.hypot(point[0] - before[0], point[1] - before[1], point[2] - before[2]);
-    }
-    return { atMm: along, lumenMm: 2 * (node.branch.radius[n] ?? 0), errorMm: null, atJunction: false };
   });
 }
 

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import type { RouteInfo } from "../wire/messages";
+import type { BranchMeasures, RouteInfo, RouteSpan } from "../wire/messages";
 import { buildTree, lineage, mainLeaf, neighbourWay, waysOn } from "./airways";
 import { testBranch } from "./branches.testing";
 import { forkAhead } from "./fork";
@@ -79,11 +79,60 @@ describe("along the route", () => {
     ]);
   });
 
-  it("knows its direction, its narrowest place and the place nearest to a point", () => {
+  it("knows its direction and the place nearest to a point", () => {
     expect(directionAt(ROUTE, 20)).toEqual([0, 0, -1]);
-    // A slit: its section is wide, what fits through it is not.
-    expect(narrowest(ROUTE)).toEqual({ diameterMm: 4, pathMm: 30 });
     expect(nearestMm(ROUTE, [3, 3, -9])).toBe(10);
+  });
+});
+
+describe("the narrowest diameter of a route", () => {
+  const span = (branchId: number, fromMm: number, toMm: number, kind: RouteSpan["kind"] = "tracked"): RouteSpan => ({
+    branch_id: branchId,
+    name: null,
+    generation: branchId,
+    from_mm: fromMm,
+    to_mm: toMm,
+    kind,
+  });
+  const measures = (lumenMm: number | null, leastMm: number | null, atMm: number | null): BranchMeasures => ({
+    branch_id: 0,
+    length_mm: 20,
+    by_earlier_method: false,
+    lumen_mm: lumenMm,
+    lumen_error_mm: 0.5,
+    min_lumen_mm: leastMm,
+    min_lumen_error_mm: 0.2,
+    min_at_mm: atMm,
+    max_lumen_mm: null,
+    max_lumen_error_mm: null,
+    wall_mm: null,
+    wall_error_mm: null,
+    taper: null,
+    angle_deg: null,
+    stenosis_percent: null,
+    stenosis_error_percent: null,
+    stenosis_at_mm: null,
+  });
+  const of = (known: Record<number, BranchMeasures>) => (id: number) => known[id] ?? null;
+
+  it("is the least measured one of its branches, at its place on the route", () => {
+    const known = of({ 0: measures(16, 15, 5), 1: measures(6, 4, 12) });
+    expect(narrowest([span(0, 0, 100), span(1, 100, 120)], known)).toEqual({
+      diameterMm: 4,
+      errorMm: 0.2,
+      pathMm: 112,
+    });
+  });
+
+  it("is that of the last branch as a whole where the route ends before its narrowest place", () => {
+    const known = of({ 0: measures(16, 15, 5), 1: measures(6, 4, 12) });
+    expect(narrowest([span(0, 0, 100), span(1, 100, 108)], known)?.diameterMm).toBe(6);
+  });
+
+  it("is unknown until a branch is measured, and ignores branches drawn by hand", () => {
+    expect(narrowest([span(0, 0, 100)], of({}))).toBeNull();
+    expect(narrowest([span(0, 0, 100, "manual")], of({ 0: measures(3, 2, 5) }))).toBeNull();
+    expect(narrowest([span(0, 0, 100)], of({ 0: measures(null, null, null) }))).toBeNull();
   });
 });
 

@@ -1,6 +1,6 @@
 /** The route that is flown, by distance from its root in mm. */
 
-import type { RouteInfo, RouteSpan } from "../wire/messages";
+import type { BranchMeasures, RouteInfo, RouteSpan } from "../wire/messages";
 import { asVec3, lerp, sub, unit, type Vec3 } from "./vec";
 
 /** Two places nearer than this are one fork to a person (and a pose after a rounding is not "before" it again). */
@@ -80,16 +80,28 @@ export function spanAt(route: Pick<RouteInfo, "spans">, pathMm: number): RouteSp
   return route.spans.find((span) => pathMm >= span.from_mm && pathMm < span.to_mm) ?? route.spans.at(-1) ?? null;
 }
 
-/** The narrowest place of the route: the diameter of what fits there (as the live path says it), and where it is. */
+/**
+ * The narrowest measured diameter on a route; null until its branches are measured. In the last branch the narrowest place
+ * counts where the route reaches it, else the diameter of the whole branch.
+ */
 export function narrowest(
-  route: Pick<RouteInfo, "wall_mm" | "cumulative_mm">,
-): { diameterMm: number; pathMm: number } | null {
-  let found: { diameterMm: number; pathMm: number } | null = null;
-  route.wall_mm.forEach((radius, index) => {
-    if (found === null || 2 * radius < found.diameterMm) {
-      found = { diameterMm: 2 * radius, pathMm: route.cumulative_mm[index] ?? 0 };
-    }
-  });
+  spans: RouteInfo["spans"],
+  measuresOf: (branchId: number) => BranchMeasures | null,
+): { diameterMm: number; errorMm: number | null; pathMm: number } | null {
+  let found: { diameterMm: number; errorMm: number | null; pathMm: number } | null = null;
+  for (const [n, span] of spans.entries()) {
+    const measures = measuresOf(span.branch_id);
+    if (measures === null || span.kind !== "tracked") continue;
+    const atMm = measures.min_at_mm ?? 0;
+    const isReached = n < spans.length - 1 || atMm <= span.to_mm - span.from_mm;
+    const diameterMm = isReached ? measures.min_lumen_mm : measures.lumen_mm;
+    if (diameterMm === null || (found !== null && found.diameterMm <= diameterMm)) continue;
+    found = {
+      diameterMm,
+      errorMm: isReached ? measures.min_lumen_error_mm : measures.lumen_error_mm,
+      pathMm: span.from_mm + (isReached ? atMm : 0),
+    };
+  }
   return found;
 }
 

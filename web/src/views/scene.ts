@@ -2,7 +2,7 @@
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { type AppState, type Cursor, crosshairLps, pathMm } from "../state/app-state";
-import { kindWords } from "../state/branch-words";
+import { kindWords, lumenMm } from "../state/branch-words";
 import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
@@ -249,7 +249,9 @@ function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
 
 function branchLine(node: BranchNode): string {
   const kind = kindWords(node.branch.kind);
-  return kind === null ? `${node.label}, ${mm(node.diameterMm)}` : `${node.label} (${kind})`;
+  const lumen = lumenMm(node);
+  if (kind !== null) return `${node.label} (${kind})`;
+  return lumen === null ? node.label : `${node.label}, ${mm(lumen)}`;
 }
 
 /** What is known of a way, and the same in fewer words. */

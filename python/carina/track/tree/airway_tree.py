@@ -61,8 +61,9 @@ class Branch:
     points: Points
     """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
     radius: NDArray[np.float64]
-    """(n,) radius of the circle with the area of the lumen across the branch, mm; at a fork, where a section cuts more
-    than one branch, that of the nearest section of this one. What fits inside is smaller: see ``wall_distance``."""
+    """(n,) radius of the circle with the area of the *lumen that the search found* across the branch, mm; at a fork
+    that of the nearest section of this branch. It depends on the threshold of the search: diameters for reports are
+    those of :func:`carina.track.measure_tree`. What fits inside is smaller: see ``wall_distance``."""
     cost: float | None = None
     """Path cost of this piece (weight times mm), None where it was not tracked."""
     confidence: float | None = None
@@ -160,13 +161,13 @@ class TreeRow:
 
     @property
     def lumen_mm(self) -> tuple[float, float]:
-        """Least and greatest median diameter of its pieces, mm."""
+        """Least and greatest median diameter of the lumen found (``Branch.radius``) of its pieces, mm."""
         widths = [2.0 * float(np.median(branch.radius)) for branch in self.branches]
         return min(widths), max(widths)
 
     @property
     def calibre(self) -> str:
-        """Those in words, with one decimal: "3.1 to 4.0", one number where both read the same."""
+        """Those of ``lumen_mm`` in words, one decimal: "3.1 to 4.0", one number where both read the same."""
         least, most = (f"{width:.1f}" for width in self.lumen_mm)
         return least if least == most else f"{least} to {most}"
 
@@ -261,7 +262,7 @@ class AirwayTree:
             *more,
             *(f"! {note.words}" for note in self.notes),
         ]
-        shown = table(("branch", "generation", "length, mm", "diameter, mm"), rows)
+        shown = table(("branch", "generation", "length, mm", "lumen found, mm"), rows)
         body = f'<div style="display:flex;flex-wrap:wrap;align-items:flex-start">{svg}{shown}</div>'
         return figure(body, caption(lines))
 

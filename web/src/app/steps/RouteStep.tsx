@@ -1,4 +1,4 @@
-import { routeDoubts } from "../../state/branch-words";
+import { routeDoubts, withError } from "../../state/branch-words";
 import { mm } from "../../state/format";
 import { planOf } from "../../state/plan";
 import { narrowest } from "../../state/route";
@@ -17,7 +17,9 @@ export function RouteStep() {
   const targets = useApp((state) => state.session?.targets ?? null);
   const doubts = route === null ? null : routeDoubts(route.spans);
   const known = route?.lumen_known ?? false;
-  const narrow = route === null || !known ? null : narrowest(route);
+  const airways = useApp((state) => state.tree);
+  const narrow =
+    route === null || !known ? null : narrowest(route.spans, (id) => airways?.byId.get(id)?.measures ?? null);
   const plan = useApp((state) => planOf(state.plans, state.route?.target_id ?? null));
   const planned = targets?.find((target) => target.target_id === plan?.target_id) ?? null;
   const reach = useReachOf();
@@ -61,11 +63,13 @@ export function RouteStep() {
                 <dd className="numbers">{generation} (trachea is 0)</dd>
               </div>
             )}
-            {narrow === null || planned !== null ? null : (
+            {!known || planned !== null ? null : (
               <div>
                 <dt>Narrowest</dt>
                 <dd className="numbers">
-                  {mm(narrow.diameterMm)} at {mm(narrow.pathMm, 0)}
+                  {narrow === null
+                    ? "not measured yet"
+                    : `${withError(narrow.diameterMm, narrow.errorMm) ?? ""} at ${mm(narrow.pathMm, 0)}`}
                 </dd>
               </div>
             )}
