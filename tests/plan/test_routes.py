@@ -183,7 +183,8 @@ def test_what_the_scope_cannot_do_is_told_with_its_figures() -> None:
     wide = plan().routes[0]
     assert wide.outlook == "does not reach" and not wide.fits
     assert re.search(
-        r"the narrowest place, \d+ mm along the route, is \d\.\d \u00b1 0\.4 mm wide; .* needs 4\.6 mm", wide.limits[0]
+        r"the narrowest place, \d+ mm along the route, lets \d\.\d \u00b1 0\.4 mm pass; .* needs 4\.6 mm",
+        wide.limits[0],
     )
 
 

@@ -191,7 +191,7 @@ def _route_words(route: PlannedRoute, plan: Plan) -> str:
     past_mm = plan.past_carina_mm(route)
     if past_mm is not None:
         said.append(f"scope tip {past_mm:.0f} mm beyond the main carina")
-    said.append(f"narrowest place on the way {route.narrowest_mm:.1f} mm")
+    said.append(f"the largest ball that passes on the way has {route.narrowest_mm:.1f} mm")
     if not route.fits:
         said.append(f"too narrow for {plan.scope.title}, which needs {plan.scope.fit_mm:.1f} mm")
     said.append(

@@ -150,8 +150,8 @@ class Judge:
         needs = self.scope.fit_mm
         sigma = math.hypot(ROOM_SHARE * self.spacing_mm, EXCESS_SIGMA_MM)
         words = (
-            f"the narrowest place, {way.room_mm.at_mm:.0f} mm along the route, is {way.room_mm.value:.1f} \u00b1 "
-            f"{1.645 * sigma:.1f} mm wide; {self.scope.title} needs {needs:.1f} mm"
+            f"the narrowest place, {way.room_mm.at_mm:.0f} mm along the route, lets {way.room_mm.value:.1f} \u00b1 "
+            f"{1.645 * sigma:.1f} mm pass; {self.scope.title} needs {needs:.1f} mm"
         )
         return _share((way.room_mm.value - needs) / sigma), words
 

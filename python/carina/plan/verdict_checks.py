@@ -54,7 +54,7 @@ def diameter_check(way: DriveWay, scope: ScopePreset, spacing_mm: float, *, erro
     sigma = math.hypot(ROOM_SHARE * spacing_mm, EXCESS_SIGMA_MM) if errors else 0.0
     share = passes(room - needs, sigma)
     more = f" \u00b1 {1.645 * sigma:.1f}" if sigma > 0.0 else ""
-    words = f"needs {needs:.1f} mm; the narrowest place, {where:.0f} mm along the route, is {room:.1f}{more} mm wide"
+    words = f"needs {needs:.1f} mm; the narrowest place, {where:.0f} mm along the route, lets {room:.1f}{more} mm pass"
     margin = f", and {FIT_MARGIN_MM:g} mm measured excess (s)" if errors else ""
     basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; lumen from the CT"
     return Check("diameter", answer_of(share), share, words, basis)

@@ -172,7 +172,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
         ("Tip of the scope", f"in {route.branch_name}"),
         *((("Aim", f"{route.aim + 1} of {len(plan.aims)} in this target"),) if len(plan.aims) > 1 else ()),
         ("Beyond the main carina", carina_words(sheet.carina_mm(route))),
-        ("Narrowest place", fits),
+        ("Largest ball that passes", fits),
         ("Sharpest bend", f"{route.bend_deg:.0f}\u00b0 over the scope's rigid tip and bending section"),
         ("Tool", plan.tool.title),
         ("To the target's edge", f"{leg.to_target_mm:.1f} mm, of which {leg.outside_mm:.1f} mm outside the lumen"),
@@ -191,7 +191,9 @@ def _route(sheet: PlanSheet) -> list[Section]:
         text = "; ".join(route.limits)
         blocks.append(Words(f"{text[0].upper()}{text[1:]}. See the instruments below.", "warning"))
     elif not route.fits:
-        text = f"The narrowest place on the way is {fits}: this scope may not pass. See the instruments below."
+        text = (
+            f"The largest ball that passes on the way has {fits}: this scope may not pass. See the instruments below."
+        )
         blocks.append(Words(text, "warning"))
     if leg.mediastinum_mm > MEDIASTINUM_MM:
         text = (
@@ -374,7 +376,7 @@ _COMPARED = (
     ("Tip of the scope in", lambda _, r: r.branch_name),
     ("Beyond the carina", lambda s, r: carina_words(s.carina_mm(r))),
     (
-        "Narrowest place",
+        "Largest ball that passes",
         lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})"),
     ),
     (

@@ -177,7 +177,7 @@ def _fork_words(fork: Fork, sheet: PlanSheet, y: float, step: float) -> list[Sha
     if turn is not None:
         facts += [
             f"{turn.from_fork_mm:.0f} mm past {'the last fork' if fork.number > 1 else 'the start'}",
-            f"{turn.diameter_mm:.1f} mm wide",
+            f"{turn.diameter_mm:.1f} mm passes",
         ]
         if turn.sides:
             facts.append(f"opens {' and '.join(turn.sides)}")
