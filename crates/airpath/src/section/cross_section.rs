@@ -38,6 +38,10 @@ const HALF_95: f64 = 1.96;
 const UNKNOWN_BLUR: f64 = 0.2;
 /// Error of a wall by the model of the blur, over that of the radius.
 const WALL_BY_MODEL: f64 = 2.0;
+/// From this weight of a direction on the shape of a section counts in full for its widths.
+const SHAPE_WEIGHT: f64 = 0.5;
+/// Error of a wall by its model, which is flat and as thick all round, in blurs.
+const WALL_BY_BLUR: f64 = 0.4;
 
 /// Where to cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -212,7 +216,10 @@ impl Section {
         let shift: [f64; NUM_RAYS] =
             std::array::from_fn(|n| correction.as_ref().map_or(0.0, |c| c.shift_mm[n]));
         let weights = blur.map_or([1.0; NUM_RAYS], |b| b.weights(axes));
-        let edge_mm = rounded_across(&std::array::from_fn(|n| raw_mm[n] + shift[n]), &weights);
+        let moved_mm = std::array::from_fn(|n| raw_mm[n] + shift[n]);
+        let edge_mm = rounded_across(&moved_mm, &weights);
+        // Widths are no means over directions: they keep the shape as far as it is visible at all.
+        let shape_mm = rounded_across(&moved_mm, &weights.map(|w| (w / SHAPE_WEIGHT).min(1.0)));
         let mut section = Self {
             centre: cast.centre,
             area_mm2: f64::NAN,
@@ -242,7 +249,7 @@ impl Section {
             .sum::<f64>()
             / (NUM_RAYS as f64 * section.share);
         (section.min_mm, section.max_mm) = widths(
-            &contour,
+            &filled(&shape_mm).unwrap_or(contour),
             voxel_mm,
             edge_error_mm(cast, &edge_mm, voxel_mm, noise),
         );
@@ -258,7 +265,14 @@ impl Section {
                 }
             });
         }
-        section.set_errors(cast, voxel_mm, noise, correction.map(|c| c.error));
+        let model = correction.map_or(UNKNOWN_BLUR, |c| c.error);
+        section.set_errors(
+            cast,
+            voxel_mm,
+            noise,
+            model,
+            blur.map_or(0.0, |b| b.in_plane_mm),
+        );
         section
     }
 
@@ -267,18 +281,21 @@ impl Section {
     /// One edge is known to `e`, with `e^2 = (noise / slope)^2 + (0.1 voxel)^2`. A section of radius `r` has as many
     /// independent edges as voxels on its edge, `n = 2 pi r / voxel`, at most one per ray. To their error, `1.96 e /
     /// sqrt(n)`, comes that of the model of the blur ([`Correction::error`]; without a blur all of it). A width has fewer
-    /// edges for itself: `n / 4`. The wall adds both its edges.
-    fn set_errors(&mut self, cast: &Cast, voxel_mm: f64, noise: f64, model: Option<f64>) {
+    /// edges for itself: `n / 4`. The wall adds both its edges and a share of the blur.
+    fn set_errors(&mut self, cast: &Cast, voxel_mm: f64, noise: f64, model: f64, blur_mm: f64) {
         let edge = edge_error_mm(cast, &self.edge_mm, voxel_mm, noise);
         let num_rays = NUM_RAYS as f64 * self.share;
         let num = (std::f64::consts::PI * self.equivalent_mm / voxel_mm).clamp(1.0, num_rays);
-        let model_mm = 0.5 * self.equivalent_mm * model.unwrap_or(UNKNOWN_BLUR);
+        let model_mm = 0.5 * self.equivalent_mm * model;
         let half = |num: f64, model_mm: f64| (HALF_95 * edge / num.sqrt()).hypot(model_mm);
         self.equivalent_error_mm = 2.0 * half(num, model_mm);
         self.width_error_mm = 2.0 * half((num / 4.0).max(1.0), model_mm);
         if self.wall_mm.is_finite() {
             let num = (num * self.wall_share).max(1.0);
-            self.wall_error_mm = half(num / 2.0, WALL_BY_MODEL * model_mm);
+            self.wall_error_mm = half(
+                num / 2.0,
+                (WALL_BY_MODEL * model_mm).hypot(WALL_BY_BLUR * blur_mm),
+            );
         }
     }
 
