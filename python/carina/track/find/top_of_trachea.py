@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carina._core import flood_lumen
 from carina.track.find.air_upwards import SEPTUM_MM2, Section, follow_up
+from carina.track.find.root_checks import SURE_TRACHEA_MM
 from carina.track.find.softened import Softened
 from carina.track.find.upper_airway import (
     Cords,
@@ -34,8 +35,7 @@ AIR_END_HU = -800.0
 WALL_HU = 40.0
 AT_CARINA_MM = 10.0
 MOST_BELOW = 0.85
-# A trachea that is so long above the seeds, and has so many times the area of what they are in: they are in a bronchus.
-LEAST_ABOVE_MM = 40.0
+# The seeds are in a bronchus if the way above them has so many times its area and is as long as a trachea alone is.
 WIDER_ABOVE = 1.5
 # More air than a throat holds is the world outside.
 MOST_THROAT_MM3 = 150_000.0
@@ -120,7 +120,7 @@ def _above_a_bronchus(
     trachea = sections[carina_of(sections) :]
     above = [section for section in trachea if section.k > seeds[0][2]]
     below = [section.area_mm2 for section in sections if section.k <= seeds[0][2]]
-    if not above or not below or above[-1].centre_lps[2] - above[0].centre_lps[2] < LEAST_ABOVE_MM:
+    if not above or not below or above[-1].centre_lps[2] - above[0].centre_lps[2] < SURE_TRACHEA_MM:
         return None
     if np.median([section.area_mm2 for section in above]) < WIDER_ABOVE * np.median(below):
         return None
