@@ -54,8 +54,8 @@ def places(path: carina.FlightPath, spans: list[PathSpan]) -> dict[str, carina.P
         "main-bronchus": path.pose_at(ends[0] + 0.6 * (ends[1] - ends[0])),
         "lobar-fork": path.pose_at(ends[2] - 6.0),
         "segmental-fork": path.pose_at(ends[3] - 5.0),
-        # In slices of 3 mm the last ones are blurred shut.
-        "small-airway": path.pose_at(ends[-4]),
+        # In slices of 3 mm the walls of later ones are blurred.
+        "small-airway": path.pose_at(ends[7] - 3.0),
     }
 
 
