@@ -82,6 +82,8 @@ def test_the_layers_round_a_target_are_stopped_asked_for_again_and_switched_off_
     workstation.wait_for("(bushy) => document.querySelector('[data-overlay=tree]').toDataURL() === bushy", bushy)
     workstation.picture("layers")
 
+    # On a busy machine the lines may reach the slices after the tree.
+    workstation.wait_for("(plain) => document.querySelector('[data-overlay=coronal]').toDataURL() !== plain", plain)
     for layer in ("vessels", "lobes"):
         switch(workstation, layer)
     # In this slice there may be nothing of these.
