@@ -85,7 +85,7 @@ def test_opening_ends_with_a_route_to_the_deepest_tip_on_the_right_and_the_tip_a
     pose = bench.session.pose_info()
     assert pose.path_mm == 0.0
     assert pose.inside
-    # Nothing is measured: the lumen found by the search has no diameter of its own.
+    # The tree was not measured, so no diameter is shown; the radius of the lumen found is not one.
     assert (pose.branch.name, pose.branch.generation, pose.lumen_mm) == ("Trachea", 0, None)
     np.testing.assert_allclose(
         pose.pose.position_lps, small_lps(BRANCHES_IJK[0][1][0]), atol=0.6

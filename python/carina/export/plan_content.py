@@ -52,7 +52,7 @@ class DrawnRoute:
 
     @property
     def number_words(self) -> str:
-        """Route 1"""
+        """Name of the route without its place, such as *Route 1*."""
         return self.title.partition(":")[0]
 
     @property

@@ -57,7 +57,7 @@ def sections(sheet: PlanSheet) -> tuple[Section, ...]:
 
 
 def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
-    """The sheet for the theatre alone."""
+    """Return the sections of the sheet for the theatre alone."""
     drawings = tracing_drawings(sheet)
     several = len(drawings) > 1
     return tuple(
@@ -72,7 +72,7 @@ def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
 
 
 def _red(sheet: PlanSheet) -> tuple[Block, ...]:
-    """What must be said of a route wherever it is shown."""
+    """Return the warnings about a route that are shown wherever the route is."""
     route = sheet.route
     if route is None or not route.doubts:
         return ()
@@ -113,7 +113,7 @@ def _target(sheet: PlanSheet) -> Section:
 
 
 def _lead(sheet: PlanSheet) -> str:
-    """What the whole report comes to."""
+    """Return the summary of the whole report."""
     plan, route = sheet.plan, sheet.route
     nodule = target_words(sheet)
     nodule = nodule[0].upper() + nodule[1:]
@@ -223,7 +223,7 @@ def _far_edge_mm(route: PlannedRoute) -> float:
 
 
 def _vessel_words(route: PlannedRoute) -> str:
-    """0.5 mm at 6 mm, 2.1 mm at 14 mm from the tip"""
+    """Return the vessels near the needle in words, such as *0.5 mm at 6 mm, 2.1 mm at 14 mm from the tip*."""
     near = route.leg.vessels
     if not near:
         return "none seen"
@@ -296,7 +296,7 @@ def _turns(sheet: PlanSheet) -> list[Section]:
 
 
 def _enter_words(turn: Turn, operator: Operator) -> str:
-    """RB4a, just past RB4, not RB4b (9 o'clock)"""
+    """Return the branch to enter in words, such as *RB4a, just past RB4, not RB4b (9 o'clock)*."""
     said = [turn.to_branch]
     if turn.through:
         said.append(f"just past {joined(turn.through)}")

@@ -57,7 +57,7 @@ class TargetPlace:
 
     @property
     def pleura_words(self) -> str:
-        """12 mm"""
+        """Distance to the pleura in words, such as *12 mm*."""
         if self.is_cut:
             return "not known: the CT ends close to the target"
         if self.pleura_mm is None:
@@ -301,7 +301,7 @@ def make_sheet(
 
 
 def target_words(sheet: PlanSheet) -> str:
-    """What and where the target is, in a few words: solid nodule, 12.4 x 10.1 mm, 0.74 ml, RUL."""
+    """Return what and where the target is, such as *solid nodule, 12.4 x 10.1 mm, 0.74 ml, RUL*."""
     return sheet.plan.nodule.words + (f", {sheet.place.lobe}" if sheet.place.lobe else "")
 
 
