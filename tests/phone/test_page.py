@@ -432,12 +432,13 @@ def test_nonsense_clocks_and_numbers_are_counted_and_the_tip_stays_finite(phone)
         wait_for(lambda: phone.page.info().num_bad == 4)
         ignored = {}
 
-        def count():
+        def last_is_ignored():
+            # A sample that arrives within half a millisecond of another is ignored too: only the reasons are certain.
             (device,) = phone.session.devices.info().devices
             ignored.update(device.num_ignored)
-            return sum(ignored.values()) >= 3
+            return "timestamps that run backwards" in ignored
 
-        wait_for(count)
+        wait_for(last_is_ignored)
         assert ignored["an orientation of length 0"] == 1
         assert ignored["numbers out of range"] == 1
         assert ignored["timestamps that run backwards"] == 1
