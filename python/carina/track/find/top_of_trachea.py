@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import flood_lumen
-from carina.track.find.air_upwards import SEPTUM_MM2, Section, follow_up
+from carina.track.find.air_upwards import SEPTUM_MM2, SIDES, Section, follow_up, spread
+from carina.track.find.padding import padding_near
 from carina.track.find.root_checks import SURE_TRACHEA_MM
 from carina.track.find.softened import Softened
 from carina.track.find.upper_airway import (
@@ -76,13 +77,16 @@ def top_of_trachea(
     stage.begin("finding the upper end of the trachea")
     volume = soft.volume
     sections = follow_up(volume, scale, scale.level(AIR_END_HU), seeds[-1], stage)
+    padding = padding_near(volume, [*(section.voxel for section in reversed(sections)), *seeds[-1:]])
+    if padding is not None:
+        sections = _below_padding(sections, padding)
     if len(sections) < 3:
         return None
     tube = tube_in(sections)
     cords = the_cords(sections, tube)
     trachea = sections if cords is None else sections[: cords.begins_at + 1]
     opening = opening_in_front(volume, scale, trachea)
-    if tube is None and cords is None and opening is None:
+    if tube is None and cords is None and opening is None and padding is None:
         return _above_a_bronchus(soft, seeds, sections)
     is_open = opening is not None or _leaves_with_its_tube(trachea, tube)
     trachea, cut = as_one_trachea(volume, sections, tube, len(trachea), is_open=is_open)
@@ -92,17 +96,20 @@ def top_of_trachea(
     def wall_off(values: NDArray[np.int16]) -> None:
         if cords is not None:
             values[top.k + 1 :] = wall
+        if padding is not None:
+            values[padding] = wall
         if opening is not None:
             part, air = opening
             values[part][air] = wall
         for section, air in cut:
             section.window_of(values)[air] = wall
 
+    is_walled = cords is not None or opening is not None or padding is not None or bool(cut)
     in_tube = [] if tube is None else trachea[tube.first : tube.last + 4]
     return TopOfTrachea(
         seeds=[s.voxel for s in reversed(trachea)],
         start=as_point(volume.to_lps(np.array(top.voxel, dtype=np.float64))),
-        searched=soft if cords is None and opening is None and not cut else soft.walled(wall_off),
+        searched=soft.walled(wall_off) if is_walled else soft,
         upper_zyx=None if cords is None else _upper_airway(volume, scale, sections[cords.begins_at + 1 :], top.k),
         sections=in_tube,
         tip_lps=None if tube is None else sections[tube.first].centre_lps,
@@ -111,6 +118,14 @@ def top_of_trachea(
         is_open=is_open,
         cords=cords,
     )
+
+
+def _below_padding(sections: list[Section], padding: NDArray[np.bool_]) -> list[Section]:
+    """Return the sections below the lowest one that touches padding."""
+    for n, section in enumerate(sections):
+        if (spread(section.air, SIDES) & section.window_of(padding)).any():
+            return sections[:n]
+    return sections
 
 
 def _above_a_bronchus(

@@ -1,0 +1,86 @@
+"""Voxels without data: the constant value that a rotated or cropped volume has where nothing was scanned."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from carina.volume.model import Volume
+
+__all__ = ["padding_near"]
+
+REACH_MM = 30.0
+"""Padding is searched for so far from the trachea."""
+BLOCK_KJI = (3, 5, 5)
+"""The smallest block of one value that is padding; noise makes no such block."""
+MOST_IN_PADDING = 0.25
+"""If more of the lower trachea is in such blocks, air itself has one value, and padding cannot be told from it."""
+
+
+def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray[np.bool_] | None:
+    """Return the padding near the trachea.
+
+    A volume that was rotated has one value in its corners, often that of air. A trachea that is cut by such a corner
+    would continue into it.
+
+    Parameters
+    ----------
+    volume
+        The CT with its noise.
+    trachea
+        Voxels (i, j, k) of the trachea's air, from the top down. The upper ones may be padding.
+
+    Returns
+    -------
+    ndarray or None
+        (nz, ny, nx), True in padding within :data:`REACH_MM` of the trachea and in the voxels beside it, whose values
+        are interpolated; None if there is no padding.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from carina.volume.model import Volume
+    >>> values = np.random.default_rng(1).normal(-1000.0, 20.0, (20, 20, 20)).astype(np.int16)
+    >>> values[12:] = -1000
+    >>> padding = padding_near(Volume(values, np.eye(4)), [(10, 10, 15), (10, 10, 5), (10, 10, 2)])
+    >>> int(padding.any(axis=(1, 2)).argmax())
+    11
+    """
+    voxels = np.array(trachea)
+    reach = [int(np.ceil(REACH_MM / mm)) for mm in volume.spacing_mm]
+    low, high = np.maximum(voxels.min(axis=0) - reach, 0), voxels.max(axis=0) + reach + 1
+    box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+    values = volume.hu_zyx[box]
+    if any(n < size for n, size in zip(values.shape, BLOCK_KJI, strict=True)):
+        return None
+    least = most = values
+    for axis, size in enumerate(BLOCK_KJI):
+        least = sliding_window_view(least, size, axis=axis).min(axis=-1)
+        most = sliding_window_view(most, size, axis=axis).max(axis=-1)
+    has_one_value = least == most
+    if not has_one_value.any():
+        return None
+    mask = np.zeros(volume.shape_zyx, dtype=np.bool_)
+    mask[box] = _spread(has_one_value, BLOCK_KJI, 0)
+    lower = voxels[len(voxels) // 2 :]
+    if mask[lower[:, 2], lower[:, 1], lower[:, 0]].mean() > MOST_IN_PADDING:
+        return None
+    mask[box] = _spread(mask[box], (3, 3, 3), 1)
+    return mask
+
+
+def _spread(mask: NDArray[np.bool_], block: tuple[int, int, int], before: int) -> NDArray[np.bool_]:
+    """Return the union of the blocks of the mask's voxels.
+
+    Parameters
+    ----------
+    before
+        Voxels of a block before the mask's voxel along each axis, which are cut off at the border. With 0 the result is
+        larger than the mask by what a block is longer than a voxel.
+    """
+    for axis, size in enumerate(block):
+        width = [(0, 0)] * 3
+        width[axis] = (before, before) if before else (size - 1, size - 1)
+        mask = np.asarray(sliding_window_view(np.pad(mask, width), size, axis=axis).any(axis=-1))
+    return mask
