@@ -127,6 +127,29 @@ fn a_short_stretch_without_wall_is_crossed_and_a_long_one_ends_the_way() {
 }
 
 #[test]
+fn a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tube_lies_beyond_it() {
+    let over = |long_mm: f64| {
+        let mut chest = drawn(10.0, 10.0, 62.0, |_| 1.0);
+        let spacing = chest.grid.spacing_mm();
+        for at in 0..chest.values.len() {
+            let v = chest.grid.voxel(at);
+            let p: [f64; 3] = std::array::from_fn(|a| v[a] as f64 * spacing[a]);
+            let off = length([0.0, p[1] - 16.0, p[2] - 15.0]);
+            if (24.0..24.0 + long_mm).contains(&p[0]) && off < 3.2 {
+                // As wide as an airway with dark air in it, and as bright as lung.
+                chest.values[at] = if off < 2.2 { -860 } else { -100 };
+            }
+        }
+        extended(&mut chest);
+        farthest_mm(&chest)
+    };
+    let short = over(3.0);
+    assert!(short > 55.0, "{short}");
+    let long = over(10.0);
+    assert!((20.0..30.0).contains(&long), "{long}");
+}
+
+#[test]
 fn lung_round_a_tube_that_ends_adds_nothing() {
     for noise in [10.0, 40.0, 60.0] {
         let mut chest = drawn(noise, 40.0, 40.0, |_| 1.0);
