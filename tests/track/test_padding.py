@@ -57,6 +57,14 @@ def test_a_trachea_of_constant_value_is_no_padding():
     assert padding_near(volume, [(20, 20, k) for k in range(29, -1, -1)]) is None
 
 
+@pytest.mark.parametrize("spacing_mm", [1.0, 1.5, 2.5, 4.0])
+def test_a_phantom_without_noise_has_no_padding(spacing_mm):
+    made = generate_phantom(seed=1, spacing_mm=spacing_mm, generations=3, noise_hu=0)
+    airways = find_airways(made.volume)
+    top_mm = made.volume.to_lps(np.array([0.0, 0.0, made.volume.shape_zyx[0] - 1.0]))[2]
+    assert airways.root_lps[2] > top_mm - 2.0 * spacing_mm
+
+
 def test_noise_alone_is_no_padding(chest):
     nz, ny, nx = chest.shape_zyx
     assert padding_near(chest, [(nx // 2, ny // 2, k) for k in range(nz - 1, nz // 2, -1)]) is None

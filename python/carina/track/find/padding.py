@@ -14,8 +14,8 @@ REACH_MM = 30.0
 """Padding is searched for so far from the trachea."""
 BLOCK_KJI = (3, 5, 5)
 """The smallest block of one value that is padding; noise makes no such block."""
-MOST_IN_PADDING = 0.25
-"""If more of the lower trachea is in such blocks, air itself has one value, and padding cannot be told from it."""
+MOST_EQUAL = 0.25
+"""If more neighbours in the lower trachea have the same value, the air has no noise: padding looks like it."""
 
 
 def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray[np.bool_] | None:
@@ -61,13 +61,22 @@ def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray
     has_one_value = least == most
     if not has_one_value.any():
         return None
+    if _share_of_equal_neighbours(volume, voxels[len(voxels) // 2 :]) > MOST_EQUAL:
+        return None
     mask = np.zeros(volume.shape_zyx, dtype=np.bool_)
     mask[box] = _spread(has_one_value, BLOCK_KJI, 0)
-    lower = voxels[len(voxels) // 2 :]
-    if mask[lower[:, 2], lower[:, 1], lower[:, 0]].mean() > MOST_IN_PADDING:
-        return None
     mask[box] = _spread(mask[box], (3, 3, 3), 1)
     return mask
+
+
+def _share_of_equal_neighbours(volume: Volume, voxels: NDArray[np.int64]) -> float:
+    """Return the share of voxels (n, 3) of (i, j, k) with the value of the next voxel along i or along j."""
+    _, ny, nx = volume.shape_zyx
+    i, j, k = voxels.T
+    values = volume.hu_zyx
+    along_i = values[k, j, i] == values[k, j, np.minimum(i + 1, nx - 1)]
+    along_j = values[k, j, i] == values[k, np.minimum(j + 1, ny - 1), i]
+    return float(np.mean(along_i | along_j))
 
 
 def _spread(mask: NDArray[np.bool_], block: tuple[int, int, int], before: int) -> NDArray[np.bool_]:
