@@ -14,7 +14,7 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
+.PHONY: help run setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -116,7 +116,7 @@ check-python: $(STAMP)
 	$(PY) tools/count_house.py --check
 	$(PY) tools/check_kernels.py
 	$(PY) tools/check_repository.py
-	$(PY) tools/collect_words.py --check
+	$(PY) tools/check_wording.py
 	$(PY) tools/audit.py
 	$(PY) tools/lock.py --check --uv $(UV)
 
@@ -125,9 +125,6 @@ fmt: $(STAMP) web/node_modules/.package-lock.json ## format everything
 	.venv/bin/ruff check -q --fix . || true
 	.venv/bin/ruff format -q .
 	cd web && npm run fmt
-
-words: $(STAMP) ## collect the sentences that people read into docs/words (read what changed)
-	$(PY) tools/collect_words.py
 
 golden: $(STAMP) ## rewrite the golden images (look at them before you commit)
 	CARINA_GOLDEN=rewrite $(PY) -m pytest -m "" -q tests -k golden

@@ -1,8 +1,9 @@
-"""Collect every sentence that a person reads into one file per surface (docs/words), from where it is said.
+"""Refuse wrong phrases in the text that users read, wherever the code contains that text.
 
-``python tools/collect_words.py`` writes the files, ``--check`` fails when they are stale (in ``make check``), and
-``--draw 100 --seed 13`` prints that many of them by chance, for a reader who has not seen the code. Why they are
-collected and not moved: docs/decisions/0050-sentences-stay-where-they-are-said.md.
+``python tools/check_wording.py`` (in ``make check``) reads the sentences of the window, the phone page, the command
+line and the messages from the syntax trees and compares each with the rules of ``tools/wrong_words.toml``. ``--list
+window`` prints the sentences of one surface, and ``--draw 100 --seed 13`` prints a random sample for a reader who has
+not seen the code. The sentences are not stored: docs/decisions/0050-sentences-stay-where-they-are-said.md says why.
 """
 
 from __future__ import annotations
@@ -18,12 +19,11 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PLACE = ROOT / "docs" / "words"
 SURFACES = {
     "window": "The workstation's window",
-    "phone": "The phone's page",
+    "phone": "The phone page",
     "cli": "The command line",
-    "messages": "Errors, notes and names that Python and Rust hand to all of them",
+    "messages": "Errors, notes and names that Python and Rust pass to every surface",
 }
 PROSE = re.compile(r"[A-Za-z\u00c0-\u024f)}\]][,.;:]? +[(\u201c\"{\[]?[A-Za-z\u00c0-\u024f{]")
 UNREAD_CALLS = {"compile", "sub", "match", "search", "fullmatch", "TypeVar", "getenv", "TypeAdapter", "debug"}
@@ -437,7 +437,7 @@ def from_web() -> dict[str, Found]:
     ]
     files.append(source / "wire" / "views.ts")
     ran = subprocess.run(
-        ["node", str(ROOT / "tools" / "collect_words.mjs"), str(ROOT / "web"), *map(str, files)],
+        ["node", str(ROOT / "tools" / "list_sentences.mjs"), str(ROOT / "web"), *map(str, files)],
         check=True,
         capture_output=True,
         text=True,
@@ -460,20 +460,8 @@ def collect() -> dict[str, Found]:
     }
 
 
-def page(surface: str, found: Found) -> str:
-    """A surface's file."""
-    lines = [
-        f"# {SURFACES[surface]}. Collected by tools/collect_words.py:",
-        "# change a sentence where it is said, then run `make words`.",
-        "# {what} is filled in; [this] is there at times; [this | that] is one of both.",
-    ]
-    for name, texts in found.items():
-        lines += ["", f"## {name}", *texts]
-    return "\n".join(lines) + "\n"
-
-
 def wrong(found: dict[str, Found]) -> list[str]:
-    """Sentences with words that docs/voice.md does not want, each with what to say in their place."""
+    """Return each sentence with a phrase that a rule refuses, and the replacement that the rule names."""
     rules = [
         (re.compile(rule["found"], re.IGNORECASE), rule["say"])
         for rule in tomllib.loads(NEVER.read_text(encoding="utf-8"))["never"]
@@ -489,40 +477,32 @@ def wrong(found: dict[str, Found]) -> list[str]:
 
 
 def main() -> int:
-    """Write, check or draw."""
+    """Check all sentences, or print some of them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="fail when a file is stale")
-    parser.add_argument("--draw", type=int, metavar="N", help="print N sentences by chance")
-    parser.add_argument("--seed", type=int, default=13)
+    parser.add_argument("--list", choices=sorted(SURFACES), help="print the sentences of one surface, by file")
+    parser.add_argument("--draw", type=int, metavar="N", help="print a random sample of N sentences")
+    parser.add_argument("--seed", type=int, default=13, help="seed of the random sample (default: 13)")
     options = parser.parse_args()
     found = collect()
+    if options.list:
+        print(f"# {SURFACES[options.list]}")
+        print("# {value} is filled in; [text] is optional; [one | other] is one of both.")
+        for name, texts in found[options.list].items():
+            print("", f"## {name}", *texts, sep="\n")
+        return 0
+    everything = [(surface, name, text) for surface in found for name, texts in found[surface].items() for text in texts]
     if options.draw:
-        everything = [
-            (surface, name, text) for surface in found for name, texts in found[surface].items() for text in texts
-        ]
         drawn = random.Random(options.seed).sample(everything, options.draw)
         print(f"{options.draw} of {len(everything)} sentences, seed {options.seed}\n")
         for surface, name, text in sorted(drawn):
             print(f"{surface}\t{name}\t{text}")
         return 0
-    stale = []
-    for surface in SURFACES:
-        path = PLACE / f"{surface}.txt"
-        text = page(surface, found[surface])
-        if options.check:
-            if not path.exists() or path.read_text(encoding="utf-8") != text:
-                stale.append(path.relative_to(ROOT).as_posix())
-        else:
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(text, encoding="utf-8")
     unwanted = wrong(found)
     for line in unwanted:
         print(line)
-    for name in stale:
-        print(f"{name}: not what the code says; run `make words` and read what changed")
-    if not stale and not unwanted:
-        print(f"words: {sum(len(texts) for part in found.values() for texts in part.values())} sentences")
-    return 1 if stale or unwanted else 0
+    if not unwanted:
+        print(f"wording: {len(everything)} sentences, no wrong phrase")
+    return 1 if unwanted else 0
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 /**
- * Sentences of the window and the phone's page, from the syntax trees of web/src; called by tools/collect_words.py.
+ * Print the sentences of the window and the phone page, read from the syntax trees of web/src, for tools/check_wording.py.
  * Prints JSON: {file: [text, ...]} in the order of each file. What stands in braces is filled in while it runs.
  */
 import { readFileSync } from "node:fs";
