@@ -113,7 +113,6 @@ check-python: $(STAMP)
 	$(PY) -m mypy.stubtest carina._core --ignore-missing-stub
 	.venv/bin/typos
 	$(PY) tools/check_layers.py
-	$(PY) tools/count_house.py --check
 	$(PY) tools/check_kernels.py
 	$(PY) tools/check_repository.py
 	$(PY) tools/check_wording.py
@@ -129,7 +128,7 @@ fmt: $(STAMP) web/node_modules/.package-lock.json ## format everything
 golden: $(STAMP) ## rewrite the golden images (look at them before you commit)
 	CARINA_GOLDEN=rewrite $(PY) -m pytest -m "" -q tests -k golden
 
-# A room of its own: what writes pages is no part of what tests or flies.
+# A separate environment: the tools that write pages are not part of the tests or of the product.
 DOCS_STAMP := .venv-docs/.carina-docs
 $(DOCS_STAMP): requirements-docs.lock | $(STAMP)
 	test -x .venv-docs/bin/python || $(UV) venv -q .venv-docs

@@ -1,6 +1,6 @@
-"""Refuse imports that run against the architecture, and circles of files; name the allowed direction instead.
+"""Refuse imports against the architecture, import cycles between files, and classes and views beyond their limits.
 
-The rules are the table in ARCHITECTURE.md, read from there, so that the text and the check cannot drift apart.
+The import rules are the blocks in ARCHITECTURE.md, so that text and check cannot differ. The limits are constants.
 Run: ``python tools/check_layers.py`` (part of ``make check``).
 """
 
@@ -11,10 +11,11 @@ import graphlib
 import re
 import sys
 import tomllib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from file_graph import Import, all_imports, circles, in_words
+from file_graph import Import, all_imports, circles, in_words, without_tests
 
 ROOT = Path(__file__).resolve().parent.parent
 # A clock as well: state is given the time.
@@ -34,12 +35,12 @@ class Rules:
     """Python parts that may import the compiled module."""
     everywhere: frozenset[str]
     """Python parts that all may import."""
-    rooms: dict[str, dict[str, frozenset[str]]]
-    """Of a Python part whose folders have an order of their own: who may import whom inside it."""
+    folders: dict[str, dict[str, frozenset[str]]]
+    """Allowed imports between the folders of a Python part, for each part that has such rules."""
 
 
 def read_rules(text: str) -> Rules:
-    """Read the fenced ``layers`` blocks of ARCHITECTURE.md: three of the parts, and one for each part with rooms."""
+    """Read the fenced ``layers`` blocks of ARCHITECTURE.md: one per language, and one per part with ordered folders."""
     blocks = dict(re.findall(r"```layers (\w+)\n(.*?)```", text, flags=re.DOTALL))
     missing = {"rust", "python", "web"} - blocks.keys()
     if missing:
@@ -59,7 +60,7 @@ def read_rules(text: str) -> Rules:
         web=table(blocks["web"]),
         compiled=python["(compiled module)"],
         everywhere=python["(everywhere)"],
-        rooms={part: table(block) for part, block in blocks.items() if part not in {"rust", "python", "web"}},
+        folders={part: table(block) for part, block in blocks.items() if part not in {"rust", "python", "web"}},
     )
 
 
@@ -128,16 +129,15 @@ def check_python(rules: Rules) -> list[str]:
     return found
 
 
-def check_rooms(rooms: dict[str, dict[str, frozenset[str]]], imports: list[Import]) -> list[str]:
-    """Imports between the rooms of a Python part: its folders, and the files beside them."""
+def check_folders(parts: dict[str, dict[str, frozenset[str]]], imports: list[Import]) -> list[str]:
+    """Return imports between the folders of a Python part, and its single files, that break the rules of the part."""
     found = []
-    for part, rules in rooms.items():
+    for part, rules in parts.items():
         try:
             graphlib.TopologicalSorter(rules).prepare()
         except graphlib.CycleError as circle:
-            found.append(f"ARCHITECTURE.md: the rooms of {part} form a circle: {' -> '.join(circle.args[1])}")
+            found.append(f"ARCHITECTURE.md: the folders of {part} form a circle: {' -> '.join(circle.args[1])}")
         folder = ROOT / "python" / "carina" / part
-        # The door of the part hands on what its rooms hold.
         names = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/*.py")}
         names -= {"__init__", "__main__"}
         found += [f"python/carina/{part}/{name}: not in ARCHITECTURE.md; add its row" for name in names - rules.keys()]
@@ -146,11 +146,12 @@ def check_rooms(rooms: dict[str, dict[str, frozenset[str]]], imports: list[Impor
             if not (one.source.is_relative_to(folder) and one.target.is_relative_to(folder)):
                 continue
             own, used = (path.relative_to(folder).parts[0].removesuffix(".py") for path in (one.source, one.target))
+            # The package's own file re-exports the contents of every folder.
             if own in {used, "__init__", "__main__"} or used in rules.get(own, frozenset()):
                 continue
             where = f"{one.source.relative_to(ROOT)}:{one.line}"
             allowed = sorted(rules.get(own, ()))
-            found.append(f"{where}: {part}.{own} imports {part}.{used}; it may import {allowed or 'no other room'}")
+            found.append(f"{where}: {part}.{own} imports {part}.{used}; it may import {allowed or 'no other folder'}")
     return sorted(set(found))
 
 
@@ -182,6 +183,169 @@ def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
     return found
 
 
+# ---------------------------------------------------------------- limits
+
+VIEWS = frozenset(
+    {"airway", "cut-plane", "tri-plane", "xray-axial", "xray-coronal", "xray-sagittal"}
+    | {"drr", "axial", "coronal", "sagittal", "straightened", "curved"}
+)
+"""Views with a name that means nothing else in the code ("tree" has other meanings)."""
+MOST_FILES_PER_VIEW = 4
+"""A view is one row of a table in each language (docs/decisions/0042-views-and-keys-are-tables.md)."""
+REPEATED_SHARE = 0.6
+MOST_REPEATING = 5
+"""Record classes of two or more fields of which REPEATED_SHARE is also in another class."""
+MOST_METHODS = {"Session": 15, "Case": 15}
+MOST_ATTRIBUTES = {"OpenCase": 22}
+
+QUOTED = re.compile(r"""(["'`])([a-z][a-z-]*)\1""")
+OBJECT_KEY = re.compile(r"^\s*([a-z]+):\s", re.MULTILINE)
+TEST_FILE = re.compile(r"\.test\.tsx?$|(^|_)tests\.rs$")
+GENERATED = re.compile(r"generated (from|by)|do not edit", re.IGNORECASE)
+Fields = frozenset[tuple[str, str]]
+
+
+def product_files() -> dict[str, str]:
+    """Return the text of each source file that a user runs, without tests and generated files."""
+    found = {}
+    for folder in (ROOT / "python" / "carina", ROOT / "web" / "src", *sorted(ROOT.glob("crates/*/src"))):
+        for path in sorted(folder.rglob("*")):
+            if path.suffix not in {".py", ".ts", ".tsx", ".rs", ".wgsl"} or TEST_FILE.search(path.name):
+                continue
+            text = path.read_text(encoding="utf-8")
+            if not GENERATED.search("\n".join(text.splitlines()[:3])):
+                found[path.relative_to(ROOT).as_posix()] = without_tests(text) if path.suffix == ".rs" else text
+    return found
+
+
+def files_naming_views(files: Mapping[str, str], trees: Mapping[str, ast.Module]) -> dict[str, list[str]]:
+    """Return, for each view, the files with its name, or the first word of several names, as a string or a key."""
+    naming: dict[str, list[str]] = {view: [] for view in sorted(VIEWS)}
+    for path, text in files.items():
+        if path in trees:
+            nodes = (node for node in ast.walk(trees[path]) if isinstance(node, ast.Constant))
+            named = {node.value for node in nodes if isinstance(node.value, str)}
+        else:
+            named = {quoted for _, quoted in QUOTED.findall(text)}
+            if path.endswith((".ts", ".tsx")):
+                named |= set(OBJECT_KEY.findall(text))
+        for view, found in naming.items():
+            head, dash, _ = view.partition("-")
+            family = {head, head + dash} if sum(one.startswith(head + "-") for one in VIEWS) > 1 else set()
+            if named & {view, *family}:
+                found.append(path)
+    return naming
+
+
+def _bases(node: ast.ClassDef) -> list[str]:
+    return [ast.unparse(base).split("[")[0].split(".")[-1] for base in node.bases]
+
+
+def _fields_of(node: ast.ClassDef) -> Fields:
+    fields = set()
+    for statement in node.body:
+        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
+            kind = ast.unparse(statement.annotation)
+            # The tag that tells the classes of a union apart is not a field that two classes share.
+            if "ClassVar" not in kind and not re.fullmatch(r"""Literal\[['"][^,]*['"]\]""", kind):
+                fields.add((statement.target.id, kind))
+    return frozenset(fields)
+
+
+def record_classes(classes: Iterable[tuple[str, ast.ClassDef]]) -> dict[str, Fields]:
+    """Return the fields (name, type) of dataclasses, msgspec structs, named tuples and the classes below them."""
+    classes = list(classes)
+    by_name = {node.name: node for _, node in classes}
+
+    def is_record(node: ast.ClassDef, seen: frozenset[str] = frozenset()) -> bool:
+        if any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list):
+            return True
+        return any(
+            base in {"Struct", "NamedTuple", "TypedDict"}
+            or (base in by_name and base not in seen and is_record(by_name[base], seen | {node.name}))
+            for base in _bases(node)
+        )
+
+    return {f"{path}:{node.name}": _fields_of(node) for path, node in classes if is_record(node)}
+
+
+def repeating(classes: Mapping[str, Fields]) -> dict[str, str]:
+    """Return each class of two or more fields that repeats most of another class, with that other class."""
+    found = {}
+    records = {name: fields for name, fields in classes.items() if len(fields) > 1}
+    for name, fields in records.items():
+        shares = ((len(fields & others) / len(fields), other) for other, others in records.items() if other != name)
+        share, other = max(shares, default=(0.0, ""))
+        if share >= REPEATED_SHARE:
+            found[name] = other
+    return found
+
+
+def _lineage(classes: Mapping[str, ast.ClassDef], name: str, seen: tuple[str, ...] = ()) -> list[ast.ClassDef]:
+    """Return a class and the classes of the product that it inherits from."""
+    if name not in classes or name in seen:
+        return []
+    above = (_lineage(classes, base, (*seen, name)) for base in _bases(classes[name]))
+    return [classes[name], *(node for nodes in above for node in nodes)]
+
+
+def public_methods(lineage: Iterable[ast.ClassDef]) -> set[str]:
+    """Return the public methods and properties of a class, inherited ones included."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    names = {one.name for node in lineage for one in node.body if isinstance(one, functions)}
+    return {name for name in names if not name.startswith("_")}
+
+
+def attributes(lineage: Iterable[ast.ClassDef]) -> dict[str, str]:
+    """Return the attributes of a class with their types as written; an attribute set on ``self`` without one has ""."""
+    found: dict[str, str] = {}
+    for node in lineage:
+        found.update(_fields_of(node))
+        for statement in ast.walk(node):
+            if isinstance(statement, ast.AnnAssign):
+                targets: list[ast.expr] = [statement.target]
+                kind = ast.unparse(statement.annotation)
+            elif isinstance(statement, ast.Assign):
+                targets, kind = statement.targets, ""
+            else:
+                continue
+            for target in targets:
+                if isinstance(target, ast.Attribute) and ast.unparse(target.value) == "self":
+                    found[target.attr] = found.get(target.attr) or kind
+    return found
+
+
+def check_limits(files: Mapping[str, str]) -> list[str]:
+    """Return each view, class or group of classes that exceeds its limit."""
+    trees = {path: ast.parse(text) for path, text in files.items() if path.endswith(".py")}
+    classes = [(path, node) for path, tree in trees.items() for node in tree.body if isinstance(node, ast.ClassDef)]
+    by_name = {node.name: node for _, node in classes}
+    found = [
+        f"{len(named)} files name the view {view!r} (at most {MOST_FILES_PER_VIEW}): {', '.join(named)}"
+        for view, named in files_naming_views(files, trees).items()
+        if len(named) > MOST_FILES_PER_VIEW
+    ]
+    repeated = repeating(record_classes(classes))
+    if len(repeated) > MOST_REPEATING:
+        pairs = ", ".join(f"{name} {other}" for name, other in repeated.items())
+        found.append(f"{len(repeated)} classes repeat another (at most {MOST_REPEATING}): {pairs}")
+    for name in (*MOST_METHODS, *MOST_ATTRIBUTES):
+        if name not in by_name:
+            found.append(f"no class {name} in python/carina: correct the limits in tools/check_layers.py")
+    for name, most in MOST_METHODS.items():
+        methods = public_methods(_lineage(by_name, name))
+        if len(methods) > most:
+            found.append(f"{name} has {len(methods)} public methods (at most {most})")
+    for name, most in MOST_ATTRIBUTES.items():
+        kinds = attributes(_lineage(by_name, name))
+        if len(kinds) > most:
+            found.append(f"{name} has {len(kinds)} attributes (at most {most})")
+        loose = sorted(attribute for attribute, kind in kinds.items() if re.search(r"\bAny\b", kind))
+        if loose:
+            found.append(f"attributes of {name} without a type: {', '.join(loose)}")
+    return found
+
+
 def main() -> int:
     """Print every violation; 1 if there is one."""
     rules = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
@@ -189,15 +353,18 @@ def main() -> int:
     found = [
         *check_rust(rules.rust),
         *check_python(rules),
-        *check_rooms(rules.rooms, imports),
+        *check_folders(rules.folders, imports),
         *check_web(rules.web),
+        *check_limits(product_files()),
     ]
-    # Files of one part may import each other, but not in a circle: what they share belongs into a file below them.
+    # Files of one part may import each other, but not in a circle: shared code belongs in a file that both import.
     found += [f"circle: {in_words(circle)}" for circle in circles(imports)]
     for line in found:
         print(line)
     print(
-        f"layers: {len(found)} faults" if found else "layers: all imports follow ARCHITECTURE.md, and none in a circle"
+        f"layers: {len(found)} faults"
+        if found
+        else "layers: imports follow ARCHITECTURE.md without circles, and no limit is exceeded"
     )
     return 1 if found else 0
 

@@ -490,7 +490,9 @@ def main() -> int:
         for name, texts in found[options.list].items():
             print("", f"## {name}", *texts, sep="\n")
         return 0
-    everything = [(surface, name, text) for surface in found for name, texts in found[surface].items() for text in texts]
+    everything = [
+        (surface, name, text) for surface in found for name, texts in found[surface].items() for text in texts
+    ]
     if options.draw:
         drawn = random.Random(options.seed).sample(everything, options.draw)
         print(f"{options.draw} of {len(everything)} sentences, seed {options.seed}\n")

@@ -110,8 +110,8 @@ def _blanked(text: str) -> str:
     return _RUST_TOKENS.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text)
 
 
-def _without_tests(text: str) -> str:
-    """The same text without what is compiled for tests alone."""
+def without_tests(text: str) -> str:
+    """Return the text of a Rust file without the modules that are compiled for tests alone."""
     for match in reversed(list(_RUST_MODULE.finditer(text))):
         if "cfg(test)" not in match.group(1).replace(" ", ""):
             continue
@@ -162,7 +162,7 @@ def _read_crate(source: Path) -> dict[tuple[str, ...], _RustFile]:
     waiting: list[tuple[tuple[str, ...], Path]] = [((), source / "lib.rs")]
     while waiting:
         module, path = waiting.pop()
-        text = _without_tests(_blanked(path.read_text(encoding="utf-8")))
+        text = without_tests(_blanked(path.read_text(encoding="utf-8")))
         files[module] = _RustFile(path, module, text, {}, [])
         inner = _inline_modules(text)
         for match in _RUST_USE.finditer(text):

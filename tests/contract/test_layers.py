@@ -1,38 +1,132 @@
-"""The check of who may import whom: what it refuses, it names."""
+"""The checks of imports and of limits, on sources that break them."""
 
 from __future__ import annotations
 
-from check_layers import ROOT, check_rooms, read_rules
+import ast
+
+from check_layers import (
+    ROOT,
+    _lineage,
+    attributes,
+    check_folders,
+    check_limits,
+    files_naming_views,
+    public_methods,
+    read_rules,
+    record_classes,
+    repeating,
+)
 from file_graph import Import
 
 TRACK = ROOT / "python" / "carina" / "track"
-ROOMS = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")).rooms
+FOLDERS = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")).folders
 
 
 def one(source: str, target: str) -> Import:
     return Import(TRACK / source, 3, TRACK / target, "import")
 
 
-def test_the_rooms_of_track_may_import_what_stands_below_them():
+def test_imports_in_the_order_of_the_folders_are_accepted():
     below = [
         one("edit/way.py", "tree/drawn.py"),
         one("find/growth.py", "levels.py"),
         one("__init__.py", "edit/edits.py"),
     ]
-    assert check_rooms(ROOMS, below) == []
+    assert check_folders(FOLDERS, below) == []
 
 
-def test_an_import_against_the_order_of_the_rooms_is_refused():
-    found = check_rooms(ROOMS, [one("names/shape.py", "edit/way.py")])
+def test_an_import_against_the_order_of_the_folders_is_refused():
+    found = check_folders(FOLDERS, [one("names/shape.py", "edit/way.py")])
     assert found == ["python/carina/track/names/shape.py:3: track.names imports track.edit; it may import ['tree']"]
 
 
-def test_rooms_in_a_circle_or_without_a_row_or_without_a_folder_are_refused():
-    rules = dict(ROOMS["track"])
+def test_folders_in_a_circle_without_a_row_or_without_files_are_refused():
+    rules = dict(FOLDERS["track"])
     del rules["surface"]
     rules |= {"tree": frozenset({"names"}), "attic": frozenset()}
-    assert check_rooms({"track": rules}, []) == [
+    assert check_folders({"track": rules}, []) == [
         "ARCHITECTURE.md: python/carina/track has no attic",
-        "ARCHITECTURE.md: the rooms of track form a circle: tree -> names -> tree",
+        "ARCHITECTURE.md: the folders of track form a circle: tree -> names -> tree",
         "python/carina/track/surface: not in ARCHITECTURE.md; add its row",
+    ]
+
+
+def classes_of(files: dict[str, str]) -> list[tuple[str, ast.ClassDef]]:
+    return [
+        (path, node) for path, text in files.items() for node in ast.parse(text).body if isinstance(node, ast.ClassDef)
+    ]
+
+
+def test_a_view_is_named_by_a_string_a_key_or_the_first_word_of_its_family():
+    files = {
+        "python/carina/a.py": 'x = {"drr": 1}  # not "axial"\n',
+        "python/carina/b.py": 'x = name.startswith("xray-")\n',
+        "python/carina/c.py": '"""A drr in a sentence."""\n',
+        "web/src/app/d.ts": "const x = {\n  drr: 1,\n};\n",
+        "web/src/app/e.ts": 'const x = view.startsWith("xray") || view === "cut-plane";\n',
+    }
+    trees = {path: ast.parse(text) for path, text in files.items() if path.endswith(".py")}
+    naming = files_naming_views(files, trees)
+    assert naming["drr"] == ["python/carina/a.py", "web/src/app/d.ts"]
+    assert naming["xray-axial"] == naming["xray-sagittal"] == ["python/carina/b.py", "web/src/app/e.ts"]
+    assert naming["cut-plane"] == ["web/src/app/e.ts"]
+    assert naming["axial"] == []
+
+
+def test_record_classes_repeat_another_by_names_and_types_of_their_fields():
+    files = {
+        "python/carina/a.py": (
+            "@dataclass(frozen=True)\nclass Steer:\n    x: float\n    y: float\n    z: float\n"
+            "class GoTo(Struct, tag=True):\n    x: float\n    y: float\n    w: int\n"
+            "class Named(GoTo):\n    label: str\n"
+            "class Plain:\n    x: float\n    y: float\n"
+        ),
+        "python/carina/b.py": (
+            "@dataclass\nclass Other:\n    kind: Literal['other']\n    x: float\n    y: int\n    z: float\n"
+        ),
+    }
+    classes = record_classes(classes_of(files))
+    assert {name.partition(":")[2] for name in classes} == {"Steer", "GoTo", "Named", "Other"}
+    assert set(repeating(classes)) == {
+        "python/carina/a.py:Steer",
+        "python/carina/a.py:GoTo",
+        "python/carina/b.py:Other",
+    }
+
+
+def test_inherited_methods_and_attributes_set_on_self_are_counted():
+    text = (
+        "class Moving:\n    def steer(self): ...\n    def _lock(self): ...\n"
+        "class Session(Moving[int]):\n    @property\n    def scene(self): ...\n    async def steer(self): ...\n"
+        "class OpenCase:\n    number: int\n    wall: Any = None\n    total: ClassVar[int] = 0\n"
+        "    def __init__(self):\n        self.late = 1\n        other.no = 2\n"
+    )
+    by_name = {node.name: node for _, node in classes_of({"a.py": text})}
+    assert public_methods(_lineage(by_name, "Session")) == {"scene", "steer"}
+    assert attributes(_lineage(by_name, "OpenCase")) == {"number": "int", "wall": "Any", "late": ""}
+
+
+def limits_exceeded_by(more: int) -> list[str]:
+    """Return the findings in sources that exceed every limit by a number."""
+    record = "@dataclass\nclass {}:\n    a: int\n    b: int\n"
+    methods = "".join(f"    def m{n}(self): ...\n" for n in range(15 + more))
+    files = {f"python/carina/render/view{n}.py": "x = 'drr'\ny = 'tree'\n" for n in range(4 + more)}
+    files["python/carina/session/case.py"] = "class OpenCase:\n" + "".join(f"    a{n}: int\n" for n in range(22 + more))
+    files["python/carina/session/session.py"] = f"class Session:\n{methods}class Case:\n    def do(self): ...\n"
+    files["python/carina/track/twins.py"] = "".join(record.format(f"Twin{n}") for n in range(5 + more))
+    return check_limits(files)
+
+
+def test_a_limit_is_refused_only_when_it_is_exceeded():
+    assert limits_exceeded_by(0) == []
+    found = limits_exceeded_by(1)
+    assert [text.split(" ")[0] for text in found] == ["5", "6", "Session", "OpenCase"]
+    assert "'drr'" in found[0] and "Twin5" in found[1] and "16" in found[2] and "23" in found[3]
+
+
+def test_an_attribute_without_a_type_and_a_missing_class_are_refused():
+    found = check_limits({"python/carina/session/case.py": "class OpenCase:\n    wall: Any\nclass Case:\n    x: int\n"})
+    assert found == [
+        "no class Session in python/carina: correct the limits in tools/check_layers.py",
+        "attributes of OpenCase without a type: wall",
     ]
