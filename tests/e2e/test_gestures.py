@@ -1,4 +1,4 @@
-"""One gesture, one deed: double clicks, tools and rows of the list, in every picture, by mouse, finger and pen."""
+"""Double clicks, tools and rows of the list cause one action in every picture, by mouse, finger and pen."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from workstation import open_page
 
 pytestmark = pytest.mark.browser
 
-# What a tool would do is written down and kept from the server: the tree stays as it is, and every deed is seen.
+# What a tool would do is written down and kept from the server: the tree stays as it is, and every action is seen.
 KEEP_DEEDS = """
-window.__deeds = [];
+window.__actions = [];
 window.WebSocket = class extends WebSocket {
   send(data) {
     const { type } = JSON.parse(data);
-    if (['edit_tree', 'add_target', 'set_root'].includes(type)) window.__deeds.push(data);
+    if (['edit_tree', 'add_target', 'set_root'].includes(type)) window.__actions.push(data);
     else super.send(data);
   }
 };
@@ -54,7 +54,7 @@ SWITCHED = {"straightened": "v", "curved": "v", "drr": "x", "tri-plane": "t"}
 
 
 def prepare(workstation, server) -> None:
-    """The case open, slices in the middle of the left main bronchus, and deeds kept back."""
+    """The case open, slices in the middle of the left main bronchus, and actions intercepted."""
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -66,7 +66,7 @@ def prepare(workstation, server) -> None:
 
 @pytest.fixture
 def scripts():
-    """Every page of these tests keeps the deeds back."""
+    """Every page of these tests intercepts the actions."""
     return (KEEP_DEEDS,)
 
 
@@ -116,7 +116,9 @@ class SharedPage:
         for view in views:
             self.workstation.wait_picture(view)
         return (
-            self.workstation.state("ui.full") is None and self._seen() == self._first and deeds(self.workstation) == []
+            self.workstation.state("ui.full") is None
+            and self._seen() == self._first
+            and actions(self.workstation) == []
         )
 
     def close(self) -> None:
@@ -166,8 +168,8 @@ def arm(workstation, tool) -> None:
     workstation.wait_for("(tool) => window.__carina.state.ui.armed === tool", tool)
 
 
-def deeds(workstation) -> list[str]:
-    return workstation.page.evaluate("() => window.__deeds.splice(0)")
+def actions(workstation) -> list[str]:
+    return workstation.page.evaluate("() => window.__actions.splice(0)")
 
 
 def put_away(workstation) -> None:
@@ -199,7 +201,7 @@ def test_a_double_click_without_a_tool_makes_the_picture_large_and_chooses_nothi
     undone.let_pass(400)
     undone.settle()
     assert undone.page.evaluate(CHOSEN) == before
-    assert deeds(undone) == []
+    assert actions(undone) == []
 
 
 def does_it(view, tool) -> bool:
@@ -220,9 +222,9 @@ def test_a_double_click_with_a_tool_does_it_once_and_the_picture_stays_as_large_
         undone.page.mouse.dblclick(x, y)
         if does_it(view, tool):
             # In the airway view the server is asked for the wall first.
-            undone.wait_for("() => window.__deeds.length > 0")
+            undone.wait_for("() => window.__actions.length > 0")
         undone.settle()
-        done = deeds(undone)
+        done = actions(undone)
         assert undone.state("ui.full") is None, tool
         assert len(done) <= 1, (tool, done)
         if tool == "fork" and view in {"axial", "tree"}:
@@ -244,7 +246,7 @@ def test_enter_in_a_slice_uses_the_tool_at_the_crosshair_also_on_the_branch_ther
             ready.page.keyboard.down("Enter")
         ready.page.keyboard.up("Enter")
         ready.settle()
-        (done,) = deeds(ready)
+        (done,) = actions(ready)
         assert expected in done
         assert ready.state("ui.full") is None
         put_away(ready)
@@ -277,12 +279,12 @@ def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
     arm(ready, "add")
     tap_twice((x, y), (x + 5, y))
     ready.settle()
-    assert len(deeds(ready)) == 1
+    assert len(actions(ready)) == 1
     assert ready.state("ui.full") is None
     # Elsewhere it is another click, however soon it comes.
     tap(x + 60, y, time.time())
     ready.settle()
-    assert len(deeds(ready)) == 1
+    assert len(actions(ready)) == 1
     put_away(ready)
     before = ready.page.evaluate(CHOSEN)
     tap_twice((x, y), (x, y + 5))
@@ -313,7 +315,7 @@ def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool
     ready.picture(f"list-{tool}")
     row.dblclick()
     ready.settle()
-    (done,) = deeds(ready)
+    (done,) = actions(ready)
     assert f'"kind":"{kind}"' in done
     assert f'"branch_id":{lmb}' in done
     assert tool != "cut" or '"at_mm":0' in done, "a row means the whole branch"
@@ -323,13 +325,13 @@ def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool
     ready.page.get_by_role("row").filter(has=ready.page.locator(f"[data-branch='{lmb}']")).focus()
     ready.page.keyboard.press("Enter")
     ready.settle()
-    assert f'"branch_id":{lmb}' in deeds(ready)[0]
+    assert f'"branch_id":{lmb}' in actions(ready)[0]
     ready.page.keyboard.press("Escape")
     assert ready.state("ui.armed") is None
     # Without a tool a row is the route, as before.
     row.click()
     ready.wait_for("(id) => window.__carina.state.route.spans.at(-1).branch_id === id", lmb)
-    assert deeds(ready) == []
+    assert actions(ready) == []
 
 
 def test_with_move_fork_a_row_takes_hold_of_the_fork_where_its_branch_begins(ready):
@@ -410,4 +412,4 @@ def test_a_tool_is_put_away_from_the_list_the_search_a_right_click_its_tag_and_b
     arm(ready, "add")
     page.locator(".step").filter(has_text="Target").click()
     assert ready.state("ui.armed") is None
-    assert deeds(ready) == []
+    assert actions(ready) == []

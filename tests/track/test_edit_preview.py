@@ -1,4 +1,4 @@
-"""Preview is the deed: the lines under the pointer are the lines that the click makes, bit for bit."""
+"""The preview under the pointer equals the edit that a click makes, bit for bit."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 /** What the mouse, the wheel and the keys of a focused picture do, by kind of picture. */
 
-import { deedOf } from "../input/clicks";
+import { clickAction } from "../input/clicks";
 import { WHEEL_MM_PER_PX } from "../input/flight";
 import { bindingOf, placesOf } from "../input/keymap";
 import { listenToPointer, type PointerPlace } from "../input/pointer";
@@ -75,7 +75,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     click: (at, count) => {
       const armed = station.state.ui.armed !== null;
       forTool = armed || (forTool && count > 1);
-      switch (deedOf(count, forTool)) {
+      switch (clickAction(count, forTool)) {
         case "click":
           if (!armed) station.pointing.beginClick();
           if (!station.pointing.click(viewport, at)) now().pointer.click?.(at, count);

@@ -1,6 +1,6 @@
 /** What a cursor or a click on a picture means: a branch, a point in the lumen, a stroke; with a tool in the hand or without. */
 
-import { PatientDeed } from "../input/clicks";
+import { DelayedAction } from "../input/clicks";
 import type { PointerPlace } from "../input/pointer";
 import { type AppState, crosshairLps, penPoint } from "../state/app-state";
 import { previewTool } from "../state/edit-preview";
@@ -47,7 +47,7 @@ export class Pointing {
   /** Where the pen was when its way was last asked for. */
   #penAsked: Vec3 | null = null;
   /** What a first click asked for that a second one could not take back: a route, a flight. */
-  readonly #patient = new PatientDeed();
+  readonly #delayed = new DelayedAction();
   /** What was shown before a click that may turn out to be the first half of a double click. */
   #before: { crosshair: Vec3 | null; picks: AppState["picks"]; selected: number | null } | null = null;
 
@@ -185,20 +185,20 @@ export class Pointing {
   /** A click without a tool, which a second one may make a double click. */
   beginClick(): void {
     const { state } = this.#station;
-    this.#patient.renew();
+    this.#delayed.renew();
     this.#before = { crosshair: crosshairLps(state), picks: state.picks, selected: state.ui.selected };
   }
 
-  /** Does it when no second click can follow any more. */
-  unlessDouble(deed: () => void): void {
-    this.#patient.begin(deed);
+  /** Run an action when a second click can no longer follow. */
+  unlessDouble(action: () => void): void {
+    this.#delayed.begin(action);
   }
 
   /** It was a double click, which chooses nothing; false where that is too late, since the first one was done already. */
   takeBackClick(): boolean {
     const before = this.#before;
     this.#before = null;
-    if (!this.#patient.cancel() || before === null) return false;
+    if (!this.#delayed.cancel() || before === null) return false;
     this.#station.takeBack(before);
     return true;
   }

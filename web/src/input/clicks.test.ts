@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { ClickCounter, deedOf, PatientDeed } from "./clicks";
+import { ClickCounter, clickAction, DelayedAction } from "./clicks";
 
 describe("clicks that follow each other", () => {
   it("are counted while they come at one place and without a pause", () => {
@@ -29,22 +29,22 @@ describe("clicks that follow each other", () => {
 
 describe("what a click is for", () => {
   it("is the tool once, and never a larger picture, however often it is clicked", () => {
-    expect([1, 2, 3, 4].map((count) => deedOf(count, true))).toEqual(["click", "nothing", "nothing", "nothing"]);
+    expect([1, 2, 3, 4].map((count) => clickAction(count, true))).toEqual(["click", "nothing", "nothing", "nothing"]);
   });
 
   it("without a tool is one choice, and each double click makes the picture large or small", () => {
-    expect([1, 2, 3, 4].map((count) => deedOf(count, false))).toEqual(["click", "enlarge", "nothing", "enlarge"]);
+    expect([1, 2, 3, 4].map((count) => clickAction(count, false))).toEqual(["click", "enlarge", "nothing", "enlarge"]);
   });
 });
 
-describe("a deed that cannot be taken back", () => {
+describe("an action that cannot be undone", () => {
   beforeEach(() => void vi.useFakeTimers());
   afterEach(() => void vi.useRealTimers());
 
   it("is done when no second click has come", () => {
-    const deed = new PatientDeed(300);
+    const action = new DelayedAction(300);
     const done = vi.fn();
-    deed.begin(done);
+    action.begin(done);
     vi.advanceTimersByTime(299);
     expect(done).not.toHaveBeenCalled();
     vi.advanceTimersByTime(1);
@@ -52,20 +52,20 @@ describe("a deed that cannot be taken back", () => {
   });
 
   it("is not done after a double click, which may tell that it came in time", () => {
-    const deed = new PatientDeed(300);
+    const action = new DelayedAction(300);
     const done = vi.fn();
-    deed.begin(done);
-    expect(deed.cancel()).toBe(true);
+    action.begin(done);
+    expect(action.cancel()).toBe(true);
     vi.advanceTimersByTime(1000);
     expect(done).not.toHaveBeenCalled();
   });
 
   it("tells that a second click came too late, until another series begins", () => {
-    const deed = new PatientDeed(300);
-    deed.begin(() => undefined);
+    const action = new DelayedAction(300);
+    action.begin(() => undefined);
     vi.advanceTimersByTime(400);
-    expect(deed.cancel()).toBe(false);
-    deed.renew();
-    expect(deed.cancel()).toBe(true);
+    expect(action.cancel()).toBe(false);
+    action.renew();
+    expect(action.cancel()).toBe(true);
   });
 });

@@ -1,4 +1,4 @@
-/** One gesture, one deed: which click of a series this is, and what it is for. */
+/** The number of a click in a series, and the one action that the series causes. */
 
 export interface PointerPlace {
   /** CSS pixels from the picture's top-left corner. */
@@ -35,25 +35,25 @@ export class ClickCounter {
  * What a click is for. The first one of a series does what is in the hand, or chooses; what follows at the same place
  * belongs to it: with a tool it does nothing, without one every second click makes the picture large, or small again.
  */
-export function deedOf(count: number, forTool: boolean): "click" | "enlarge" | "nothing" {
+export function clickAction(count: number, forTool: boolean): "click" | "enlarge" | "nothing" {
   if (count === 1) return "click";
   return forTool || count % 2 === 1 ? "nothing" : "enlarge";
 }
 
-/** Deeds that cannot be taken back, such as a flight: done once no second click can follow. */
-export class PatientDeed {
+/** An action that cannot be undone, such as a flight: it runs when a second click can no longer follow. */
+export class DelayedAction {
   #waiting: ReturnType<typeof setTimeout> | null = null;
   #done = false;
 
   constructor(readonly waitMs = 300) {}
 
-  begin(deed: () => void): void {
+  begin(action: () => void): void {
     this.cancel();
     this.#done = false;
     this.#waiting = setTimeout(() => {
       this.#waiting = null;
       this.#done = true;
-      deed();
+      action();
     }, this.waitMs);
   }
 

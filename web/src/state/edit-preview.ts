@@ -17,7 +17,7 @@ export interface Preview {
   readonly stale: boolean;
 }
 
-/** The tool that shows its deed under the cursor, as the wire calls it. */
+/** The tool that previews its edit under the cursor, by its name on the wire. */
 export function previewTool(armed: Armed | null, forkHeld: boolean): PreviewTool | null {
   if (armed === "add") return "add-branch";
   if (armed === "bridge") return "bridge";
