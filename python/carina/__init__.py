@@ -1,17 +1,59 @@
-"""Carina: an open virtual bronchoscopy workstation.
+"""Carina: an open virtual bronchoscopy workstation. Find, measure and show the airways of a chest CT.
 
-The public functions, handed on from the parts that own them (loaded on first use, so that ``import carina`` is quick)::
+Example::
 
     import carina
 
     volume = carina.open_volume("scan_folder")
     airways = carina.find_airways(volume)
     route = airways.tree.route_to(airways.tree.tips()[0].id)
+
+Every object below is loaded on first use. ``help(carina.NAME)`` documents one of them, ``help("carina.PART")`` a part.
+
+Scans (``carina.volume``, ``carina.phantom``)
+    open_volume         Open a CT: a DICOM folder, NIfTI, NRRD or MetaImage
+    open_mask           Open a segmentation
+    inspect_path        List the series in a path without opening them
+    demo_patient        Open the CT that comes with Carina
+    generate_phantom    Generate a chest CT with known airways; write_phantom writes one to a folder
+    Volume              A CT in HU with its geometry
+
+Airways (``carina.track``)
+    find_airways        Find the lumen, the tree and the names of its branches
+    edit_airways        Add, cut, bridge, rename or smooth branches
+    track_paths         Compute least-cost paths to targets
+    wall_field          Compute the distance to the wall for a scope
+    Airways, AirwayTree, WallField
+
+Planning (``carina.plan``)
+    grow_nodule         Segment a nodule from one point
+    plan_route          Plan routes to a nodule, with a verdict for each instrument
+    Nodule, Plan
+
+Pictures and movement (``carina.render``, ``carina.navigate``, ``carina.scopes``)
+    render_view         Render one picture of a view
+    render_surface      Render a picture of a mesh
+    isoregion_map       Compute the IsoRegion map of a scan
+    transfer_preset     Return a transfer function by name
+    Renderer, TransferFunction, Pose, FlightPath, Navigator, ScopeDrive
+
+Files (``carina.export``)
+    export_airways      Write the tree, the lumen or its surface
+    write_tree          Write a tree; read_tree reads one
+    write_film          Write a flight as a video
+
+Cases (``carina.session``, ``carina.commands``)
+    Case                An open case with undo, history and pictures
+
+Errors (``carina.errors``)
+    CarinaError         Base of all errors; each has a stable code
+    UsageError, VolumeImportError, NoResultError
 """
 
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 from carina.version import VERSION
@@ -119,7 +161,14 @@ __all__ = [
 ]
 
 
+# Without __all__, pydoc documents only what this file defines: the contents above, not 2,700 lines of methods.
+_PUBLIC = __all__
+del __all__
+
+
 def __getattr__(name: str) -> Any:
+    if name == "__all__" and sys._getframe(1).f_globals.get("__name__") != "pydoc":
+        return _PUBLIC
     home = _HOME.get(name)
     if home is None:
         msg = f"module 'carina' has no attribute {name!r}"
@@ -128,4 +177,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_PUBLIC)
