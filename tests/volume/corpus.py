@@ -11,13 +11,14 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-__all__ = ["PAGE", "Input", "all_inputs", "page_with_tables", "tables"]
+__all__ = ["PAGE", "Input", "all_inputs", "page_with_tables", "repeated_advice", "tables"]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "import-answers.md"
 _SOURCES = ("corpus_dicom", "corpus_grids")
@@ -39,7 +40,7 @@ class Input:
     """The codes of all notes that must be there; no other may be."""
     is_hu: bool = True
     do: str = ""
-    """What a person can do; empty where there is nothing to do."""
+    """The remedy; empty if the input needs none."""
     voxels: Callable[[], np.ndarray] | None = None
     """The exact values [z, y, x] of an input that opens."""
     series: int | None = None
@@ -66,14 +67,25 @@ def _answer(entry: Input) -> str:
     return words + (f"; notes {', '.join(f'`{code}`' for code in entry.notes)}" if entry.notes else "")
 
 
+def repeated_advice() -> dict[str, str]:
+    """Return each remedy of two or more inputs with its number on the page, the most frequent first."""
+    counted = Counter(entry.do for entry in all_inputs() if entry.do)
+    repeated = [advice for advice, count in counted.most_common() if count > 1]
+    return {advice: f"A{number}" for number, advice in enumerate(repeated, 1)}
+
+
 def tables() -> str:
-    """The tables of the page, a heading for each family."""
-    inputs = all_inputs()
-    lines: list[str] = []
+    """Return the list of remedies and the tables of inputs, with a heading for each family."""
+    inputs, numbers = all_inputs(), repeated_advice()
+    lines = ["## What to do", "", "Several inputs need the same remedy. The tables name these remedies by number.", ""]
+    lines += ["| number | what to do |", "|---|---|"]
+    lines += [f"| {number} | {advice} |" for advice, number in numbers.items()]
     for family in dict.fromkeys(entry.family for entry in inputs):
         lines += ["", f"## {family}", "", "| input | answer | what to do |", "|---|---|---|"]
-        lines += [f"| {e.name} | {_answer(e)} | {e.do or '-'} |" for e in inputs if e.family == family]
-    return "\n".join(lines).strip()
+        lines += [
+            f"| {e.name} | {_answer(e)} | {numbers.get(e.do, e.do) or '-'} |" for e in inputs if e.family == family
+        ]
+    return "\n".join(lines)
 
 
 _BEGIN, _END = "<!-- tables: begin -->", "<!-- tables: end -->"

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from corpus import PAGE, all_inputs
+from corpus import PAGE, all_inputs, repeated_advice
 
 import carina.cli.badges
 import carina.track
@@ -62,8 +62,14 @@ def test_codes_and_their_meanings_are_told_apart():
     assert len({row["means"] for row in rows()}) == len(rows())
 
 
-def test_every_refusal_and_every_badge_says_what_a_person_can_do():
-    assert [row["code"] for row in rows() if row["kind"] != "note" and len(row["do"]) < 10] == []
+def test_every_refusal_and_every_badge_has_a_remedy():
+    numbers = set(repeated_advice().values())
+    short = [row for row in rows() if row["kind"] != "note" and len(row["do"]) < 10]
+    assert [row["code"] for row in short if row["do"] not in numbers] == []
+
+
+def test_a_remedy_that_has_a_number_is_not_repeated():
+    assert [row["code"] for row in rows() if row["do"].rstrip(".").lower() in repeated_advice()] == []
 
 
 def test_the_page_tells_refusals_notes_and_badges_apart_as_the_code_does():
