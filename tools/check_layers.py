@@ -191,7 +191,7 @@ VIEWS = frozenset(
 )
 """Views with a name that means nothing else in the code ("tree" has other meanings)."""
 MOST_FILES_PER_VIEW = 4
-"""A view is one row of a table in each language (docs/decisions/0042-views-and-keys-are-tables.md)."""
+"""A view is one row of a table in each language (docs/decisions/0102)."""
 REPEATED_SHARE = 0.6
 MOST_REPEATING = 5
 """Record classes of two or more fields of which REPEATED_SHARE is also in another class."""

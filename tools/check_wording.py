@@ -3,7 +3,7 @@
 ``python tools/check_wording.py`` (in ``make check``) reads the sentences of the window, the phone page, the command
 line and the messages from the syntax trees and compares each with the rules of ``tools/wrong_words.toml``. ``--list
 window`` prints the sentences of one surface, and ``--draw 100 --seed 13`` prints a random sample for a reader who has
-not seen the code. The sentences are not stored: docs/decisions/0050-sentences-stay-where-they-are-said.md says why.
+not seen the code. The sentences are not stored: docs/decisions/0101 says why.
 """
 
 from __future__ import annotations

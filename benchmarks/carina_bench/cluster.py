@@ -50,7 +50,7 @@ PAPER_TABLE_1 = {
 PAPER_TABLE_2 = {"head, 128x128x64": (16.91, 9.98, 62, 396048), "lung, 256x256x200": (15.83, 9.54, 60, 338778)}
 # Paper 5.2 names 2 Suns, 2 SGIs and 12 PCs and not their speeds: assumed, relative to the fastest.
 ASSUMED_SPEEDS = (*(0.8,) * 2, *(1.0,) * 2, *(0.7,) * 12)
-# Between machines on 1 Gbit/s, measured with the same transport (docs/decisions/0026): a call there and back, and its
+# Between machines on 1 Gbit/s, measured with the same transport (docs/decisions/0109): a call there and back, and its
 # jitter; what the console does for an answer; bytes on its link.
 CALL_S, CALL_JITTER_S, CONSOLE_S, LINK_BYTES_PER_S = 0.0012, 0.0003, 0.001, 125e6
 

@@ -1,4 +1,4 @@
-//! How a wall looks through a scope: lit after casting, once for each pixel, at its first wall (docs/decisions/0008).
+//! How a wall looks through a scope: lit after casting, once for each pixel, at its first wall (docs/decisions/0105).
 //!
 //! The casters gather flat colours; [`Appearance`] says what light, gloss and texture are laid on them.
 

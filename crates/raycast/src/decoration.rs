@@ -1,7 +1,7 @@
 //! What a wall's place on its airway is: phase of the rings, front and back, and which parts of decoration belong there.
 //!
 //! A coarse grid along the patient's axes, made from the airway tree by whoever knows anatomy. The lighting reads it at
-//! the wall of each pixel, between its cells; casting never sees it, so it moves no surface (docs/decisions/0077).
+//! the wall of each pixel, between its cells; casting never sees it, so it moves no surface (docs/decisions/0105).
 
 use crate::RaycastError;
 

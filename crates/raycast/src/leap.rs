@@ -10,7 +10,7 @@
 //!
 //! The rule looks at nothing but the ray itself and the camera's voxel, so it is the same in packets, and for each
 //! split of the picture. In the worst case, a ray that leaves a region behind and never finds another, it costs about
-//! one read more than brute force; over a long ray without regions less than 1 percent (docs/decisions/0005).
+//! one read more than brute force; over a long ray without regions less than 1 percent (docs/decisions/0104).
 
 use carina_isoregion::{MAX_SEGMENT_SAMPLES, SegmentTable};
 

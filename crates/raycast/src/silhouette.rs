@@ -97,7 +97,7 @@ fn pixels_of(
     match simd {
         InstructionSet::Portable | InstructionSet::Neon => search(frame, light, rows, wanted),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: these sets are only handed out where the machine has AVX2. Benchmark: docs/decisions/0082, where the
+        // SAFETY: these sets are only handed out where the machine has AVX2. Benchmark: benchmarks/measurements/rendering.md, where the
         // look's decoration goes.
         InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
             search_avx2(frame, light, rows, wanted)

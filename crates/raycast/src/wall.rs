@@ -1,4 +1,4 @@
-//! The endoscopic wall, written into a copy of the volume (docs/decisions/0002-wall-in-the-volume.md).
+//! The endoscopic wall, written into a copy of the volume (docs/decisions/0105).
 
 use rayon::prelude::*;
 

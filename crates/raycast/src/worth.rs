@@ -43,7 +43,7 @@ pub(crate) fn if_it_pays<'a>(
     }
 }
 
-/// How many samples of brute force a look-up costs as much time as; measured, docs/decisions/0005.
+/// How many samples of brute force a look-up costs as much time as; measured, docs/decisions/0104.
 fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
     match (method, frame.options.interpolation) {
         (Method::LeapClasses(_), Interpolation::Nearest) => 7,

@@ -1,7 +1,7 @@
 """Orders and answers as plain bytes, which the transport passes on as they are.
 
 Ray packs each argument and result of another kind as a pickle of its own, at both ends, for each strip of each picture
-(docs/decisions/0030-strips-as-bytes.md).
+(docs/decisions/0109).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ __all__ = ["ClusterSettings"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class ClusterSettings:
-    """How frames are cut, issued and watched (paper 5; docs/decisions/0026-strips-on-ray.md)."""
+    """How frames are cut, issued and watched (paper 5; docs/decisions/0109)."""
 
     in_flight: int = 2
     """Strips issued to a lane before its first answer is back: subtask pre-assignment (paper 5.1). 1 is without."""

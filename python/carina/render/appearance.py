@@ -36,7 +36,7 @@ def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
 class Appearance:
     """Light, gloss and texture that are laid on the first wall of each pixel after casting.
 
-    The model and where it comes from: docs/decisions/0008-appearance.md.
+    The model and where it comes from: docs/decisions/0105.
     """
 
     guides_mm: tuple[tuple[float, float, float], ...] = TWO_GUIDES_MM

@@ -1,4 +1,4 @@
-"""Which processor casts the airway view: asked for, or measured; never on trust (docs/decisions/0011)."""
+"""Which processor casts the airway view: asked for, or measured; never on trust (docs/decisions/0107)."""
 
 from __future__ import annotations
 

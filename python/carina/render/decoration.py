@@ -2,7 +2,7 @@
 
 The lighting of a pixel knows a point of the patient and nothing of anatomy. A coarse grid round the wide airways tells
 it how many rings lie before the point, on which side of the airway it is, and how much of each part belongs there. All
-of it changes evenly along and across a tube, so a coarse grid read between its cells is enough (docs/decisions/0077).
+of it changes evenly along and across a tube, so a coarse grid read between its cells is enough (docs/decisions/0105).
 """
 
 from __future__ import annotations

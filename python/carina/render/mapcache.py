@@ -1,7 +1,7 @@
 """IsoRegion maps on disk: found by what they were made from, checked when read, safe to delete.
 
 Building a map is faster than reading it on most machines, so only maps that were slow to build are kept
-(docs/decisions/0006-maps-are-built.md).
+(docs/decisions/0104).
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ class Renderer:
         Transfer function of the airway view; the *endoscopic* preset, or one from the histogram where the volume is not
         in HU.
     cache_dir
-        Folder for maps that were slow to build (docs/decisions/0006-maps-are-built.md); None keeps none.
+        Folder for maps that were slow to build (docs/decisions/0104); None keeps none.
     simd
         Instruction set of the kernels (``portable``, ``avx2``, ``avx512``, ``neon``) for tests; unless told, what
         ``CARINA_SIMD`` names, or the fastest of this machine. The pictures are the same.

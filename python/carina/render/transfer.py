@@ -90,7 +90,7 @@ class TransferFunction:
     sampling
         ``trilinear``, or ``nearest`` for the paper's: nearest voxel, step of one voxel, 16-HU bins, no shading.
     wall
-        True if the airway view closes the lumen's wall (docs/decisions/0002-wall-in-the-volume.md).
+        True if the airway view closes the lumen's wall (docs/decisions/0105).
     light
         The light of the shaded airway view, laid on every sample.
     appearance

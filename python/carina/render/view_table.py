@@ -2,7 +2,7 @@
 
 A new view is a row here and whatever renders it. Layout, key card, overlays, gestures, pacing, command line and the web
 client (``web/src/wire/views.ts`` is generated from this) take it from there; see
-docs/decisions/0042-views-and-keys-are-tables.md.
+docs/decisions/0102.
 """
 
 from __future__ import annotations

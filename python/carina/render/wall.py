@@ -1,4 +1,4 @@
-"""The wall of the lumen, written into a copy of the volume (docs/decisions/0002-wall-in-the-volume.md)."""
+"""The wall of the lumen, written into a copy of the volume (docs/decisions/0105)."""
 
 from __future__ import annotations
 

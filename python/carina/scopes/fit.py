@@ -1,4 +1,4 @@
-"""The generic scope's optics, fitted to published measurements of one bronchoscope (docs/decisions/0007-optics.md).
+"""The generic scope's optics, fitted to published measurements of one bronchoscope (docs/decisions/0106).
 
 The figures (Masters 2005, a bronchoscope over test charts): linear magnification, relative to 100 mm from the tip, of
 9.55 at 10 mm and of 40 at 3 mm; at 15 mm the middle is enlarged 39 % more than the edge; at 3 mm the distortion reaches

@@ -1,7 +1,7 @@
 """How fine a picture may be so that it is ready in time: costs learned, levels chosen with hysteresis.
 
 One :class:`FrameBudget` per view. It knows neither clock nor renderer: times are passed in, and tests simulate both.
-Why it is as it is: ``docs/decisions/0010-frame-budget.md``.
+Why it is as it is: ``docs/decisions/0108``.
 """
 
 from __future__ import annotations

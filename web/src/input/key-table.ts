@@ -1,6 +1,6 @@
 /**
  * The table of keys and of the mouse: what each does, where that holds, and in which words. The listeners, the key card,
- * the tooltips and the guide's list (docs/keys.md) all read it; see docs/decisions/0042-views-and-keys-are-tables.md.
+ * the tooltips and the guide's list (docs/keys.md) all read it; see docs/decisions/0102.
  */
 
 export type HoldAxis = "advance" | "roll" | "pitch" | "yaw";

@@ -2,7 +2,7 @@
 //!
 //! Value and gradient between voxels take 32 voxels in twelve places, of which neighbouring samples take most again. At
 //! voxels the gradient is a central difference of integers and exact. Kept beside the value, four int16 for a voxel, a
-//! sample is four reads, of two voxels each (docs/decisions/0081).
+//! sample is four reads, of two voxels each (docs/decisions/0103).
 
 use super::store::{CELLS, Fill, MOST_BRICKS, Numbers, PER_BRICK, STRIDE, Store, VOXELS};
 use crate::Field;

@@ -2,7 +2,7 @@
 //!
 //! A lit pixel needs the volume's slope round its wall. Taken anew for each pixel that is fourteen samples, most of which
 //! its neighbours take as well. Here it is worked out at voxels, in bricks of 4 x 4 x 4 cells that are filled when a ray
-//! first meets a wall in them, and read between voxels (docs/decisions/0080). Which bricks exist never shows in a picture.
+//! first meets a wall in them, and read between voxels (docs/decisions/0103). Which bricks exist never shows in a picture.
 
 use std::cell::RefCell;
 

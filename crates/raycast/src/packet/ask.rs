@@ -57,7 +57,7 @@ impl Scene<'_> {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.cell_of(l, p);
         // SAFETY: the map has the volume's voxels, and `cell_of` clamps to them in all lanes. Benchmark:
-        // docs/decisions/0005-loads.md.
+        // benchmarks/measurements/rendering.md.
         let r = unsafe { l.bytes(self.radius.as_ptr(), index) };
         let leaps = l.and(asked, l.less_i(l.splat_i(0), r));
         let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
@@ -95,7 +95,7 @@ impl Scene<'_> {
         let segments = self.segments.entries();
         let last = l.splat_i(segments.len() as i32 - 1);
         let at = l.max_i(l.min_i(l.add_i(row, n), last), l.splat_i(0));
-        // SAFETY: held within the table, which has entries, in all lanes. Benchmark: docs/decisions/0005-loads.md.
+        // SAFETY: held within the table, which has entries, in all lanes. Benchmark: benchmarks/measurements/rendering.md.
         unsafe { l.entries(segments.as_ptr(), at) }
     }
 
@@ -112,7 +112,7 @@ impl Scene<'_> {
         let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.nearest(l, p);
         // SAFETY: both maps have the volume's voxels, and `nearest` clamps to them in all lanes. Benchmark:
-        // docs/decisions/0005-loads.md.
+        // benchmarks/measurements/rendering.md.
         let (r, label) = unsafe {
             (
                 l.bytes(self.radius.as_ptr(), index),

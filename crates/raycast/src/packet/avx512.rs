@@ -38,7 +38,7 @@ macro_rules! operations {
         #[inline(always)]
         fn $name(self, $($arg: $type),*) -> $out {
             // SAFETY: `self` exists only where the machine has the instructions; loads and stores are of whole arrays.
-            // Benchmark: docs/decisions/0003-packets.md.
+            // Benchmark: benchmarks/measurements/rendering.md.
             unsafe { $body }
         }
     )*};

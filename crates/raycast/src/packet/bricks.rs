@@ -63,7 +63,7 @@ impl<'a, B: Fill> Reader<'a, B> {
         let number = l.add_i(l.mul_i(l.quarters(ijk[2]), nj), l.quarters(ijk[1]));
         let number = l.add_i(l.mul_i(number, ni), l.quarters(ijk[0]));
         let table = self.bricks.store().table().as_ptr();
-        // SAFETY: cells lie in the volume, so their bricks are among its own. Benchmark: docs/decisions/0081.
+        // SAFETY: cells lie in the volume, so their bricks are among its own. Benchmark: benchmarks/measurements/rendering.md.
         let mut kept = unsafe { l.links(table, number) };
         let absent = l.bits(l.without(wanted, l.less_i(l.splat_i(0), kept)));
         if absent != 0 {

@@ -2,7 +2,7 @@
 //!
 //! They do on Intel's server processors since Sapphire Rapids, do not on Zen 4 and Zen 5, and are several times slower
 //! where microcode fences them (Gather Data Sampling). No feature flag tells these apart, a virtual machine may hide the
-//! model, and the bits are the same either way: so both are timed, once in a process (docs/decisions/0033).
+//! model, and the bits are the same either way: so both are timed, once in a process (docs/decisions/0103).
 
 use std::{
     hint::black_box,

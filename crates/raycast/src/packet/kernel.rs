@@ -107,7 +107,7 @@ impl Scene<'_> {
         // Lanes whose next sample may be visible.
         let mut visible = 0;
         loop {
-            // Rays come and go many at a time: a change costs about as much as a look-up (docs/decisions/0081).
+            // Rays come and go many at a time: a change costs about as much as a look-up (docs/decisions/0103).
             if L::N - active.count_ones() as usize >= L::N / 2 {
                 if visible != 0 {
                     band.shading.take_from(l, &mut packet, visible, O::HITS);

@@ -56,7 +56,7 @@ fn load<L: Lanes>(l: L, values: &Array<f32>) -> L::F {
     l.fill(l.splat(0.0), ((1u64 << L::N) - 1) as u32, values)
 }
 
-/// Gradient of the volume round `p` in LPS, from its slopes in bricks (docs/decisions/0080).
+/// Gradient of the volume round `p` in LPS, from its slopes in bricks (docs/decisions/0103).
 #[inline(always)]
 fn inward<L: Lanes>(l: L, light: &Lighting, field: &Field<'_>, p: [L::F; 3]) -> [L::F; 3] {
     turn(l, &light.normals.rows, rise(l, &light.bricks, field, p))
@@ -198,7 +198,7 @@ pub(crate) fn light_rows(
         match (simd, voxels) {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: the instruction set is only handed out where the machine has it. Benchmark:
-            // docs/decisions/0008-appearance.md.
+            // benchmarks/measurements/rendering.md.
             (InstructionSet::Avx512, Some(voxels)) => unsafe {
                 light_row_avx512(frame, light, voxels, row, gathered, rgb);
             },

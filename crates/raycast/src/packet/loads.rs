@@ -1,5 +1,5 @@
 //! Loads from a place of its own for each lane. On some machines single loads and insertions take half to two
-//! thirds of the time of the gather instructions (docs/decisions/0005); on others they take more ([`super::gathers`]).
+//! thirds of the time of the gather instructions (docs/decisions/0103); on others they take more ([`super::gathers`]).
 
 use std::{
     arch::x86_64::{

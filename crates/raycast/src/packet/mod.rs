@@ -1,4 +1,4 @@
-//! Packets: the casters with one ray in each lane of a register (docs/decisions/0003-packets.md).
+//! Packets: the casters with one ray in each lane of a register (docs/decisions/0103).
 //!
 //! The scalar casters in [`crate::brute`] and [`crate::leap`] define truth. A lane does their operations in their order,
 //! so pictures and statistics are equal bit for bit; only which rays advance together differs.
@@ -147,7 +147,7 @@ impl<'a> Packets<'a> {
         match self.simd {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: the instruction set is only handed out where the machine has it. Benchmark:
-            // docs/decisions/0003-packets.md.
+            // benchmarks/measurements/rendering.md.
             InstructionSet::Avx512 => unsafe { self.cast_avx512(source, out) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: as above.
@@ -175,7 +175,7 @@ impl<'a> Packets<'a> {
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
         let l = Pair(unsafe { avx2::Avx2::new(false) });
-        // Benchmark: docs/decisions/0082-leaps-over-cells.md.
+        // Benchmark: benchmarks/measurements/rendering.md.
         self.cast((Pair(l), l), source, out)
     }
 

@@ -17,12 +17,12 @@ use super::{
 };
 use crate::{Field, InstructionSet, Window};
 
-/// Rows and columns of a tile (docs/decisions/0033). A row of pixels across an oblique plane meets a row of voxels or two
+/// Rows and columns of a tile (docs/decisions/0103). A row of pixels across an oblique plane meets a row of voxels or two
 /// of its own at each pixel: 256 of them read more lines than the nearest cache holds, 16 of them leave theirs there for
 /// the next row.
 pub(crate) const TILE_ROWS: usize = 64;
 const TILE_COLUMNS: usize = 16;
-/// Where memory is asked for ahead, it is so many rows before it is read (docs/decisions/0033).
+/// Where memory is asked for ahead, it is so many rows before it is read (docs/decisions/0103).
 const ROWS_AHEAD: usize = 8;
 
 /// What all tiles of a plane share.

@@ -110,7 +110,7 @@ fn place<L: Lanes>(l: L, field: &Decoration<'_>, lps: [L::F; 3]) -> Option<Place
         for n in 0..4 {
             // SAFETY: a cell's index is at most two below the shape along each axis, and so its other corners lie in the
             // grid; `Decoration::new` has compared shape and length. Benchmark:
-            // docs/decisions/0077-decoration-fixed-to-anatomy.md.
+            // benchmarks/measurements/rendering.md.
             let entry = unsafe { l.entries(field.cells.as_ptr().add(half), corners[n]) };
             for c in 0..4 {
                 read[half][c] = l.fma(weights[n], entry[c], read[half][c]);

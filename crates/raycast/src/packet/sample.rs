@@ -78,7 +78,7 @@ impl Scene<'_> {
         if !SHADED && l.bits(visible) == 0 {
             return visible;
         }
-        // SAFETY: 0 ..= `last` in all lanes; `last` is the last entry. Benchmark: docs/decisions/0003-packets.md.
+        // SAFETY: 0 ..= `last` in all lanes; `last` is the last entry. Benchmark: benchmarks/measurements/rendering.md.
         let [r, g, b, alpha] = unsafe { l.entries(self.frame.table.entries.as_ptr(), n) };
         let lit = l.and(take, l.less(l.splat(0.0), alpha));
         let mut rgb = [r, g, b];

@@ -171,7 +171,7 @@ impl<'a> Voxels<'a> {
     /// Values of voxels given by their places.
     #[inline(always)]
     pub(super) fn at<L: Lanes>(&self, l: L, index: L::I) -> L::I {
-        // SAFETY: `nearest` clamps to the volume in all lanes. Benchmark: docs/decisions/0005-loads.md.
+        // SAFETY: `nearest` clamps to the volume in all lanes. Benchmark: benchmarks/measurements/rendering.md.
         unsafe { l.voxels(self.data.as_ptr(), index) }
     }
 
@@ -186,7 +186,7 @@ impl<'a> Voxels<'a> {
     #[inline(always)]
     pub(super) fn value<L: Lanes>(&self, l: L, cells: &Cells<L>) -> L::F {
         // SAFETY: `cells` clamps the lower corner to last_cell in all lanes, so that one step more on each axis is a voxel;
-        // an axis of one voxel has stride 0, and x has two or more. Benchmark: docs/decisions/0005-loads.md.
+        // an axis of one voxel has stride 0, and x has two or more. Benchmark: benchmarks/measurements/rendering.md.
         let pairs = unsafe { l.pairs(self.data.as_ptr(), cells.base, self.rows()) };
         let [tx, ty, tz] = cells.t;
         let mut r = [tx; 4];
@@ -231,7 +231,7 @@ impl<'a> Voxels<'a> {
     fn read_inside<L: Lanes>(&self, l: L, base: L::I) -> Rows<L> {
         let [_, sy, sz] = self.stride;
         // SAFETY: the neighbours before the cell and after it exist, in all lanes: those that have none were given an inner
-        // cell. Benchmark: docs/decisions/0005-loads.md.
+        // cell. Benchmark: benchmarks/measurements/rendering.md.
         let [_, r10, r01, r11] = self.rows();
         let (quads, pairs) = unsafe {
             (
@@ -280,7 +280,7 @@ impl<'a> Voxels<'a> {
         }
         // SAFETY: a sum over the axes of (0 ..= n - 1) * stride with at most n - 2 along x, in all lanes: `cells` clamps the
         // lower corner to last_cell, and further steps are taken only where the neighbour exists. Benchmark:
-        // docs/decisions/0005-loads.md.
+        // benchmarks/measurements/rendering.md.
         let pair = |index: L::I| unsafe { l.pairs(self.data.as_ptr(), index, [0])[0] };
         let mut corners = [cells.base; 4];
         for n in 0..4 {
@@ -322,7 +322,7 @@ fn ask_for_line(at: *const i16) {
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
         // SAFETY: every x86_64 has SSE, and asking ahead changes nothing and faults at no address. Benchmark:
-        // docs/decisions/0033-slices-by-tiles.md.
+        // benchmarks/measurements/rendering.md.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(at.cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]
