@@ -118,7 +118,7 @@ def test_walls_keep_99_percent_of_the_way_to_seven_lobar_bronchi_of_a_real_chest
     ends = [branch.points[-1] for branch in third[:: max(len(third) // 7, 1)][:7]]
     box = search_box(volume, [airways.root_lps, *ends], max_bytes=1 << 28)
     search = track_on_graph(volume, airways, ends, cost="walls", graph="voxel", box_ijk=box).search
-    # 3 mm slices; to its segments the figure is lower: decision 0058.
+    # 3 mm slices; to its segments the figure is lower: decision 0118.
     outside, nodes = (sum(getattr(row, name) for row in search.targets) for name in ("num_outside", "num_path_nodes"))
     assert nodes > 900
     assert outside <= 0.01 * nodes

@@ -71,7 +71,7 @@ def test_a_bronchial_tree_is_taken_for_one_however_few_of_its_branches_are_there
             assert surest_segment(named) > 0.9
 
 
-MISSED = pytest.mark.xfail(reason="a chest with plugs in two lobes fits no better: docs/decisions/0063", strict=True)
+MISSED = pytest.mark.xfail(reason="a chest with plugs in two lobes fits no better: docs/decisions/0116", strict=True)
 
 
 @pytest.mark.parametrize(

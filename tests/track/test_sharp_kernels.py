@@ -126,7 +126,7 @@ def spoilt(found, truth):
 
 @pytest.mark.slow
 def test_under_the_sharpest_kernels_most_airways_are_found_and_a_note_says_that_some_are_missing(patient):
-    """Before CTs were softened for the search (docs/decisions/0057) a stump of the trachea was left."""
+    """Before CTs were softened for the search (docs/decisions/0113) a stump of the trachea was left."""
     airways = carina.find_airways(sharpened(patient[0], 2.0))
     (badge,) = stopped(airways)
     assert badge.code == CODE

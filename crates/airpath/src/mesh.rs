@@ -3,7 +3,7 @@
 //! Marching cubes (Lorensen and Cline 1987) over the lumen voxels, with two differences. The cases are not a printed
 //! table: each face of a cube joins the crossings of its edges by one rule that looks at that face only, so that both
 //! cubes of a face agree and the mesh has no holes; and a vertex lies where the wall's half-maximum lies between the
-//! two voxels of its grid edge, as the radii of the tree have it (docs/decisions/0016-measures.md, 0059).
+//! two voxels of its grid edge, as the radii of the tree have it (docs/decisions/0117, 0111).
 
 use std::collections::HashMap;
 use std::sync::OnceLock;

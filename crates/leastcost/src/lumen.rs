@@ -37,7 +37,7 @@ impl WallLevels {
     ///
     /// That is half-way up from the lumen to the wall's tissue. A wall thinner than the blur shows less than its tissue, and at
     /// its true edge a little less than half of it; half of what it shows would lie well inside the lumen
-    /// (docs/decisions/0016-measures.md). The lumen's last voxel may lie short of it: the flood stops lower.
+    /// (docs/decisions/0117). The lumen's last voxel may lie short of it: the flood stops lower.
     fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
         let [low, next, beyond] = [low, next, beyond].map(f64::from);
         let Some(level) = self.edge_level(low, next.max(beyond)) else {

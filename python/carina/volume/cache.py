@@ -7,7 +7,7 @@ A folder holds two kinds of files, all written whole, never changed, only unlink
   that it was read from. The hash is the path's; no name of a file, a folder or a patient stands in a name.
 
 What is found here is a volume that cannot be told from one that was read from its files. Trouble with the cache costs
-time, never a wrong voxel: whatever is cut, altered, or made by another Carina is not used (docs/decisions/0052).
+time, never a wrong voxel: whatever is cut, altered, or made by another Carina is not used (docs/decisions/0110).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Its name says what it holds (digest, axes, shape), so that two writers of one name write the same. It is read by plain
 reads and not mapped: a file that another program cuts short is then an error here, where a map would end the process
-(SIGBUS). A checksum for each chunk finds what a disk has changed (docs/decisions/0052-volume-cache.md).
+(SIGBUS). A checksum for each chunk finds what a disk has changed (docs/decisions/0110).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-//! The way from a place in the lung to the lumen along which the CT shows most of a wall (docs/decisions/0036).
+//! The way from a place in the lung to the lumen along which the CT shows most of a wall (docs/decisions/0119).
 //!
 //! What counts as wall is what the extension follows ([`crate::find::tubeness`]): how far the values rise on all but a fifth of
 //! the rays from a voxel. A step is cheap where that is high, or where the values are as dark as the air of a wide airway, which

@@ -5,7 +5,7 @@
 //! How enclosed a voxel must be is read off the volume itself: lung away from the airways shows what noise, texture and vessels
 //! pretend. At most a fiftieth of it passes, far below the share (31 % of a cubic lattice joined by faces) at which
 //! passing voxels would join into ways of any length if they lay about by chance. An edge-enhancing kernel arranges them in
-//! sheets (docs/decisions/0040), so a search that reaches too much of the lung is given up.
+//! sheets (docs/decisions/0113), so a search that reaches too much of the lung is given up.
 //!
 //! Of what was reached, paths are kept: from the lumen, along the most enclosed voxels, to the farthest tips, the longest
 //! first, cut where following them no longer pays. A path that is short, or not clearly better than lung, goes. Round a

@@ -52,7 +52,7 @@ impl Blur {
     }
 }
 
-/// Logarithm of the odds that a section of a way in divided slices is one of an airway (docs/decisions/0086).
+/// Logarithm of the odds that a section of a way in divided slices is one of an airway (docs/decisions/0114).
 ///
 /// Thick slices blur in one direction, so how dark a lumen must be depends on where its airway runs. The figures are 1, the
 /// enclosure (logarithm, in thresholds), how bright the middle is between air and the wall and between air and half a wall,

@@ -32,7 +32,7 @@ const AROUND_MM: f64 = 8.0;
 /// What a voxel may give a path, in thresholds: one bright wall must not pay for a long way without.
 const MOST_GAIN: f64 = 3.0;
 /// A way ends where it has lost so much of what it gained before, thresholds times mm: what looks like an airway farther on
-/// is none of this way (docs/decisions/0091).
+/// is none of this way (docs/decisions/0112).
 const MOST_LOSS_MM: f64 = 12.0;
 
 /// A kept path, as places in the list of reached voxels.

@@ -1,7 +1,7 @@
 //! A volume as a softer reconstruction kernel would show it: what a sharp one raised is lowered again.
 //!
 //! An edge-enhancing kernel raises fine detail: its transfer is `1 + a (1 - g)`, where `g` falls from 1 to 0 with frequency. The
-//! inverse, `1 / (1 + a (1 - g))`, is a share of the value itself and a sum of blurs (docs/decisions/0057).
+//! inverse, `1 / (1 + a (1 - g))`, is a share of the value itself and a sum of blurs (docs/decisions/0113).
 
 use carina_grid::VolumeView;
 use rayon::prelude::*;

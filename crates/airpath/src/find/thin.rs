@@ -1,4 +1,4 @@
-//! The thinnest airways: from the lumen along bright threads with a dark middle (docs/decisions/0060).
+//! The thinnest airways: from the lumen along bright threads with a dark middle (docs/decisions/0112).
 //!
 //! An airway of one or two voxels is brighter than lung all through, and its middle is darker than its wall by less than the
 //! noise. Its evidence is spread along it, so it is looked for along ways: a filter of short straight pieces

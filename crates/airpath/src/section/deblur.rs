@@ -92,7 +92,7 @@ impl Size {
     /// The logarithm of the true radius over that of the fitted tube.
     ///
     /// A scan is not the model: slices and pixels are boxes, values lie apart and are interpolated, and sharp kernels
-    /// overshoot. The weights were fitted to painted phantoms and one painted patient (docs/decisions/0089).
+    /// overshoot. The weights were fitted to painted phantoms and one painted patient (docs/decisions/0117).
     fn rest(self) -> f64 {
         let (a, k) = (self.blur_over_radius, self.sharpness);
         let within = a * a * (0.498 - 0.915 * a + 1.209 * k + 3.334 * k * k);

@@ -116,7 +116,7 @@ def edit_airways(
 
     References
     ----------
-    Paper 6.3 (targets and root set by hand, Figure 14); docs/decisions/0018.
+    Paper 6.3 (targets and root set by hand, Figure 14); docs/decisions/0119.
 
     Examples
     --------

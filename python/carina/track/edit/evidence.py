@@ -2,7 +2,7 @@
 
 Across a way rays go out to 16 sides, and the values on them are averaged over 2.5 mm along it: an airway goes on,
 noise and the rims of vessels do not. How far the sides rise above the middle is compared with what the same measure
-finds on the best ways through plain lung of the same CT, and weighed (``evidence_verdict.py``). docs/decisions/0036.
+finds on the best ways through plain lung of the same CT, and weighed (``evidence_verdict.py``). docs/decisions/0119.
 """
 
 from __future__ import annotations

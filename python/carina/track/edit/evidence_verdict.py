@@ -2,7 +2,7 @@
 
 The weights are a logistic regression's, fitted to the worst 5 mm of ways to branches that were removed from a tree,
 to branches that the search missed, and into plain lung: phantoms, painted patients and patients of which others were
-kept back. docs/decisions/0036.
+kept back. docs/decisions/0119.
 """
 
 from __future__ import annotations

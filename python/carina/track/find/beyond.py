@@ -23,7 +23,7 @@ __all__ = ["NOTHING_BEYOND", "STOPPED", "Beyond", "follow_beyond"]
 STOPPED = "track.search-stopped"
 """Code of the lasting note of a search that ran out of the airways."""
 
-# Beyond the flood's end airways are followed by their shape (docs/decisions/0015). The least rise to a wall; how long a
+# Beyond the flood's end airways are followed by their shape (docs/decisions/0112). The least rise to a wall; how long a
 # drop of mucus or a beat of the heart may blot it out; how far a branch must lead to be one. Slices thicker than the
 # smallest lumen show its wall only mixed with what lies beside it: so many more of them must agree.
 LEAST_RISE_HU = 15.0
@@ -33,12 +33,12 @@ THIN_SLICE_MM = 1.0
 THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
-# The least probability that a way, and all ways that it leaves, are airways (docs/decisions/0091).
+# The least probability that a way, and all ways that it leaves, are airways (docs/decisions/0112).
 LEAST_PROBABILITY = 0.7
-# In divided slices a section counts for a way by how much the logarithm of its odds exceeds this (docs/decisions/0086).
+# In divided slices a section counts for a way by how much the logarithm of its odds exceeds this (docs/decisions/0114).
 LEAST_ODDS = 0.3
 
-# What tells a search that runs out (docs/decisions/0040). Rims darker than this beside every edge look like airways; a
+# What tells a search that runs out (docs/decisions/0113). Rims darker than this beside every edge look like airways; a
 # soft kernel leaves none. Where there is noise, edges are found where it makes them steep: that pretends a part of it.
 SHARP_HU = 4.0
 NOISE_SHARE = 0.15
@@ -52,7 +52,7 @@ MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
 
-# The thinnest, which are bright threads with a dark middle (docs/decisions/0060). A wall is brighter than lung; a dip
+# The thinnest, which are bright threads with a dark middle (docs/decisions/0112). A wall is brighter than lung; a dip
 # of so much, averaged over 5 mm, is none of the lung's; what blurs a CT, beside its voxels, is at most so wide (sigma).
 THIN_BRIGHTEST_HU = -400.0
 THIN_LEAST_WALL_HU = -700.0

@@ -203,7 +203,7 @@ def find_disturbed(grid: PathGrid) -> Disturbed:
     """Return the parts of a CT whose values prove no small airway.
 
     They are searched for in the slices of the CT: interpolated slices are more alike than those of a scanner, and
-    spread metal and its streaks (docs/decisions/0088).
+    spread metal and its streaks (docs/decisions/0115).
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 Air beyond an obstruction lies in the chest like an island: from where it ends its axis leads through something as
 bright as tissue back to the airways that were found. What the CT shows across that gap, the bronchus's outer border
-against the lung, tells its calibre from wall to wall. docs/decisions/0061.
+against the lung, tells its calibre from wall to wall. docs/decisions/0115.
 """
 
 from __future__ import annotations

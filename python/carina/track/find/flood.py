@@ -61,7 +61,7 @@ def flood(
         Where the lumen ends, in the volume's numbers.
     is_default
         No person gave ``end``. A flood that fills the lung is then made again in copies smoothed more and more: noise
-        is what opens walls (docs/decisions/0057).
+        is what opens walls (docs/decisions/0113).
 
     Raises
     ------

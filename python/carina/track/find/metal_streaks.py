@@ -1,7 +1,7 @@
 """Streaks of metal: which part of a CT they change.
 
 Streaks lie in the slices that contain metal and are straight lines from it. On circles round the metal they alternate
-between dark and bright, in the same way at every distance; nothing in a chest does so (docs/decisions/0088).
+between dark and bright, in the same way at every distance; nothing in a chest does so (docs/decisions/0115).
 """
 
 from __future__ import annotations

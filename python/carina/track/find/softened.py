@@ -24,7 +24,7 @@ __all__ = ["Softened", "as_it_is", "softened"]
 SEAM_MM = 0.7
 SEAM_VOXELS = 1.1
 # Undershoot up to this is what CTs with soft kernels show, with as much as 60 HU of noise: patients -24 to -2 HU,
-# phantoms -9 to 2. A softened CT is left with it: more softening only takes small airways away (docs/decisions/0084).
+# phantoms -9 to 2. A softened CT is left with it: more softening only takes small airways away (docs/decisions/0113).
 SOFT_HU = 3.0
 # A copy that leaks with such rims is softened so much: what is left of its noise opens walls.
 SOFTEST_HU = -8.0

@@ -49,7 +49,7 @@ Floats = NDArray[np.float64]
 FORMAT = "carina-measures"
 VERSION = 1
 METHOD = 2
-"""How sections are measured; 1: by the flat wall of versions before decision 0089."""
+"""How sections are measured; 1: by the flat wall of versions before decision 0117."""
 
 MIN_CONTRAST_HU = 100.0
 """A wall rises at least this far above its lumen; 4 standard deviations of the noise where that is more."""
@@ -297,7 +297,7 @@ def measure_tree(
     -----
     Edges lie half-way between the lumen's lowest value and the wall's peak along each of 64 rays, and are then
     corrected for the scan's own blur: the tube of soft tissue is fitted whose blurred image has these edges and rises
-    (``docs/decisions/0089-one-diameter.md``).
+    (``docs/decisions/0117``).
 
     Examples
     --------

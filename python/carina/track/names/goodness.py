@@ -19,7 +19,7 @@ Frame = NDArray[np.float64]
 
 MISFIT = "track.tree-unlike-human"
 POOR_FIT = 1.5
-"""A tree that fits less well is no human bronchial tree, or not in the orientation of its file: docs/decisions/0063."""
+"""A tree that fits less well is no human bronchial tree, or not in the orientation of its file: docs/decisions/0116."""
 AGAINST = 1.5
 """What an advantage over the other orientations counts, beside the evidence itself."""
 MIRRORED_FIT = 0.75
@@ -30,7 +30,7 @@ GOOD_FIT = 4.0
 """A tree that fits better is as good as any."""
 # Log odds of a right name: at even odds of its reading, per log odds of the reading, per nat below a good fit. From
 # trees of phantoms (seeds 101 to 124: true ones, degraded and warped into other anatomies, and those found in CTs) and
-# judged on the seeds 201 to 224 (docs/decisions/0063; carina_bench.track_confidence makes them).
+# judged on the seeds 201 to 224 (docs/decisions/0116; carina_bench.track_confidence makes them).
 NAME_ODDS = (0.295, 1.073, 0.706)
 SUREST = 0.995
 """Readings are not taken for surer than this."""

@@ -1,7 +1,7 @@
 """Anatomical names for an airway tree: trachea to subsegments, with confidence and variants.
 
 No weights and no scans: a grammar of anatomy (``model``), the shape of the tree (``shape``), and the sum
-over all ways to read one as the other (``solve``). docs/decisions/0017.
+over all ways to read one as the other (``solve``). docs/decisions/0116.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
     References
     ----------
     Nomenclature, shares of variants: shared reference, features 5.4. Labelling by a grammar with sums over derivations:
-    docs/decisions/0017.
+    docs/decisions/0116.
     """
     seen, place_of = seen_part(tree)
     named = with_limited_confidence(_named_all(seen, letter_rule))

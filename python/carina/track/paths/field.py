@@ -76,7 +76,7 @@ class FieldPaths:
     -----
     Costs are counted in whole quanta, 128 to the cheapest step (1 to a unit where ``enter`` weights are whole numbers),
     and are those of Dijkstra's algorithm on the same quanta. Dial, CACM 12 (1969) 632; Dinitz 1978 for buckets as wide
-    as the cheapest step; docs/decisions/0013.
+    as the cheapest step; docs/decisions/0118.
 
     Examples
     --------
@@ -216,7 +216,7 @@ def aimed_path(
     -----
     Hart, Nilsson and Raphael, IEEE Trans. SSC 4 (1968) 100, with a bound in whole quanta: the least weight by as many
     steps as the longest axis asks for (``enter``), or by the length of the straight line (``mean``);
-    docs/decisions/0013.
+    docs/decisions/0118.
 
     Examples
     --------

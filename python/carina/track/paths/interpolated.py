@@ -36,7 +36,7 @@ def with_divided_slices(slices: NDArray[np.int16], parts: int) -> NDArray[np.int
 
     References
     ----------
-    Unser, Aldroubi and Eden 1993; docs/decisions/0086.
+    Unser, Aldroubi and Eden 1993; docs/decisions/0114.
 
     Examples
     --------

@@ -42,7 +42,7 @@ class PathGrid:
     """The grid in which the airways of a CT are searched, paths run and edits are made.
 
     In slices of 3 mm an oblique airway moves by its own width from one slice to the next: the voxels of its lumen are
-    not connected, and its wall is not closed. So thick slices are divided by interpolation (docs/decisions/0086).
+    not connected, and its wall is not closed. So thick slices are divided by interpolation (docs/decisions/0114).
     What is shown and exported is on the grid of the CT: each of its voxels is ``parts`` voxels of this grid.
 
     Parameters

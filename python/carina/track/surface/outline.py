@@ -15,7 +15,7 @@ __all__ = ["LumenOutline", "MaskOutline"]
 
 
 class LumenOutline:
-    """Cuts one lumen with planes; docs/decisions/0038-outline-of-the-lumen.md says where its lines lie.
+    """Cuts one lumen with planes; docs/decisions/0111 says where its lines lie.
 
     Cheap to make: what a plane needs is built when a plane first passes there, and kept. Any thread may use it.
 

@@ -22,7 +22,7 @@ __all__ = [
 UNCALIBRATED_SIZE = "track.size-not-calibrated"
 """Code of the lasting note of a tree whose trachea is outside the calibrated range."""
 CALIBRATED_MM = (12.0, 27.0)
-"""Diameters of the trachea in the CTs on which confidence was calibrated and verified (docs/decisions/0063)."""
+"""Diameters of the trachea in the CTs on which confidence was calibrated and verified (docs/decisions/0116)."""
 UNPROVEN = 0.5
 """Highest confidence of a branch or a name far outside the calibrated range."""
 # The limit falls from 1 to UNPROVEN between the range and this share below or above it.

@@ -30,7 +30,7 @@ THICK_SLICES = "track.thick-slices"
 
 SLICES_MM = (0.7, 1.0, 1.5, 2.0, 2.5, 3.0, 5.0)
 # By inner diameter in mm (from, to): least, mean and greatest share in % at each thickness of SLICES_MM, over five
-# painted patients, three kernels and two phantoms (docs/decisions/0090; carina bench track --only shares).
+# painted patients, three kernels and two phantoms (docs/decisions/0114; carina bench track --only shares).
 SHARES: dict[tuple[float, float | None], tuple[tuple[int, int, int], ...]] = {
     (6.0, None): (*[(100, 100, 100)] * 6, (85, 95, 100)),
     (4.0, 6.0): ((95, 95, 100), (100, 100, 100), *[(95, 95, 100)] * 3, (85, 95, 100), (20, 55, 95)),

@@ -32,13 +32,13 @@ Points = NDArray[np.float64]
 FAINT = 0.5
 """A branch whose confidence is lower is more likely no airway, and listed as uncertain."""
 # How often branches whose walls score so are true airways: (score, share), rising. Isotonic, on phantoms of the seeds
-# 101 to 114, good and degraded, with strands beside the airways; judged on the seeds 201 to 214 (docs/decisions/0063;
+# 101 to 114, good and degraded, with strands beside the airways; judged on the seeds 201 to 214 (docs/decisions/0116;
 # carina_bench.track_confidence makes it).
 AIRWAY_SHARE = (
     *((0.0, 0.0), (0.260, 0.001), (0.619, 0.010), (0.798, 0.066), (0.874, 0.161), (0.913, 0.275), (0.936, 0.620)),
     *((0.962, 0.675), (0.975, 0.817), (0.986, 0.944), (0.992, 0.969), (0.997, 0.981), (1.0, 0.999)),
 )
-# The thinnest airways, whose walls rise by less than the noise of a voxel, were judged along 5 mm of them (0060): of
+# The thinnest airways, whose walls rise by less than the noise of a voxel, were judged along 5 mm of them (0112): of
 # 131 such ways that were found in four CTs one was none. A branch is one where half its points lie so near to one.
 THREAD_SHARE = 0.95
 NEAR_THREAD_MM = 1.5
