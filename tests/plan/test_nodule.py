@@ -1,4 +1,4 @@
-"""A nodule from one click: its volume, its error and its words, against exact shapes (docs/decisions/0064)."""
+"""A nodule from one click: its volume, its error and its words, against exact shapes (docs/decisions/0121)."""
 
 from __future__ import annotations
 

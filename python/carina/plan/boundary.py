@@ -1,7 +1,7 @@
 """Where a nodule ends in one box of a CT: half-way to the lung, without vessels and without the wall beside it.
 
 No weights. Vessels that enter are cut off by an opening as wide as the nodule allows, and the pleura by the surface of
-the chest wall beside it (docs/decisions/0064).
+the chest wall beside it (docs/decisions/0121).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What is measured of a nodule whose boundary is known: volume, diameters, density, and how sure they are.
 
-The volume is the share of nodule in every voxel (partial volume), which blur does not change (docs/decisions/0064).
+The volume is the share of nodule in every voxel (partial volume), which blur does not change (docs/decisions/0121).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A scope driven along a route: moves of the hand, and what became of them in the airways' wall.
 
 A drive is its moves: whoever places the same scope in the same place and carries them out gets the same poses, for
-`carina.ScopeDrive` is a function of its samples (docs/decisions/0066).
+`carina.ScopeDrive` is a function of its samples (docs/decisions/0122).
 """
 
 from __future__ import annotations

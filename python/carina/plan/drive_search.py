@@ -4,7 +4,7 @@ One attempt steers by a rule: the tip is turned towards a place of the route ahe
 it points too far off; or at a fork the lever is pulled towards the opening while the tip passes it. An attempt that
 takes a wrong branch or is held up is cut back to where it still lay in the route, and the next one starts there with a
 rule of other numbers, until one arrives or the effort is spent. What comes out is the moves of one attempt from its
-beginning, each of them carried out in the elastic model (docs/decisions/0066).
+beginning, each of them carried out in the elastic model (docs/decisions/0122).
 """
 
 from __future__ import annotations

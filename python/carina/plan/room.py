@@ -1,7 +1,7 @@
 """How wide the way is: the largest ball that passes at each point of a centreline.
 
 A centreline found in voxels lies a third of a millimetre beside the middle, and up to 2 mm at forks; there a ball round
-its own point is smaller than the one that passes (docs/decisions/0072). So the ball is moved across the airway to where
+its own point is smaller than the one that passes (docs/decisions/0122). So the ball is moved across the airway to where
 it fits best.
 """
 

@@ -1,4 +1,4 @@
-"""From a route to its list of turns (docs/decisions/0068)."""
+"""From a route to its list of turns (docs/decisions/0124)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Every point of the centrelines from which the tool may reach is looked at; of each branch the best place is kept. Routes
 that the planned scope gets to come first, then those that it may get to; among equals the score decides, whose parts
-are told (docs/decisions/0065, 0072).
+are told (docs/decisions/0122).
 """
 
 from __future__ import annotations

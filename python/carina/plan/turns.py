@@ -1,4 +1,4 @@
-"""The list of turns: fork by fork, where the opening is and what the hand does (docs/decisions/0068)."""
+"""The list of turns: fork by fork, where the opening is and what the hand does (docs/decisions/0124)."""
 
 from __future__ import annotations
 
