@@ -164,7 +164,7 @@ def path_problem(text: str, document: str) -> str | None:
     # A file that Carina writes or reads: its name is a text of the source code.
     if "/" not in name and (name in all_source() or name.rpartition(".")[0].isupper()):
         return None
-    # A decision by its number: docs/decisions/0074.
+    # A decision by its number: docs/decisions/0125.
     if any(file.startswith(name + "-") for file in tracked_files()):
         return None
     return "no such file or folder"

@@ -102,7 +102,7 @@ class Findings:
     max_change_n: float = 0.0
 
     def check(self) -> None:
-        """The bounds of `docs/decisions/0031-random-drives.md`, and that these were drives along walls."""
+        """The bounds of `docs/decisions/0125`, and that these were drives along walls."""
         print(self.told())
         assert self.tip.mm <= 0.1, self.tip.told
         assert self.shaft.mm <= 0.5, self.shaft.told

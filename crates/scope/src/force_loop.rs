@@ -2,7 +2,7 @@
 //!
 //! A hand comes in process (`put`), over binary UDP on loopback, or is a simulated one. Waiting is by the system's clock
 //! to an absolute time, so ticks do not drift; a tick whose work is not done a millisecond after it was due is a missed
-//! deadline (decision 0047).
+//! deadline (decision 0125).
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

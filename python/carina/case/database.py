@@ -75,7 +75,7 @@ def _text(content: bytes) -> str:
 
 
 def set_up(connection: sqlite3.Connection) -> None:
-    """How the live file is written: docs/decisions/0051-a-case-is-a-database.md."""
+    """How the live file is written: docs/decisions/0127."""
     mode = connection.execute("PRAGMA journal_mode=WAL").fetchone()[0]
     if mode != "wal":
         # A share: there the ordinary journal is safe, if slower.

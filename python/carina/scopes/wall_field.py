@@ -140,7 +140,7 @@ class WallField:
         Along the middle of a lumen the distance has a ridge, which a reading between samples cuts off: by `distance_mm`
         a tube is 0.4 mm too narrow there, up to 0.56 mm, whatever its width. Beside the ridge it is right, and a point
         is as far from the wall as the nearest of the points round it, and the way to that one. Tubes of 1 to 6 mm come
-        out 0.06 mm too narrow, 0.1 mm at most (docs/decisions/0074). It takes 65 times as long.
+        out 0.06 mm too narrow, 0.1 mm at most (docs/decisions/0125). It takes 65 times as long.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-/** A case that was kept is continued, which loses nothing; here it is said, and another can be begun (decision 0051). */
+/** A case that was kept is continued, which loses nothing; here it is said, and another can be begun (decision 0127). */
 
 import { continuedWords } from "../state/case-list";
 import { useApp, useStation } from "./context";
