@@ -1,5 +1,5 @@
-"""Refuse what must never be committed (machine paths, hosts in lock files, big files), dead paths in the docs, and
-citing what is not here."""
+"""Refuse what must never be committed (machine paths, hosts in lock files, big files), dead paths in the documents, and
+citations of decisions and papers that are not in the repository."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ NAMED_PATH = re.compile(
 )
 ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
 """Names of papers that are not in the repository: what they say is in docs/."""
+CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
 TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", ".lock", ".txt", ".yml", ".sh", ""}
@@ -35,6 +36,16 @@ def dead_paths(name: str) -> list[str]:
         if "NNNN" not in path and not path.startswith(GENERATED) and not any(ROOT.glob(path.rstrip("/"))):
             found.append(f"{name}: names {path}, which does not exist")
     return found
+
+
+def dead_decisions(name: str, text: str) -> list[str]:
+    """Return a finding for each decision that a file cites by a number that no decision has."""
+    cited = sorted(set(CITED_DECISION.findall(text)))
+    return [
+        f"{name}: cites decision {number}, which does not exist; docs/decisions/index.md maps former numbers"
+        for number in cited
+        if not any(ROOT.glob(f"docs/decisions/{number}-*.md"))
+    ]
 
 
 def main() -> int:
@@ -58,6 +69,7 @@ def main() -> int:
             if match := HOME_PATH.search(body):
                 found.append(f"{name}: holds a path of somebody's machine ({match.group().decode()})")
             if path.suffix in {".py", ".rs", ".ts", ".tsx", ".md", ".toml"} and path != Path(__file__).resolve():
+                found += dead_decisions(name, body.decode("utf-8", errors="replace"))
                 for match in ELSEWHERE.finditer(body.decode("utf-8", errors="replace")):
                     found.append(f"{name}: cites {match.group()!r}, which is not in the repository; cite docs/")
             if path.name == "package-lock.json" and b'"resolved"' in body:
