@@ -33,6 +33,7 @@ from carina.argument_checks import (
 )
 from carina.config import load_settings
 from carina.disk import Draft, make_folder
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError
 from carina.leaning_phantom import MOST_LEAN_DEG, lean_chest, moved_mm
 from carina.volume import Volume, VolumeSource, write_grid_to
@@ -40,7 +41,6 @@ from carina.volume import Volume, VolumeSource, write_grid_to
 __all__ = ["Phantom", "demo_phantom", "generate_phantom", "lumen_distance_at", "write_phantom"]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-Progress = Callable[[str, float | None], None]
 
 # Raise it when the same options give another chest (a test pins their checksum): cached demos are then made anew.
 GENERATOR_VERSION = 2
@@ -83,6 +83,7 @@ def _check_spacing(where: str, name: str, value: object) -> None:
     (each(one, least=3, most=3) if isinstance(value, list | tuple | np.ndarray) else one)(where, name, value)
 
 
+@shows_progress
 @check_arguments(
     seed=whole_from(0, 2**64 - 1),
     spacing_mm=_check_spacing,
@@ -96,7 +97,6 @@ def _check_spacing(where: str, name: str, value: object) -> None:
     resected=choice("RUL", "RML", "RLL", "LUL", "LLL", optional=True),
     box_lps=array_of(2, 3, optional=True, what="two corners of three finite numbers in mm (LPS)"),
     with_distance=flag,
-    progress=function,
     cancel=function,
 )
 def generate_phantom(
@@ -113,7 +113,7 @@ def generate_phantom(
     resected: str | None = None,
     box_lps: Sequence[Sequence[float]] | None = None,
     with_distance: bool = False,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Phantom:
     """Make a chest CT: body, lungs, vessels and an airway tree with named segments, with the truth.
@@ -155,8 +155,11 @@ def generate_phantom(
         truth is always the whole tree.
     with_distance
         Also hand over the signed distance to the lumen (4 bytes per voxel).
-    progress, cancel
-        Called with what is done and the share done (0..1); asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -210,11 +213,13 @@ def generate_phantom(
             box[0][a] -= beside[a] * spacing[a]
             box[1][a] += beside[a] * spacing[a]
 
+    report = progress_function(progress)
+
     def proceed(fraction: float) -> bool:
         if cancel is not None and cancel():
             raise CancelledError("stopped while generating the phantom")
-        if progress is not None:
-            progress("generating the phantom", fraction)
+        if report is not None:
+            report("generating the phantom", fraction)
         return True
 
     made = _core.generate_chest(
@@ -358,10 +363,11 @@ def _write_nifti(file: BinaryIO, values: NDArray[Any], lps_from_ijk: NDArray[np.
     write_grid_to(file, ".nii.gz", values, lps_from_ijk, what=what, level=1)
 
 
+@shows_progress
 def demo_phantom(
     *,
     cache_dir: Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Phantom:
     """Return the demo case: a chest with a nodule, made once and then read from the cache.

@@ -65,7 +65,7 @@ def test_a_thinner_scope_and_a_longer_tool_never_reach_less(chest) -> None:
 def test_it_can_be_stopped(chest) -> None:
     volume, airways, wall = chest
     told: list[float] = []
-    reach_atlas(volume, airways, wall=wall, progress=told.append)
+    reach_atlas(volume, airways, wall=wall, progress=lambda _what, share: told.append(share))
     assert told[0] == 0.0 and told[-1] == 1.0 and told == sorted(told)
     with pytest.raises(CancelledError):
         reach_atlas(volume, airways, wall=wall, cancel=lambda: True)

@@ -355,7 +355,14 @@ def test_a_file_of_another_kind_is_refused_in_words(tmp_path, name, choice, word
 def test_a_report_that_is_cancelled_leaves_no_file(tmp_path) -> None:
     shares: list[float] = []
     with pytest.raises(CancelledError):
-        make_sheet(volume(), airways(), plan(), wall=wall(), progress=shares.append, cancel=lambda: len(shares) > 2)
+        make_sheet(
+            volume(),
+            airways(),
+            plan(),
+            wall=wall(),
+            progress=lambda _what, share: shares.append(share),
+            cancel=lambda: len(shares) > 2,
+        )
     assert shares == sorted(shares)
     with pytest.raises(CancelledError):
         write_report(tmp_path / "plan.html", sheet(), cancel=lambda: True)

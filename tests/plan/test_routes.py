@@ -342,7 +342,13 @@ def test_bad_input_is_refused_in_words() -> None:
 
 def test_progress_ends_at_one_and_never_goes_back() -> None:
     told: list[float] = []
-    plan_route(made_phantom(**CHEST).volume, made_airways(**CHEST), plan().nodule, wall=wall(), progress=told.append)
+    plan_route(
+        made_phantom(**CHEST).volume,
+        made_airways(**CHEST),
+        plan().nodule,
+        wall=wall(),
+        progress=lambda _what, share: told.append(share),
+    )
     assert told == sorted(told) and told[-1] == 1.0
 
 

@@ -122,5 +122,9 @@ def test_what_cannot_be_filmed_is_refused() -> None:
         clips_of(turns(), cancel=lambda: True)
     assert clips_of(dataclasses.replace(turns(), turns=())) == ()
     shares: list[float] = []
-    clips_of(dataclasses.replace(turns(), turns=turns().turns[:2]), num_frames=2, progress=shares.append)
+    clips_of(
+        dataclasses.replace(turns(), turns=turns().turns[:2]),
+        num_frames=2,
+        progress=lambda _what, share: shares.append(share),
+    )
     assert shares == [0.25, 0.5, 0.75, 1.0]

@@ -209,5 +209,9 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         pictures_of(turns(), cancel=lambda: True)
     assert pictures_of(dataclasses.replace(turns(), turns=())) == ()
     shares: list[float] = []
-    pictures_of(dataclasses.replace(turns(), turns=turns().turns[:2]), progress=shares.append, size_px=128)
+    pictures_of(
+        dataclasses.replace(turns(), turns=turns().turns[:2]),
+        progress=lambda _what, share: shares.append(share),
+        size_px=128,
+    )
     assert shares == [0.5, 1.0]

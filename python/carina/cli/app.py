@@ -26,6 +26,7 @@ from carina.cli.console import (
 )
 from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, TokenOption
 from carina.display.printable import printable
+from carina.display.progress import without_bars
 from carina.errors import UsageError
 
 __all__ = ["app", "main"]
@@ -682,7 +683,8 @@ def main() -> None:
 
         log_to_terminal(load_settings().log_level)
         try:
-            code = app(prog_name="carina", standalone_mode=False)
+            with without_bars():
+                code = app(prog_name="carina", standalone_mode=False)
         except USAGE_ERROR as error:
             say_usage(error)
             refused = UsageError(error.format_message())

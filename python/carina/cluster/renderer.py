@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.cluster.console import Console, Content
+from carina.display.progress import ProgressChoice, shows_progress
 from carina.errors import CancelledError
 from carina.render import (
     AirwayView,
@@ -27,7 +28,7 @@ from carina.render import (
     can_cut,
 )
 from carina.render.decoration import DecorationTree
-from carina.render.scene import Cancel, Progress, Scene
+from carina.render.scene import Cancel, Scene
 from carina.volume import Volume
 
 __all__ = ["ClusterRenderer", "render_frames"]
@@ -92,8 +93,9 @@ class ClusterRenderer:
         """See :meth:`carina.render.Renderer.set_lumen`."""
         self._renderer.set_lumen(lumen_zyx, tree)
 
+    @shows_progress
     def prepare(
-        self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
+        self, progress: ProgressChoice = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
         """See :meth:`carina.render.Renderer.prepare`; maps are built here and sent."""
         self._renderer.prepare(progress, cancel, all_classes=all_classes)

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 from carina.argument_checks import progress_choice
 
-__all__ = ["Progress", "ProgressChoice", "heard", "shows_progress"]
+__all__ = ["Progress", "ProgressChoice", "progress_function", "share_function", "shows_progress", "without_bars"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 Progress = Callable[[str, float | None], None]
 ProgressChoice = Progress | bool | None
-"""A callback ``progress(what, fraction)``; False shows nothing; None, as usual, a bar in a terminal or a notebook."""
+"""The argument ``progress`` of every public function.
+
+A function ``f(what, fraction)`` is called with the step and its share done, 0 to 1, or None where the share is unknown.
+True, as None, shows a bar in a terminal or a notebook. False shows nothing.
+"""
+
+_inside: ContextVar[bool] = ContextVar("carina_progress_inside", default=False)
+"""Whether a function with an argument ``progress`` is running: its choice holds for the functions that it calls."""
 
 BEGIN_S = 0.5
 """Shorter work needs no bar."""
@@ -121,29 +131,65 @@ class Watched:
             self._bar.close()
 
 
-def heard(progress: ProgressChoice) -> Progress | None:
-    """Return the callback of a choice, if there is one; for functions that `shows_progress` wraps."""
+def progress_function(progress: ProgressChoice) -> Progress | None:
+    """Return the function of a choice, None for True, False and None; for functions that `shows_progress` wraps."""
     return progress if callable(progress) else None
 
 
+def share_function(
+    progress: Progress | None, what: str, first: float = 0.0, last: float = 1.0
+) -> Callable[[float], None] | None:
+    """Return a function that reports the share of one step of the work; None without a progress function.
+
+    Parameters
+    ----------
+    progress
+        Receives the step and its share.
+    what
+        The step.
+    first, last
+        The share of the whole work at the step's beginning and at its end.
+    """
+    return None if progress is None else lambda share: progress(what, first + (last - first) * share)
+
+
+@contextmanager
+def without_bars() -> Iterator[None]:
+    """Show no bar in the block unless a call passes ``progress=True``; the command line reports progress itself."""
+    before = _inside.set(True)
+    try:
+        yield
+    finally:
+        _inside.reset(before)
+
+
 def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
-    """Give a function with a keyword ``progress`` a default progress bar; a passed callback replaces the bar."""
+    """Let a function with an argument ``progress`` accept every `ProgressChoice`.
+
+    The function receives a progress function or None. A function that another such function calls without a choice
+    shows no bar of its own.
+    """
+    place = list(inspect.signature(function).parameters).index("progress")
 
     @functools.wraps(function)
     def shown(*args: P.args, **kwargs: P.kwargs) -> T:
-        choice: Any = kwargs.get("progress")
-        progress_choice(function.__name__, "progress", choice)
-        if callable(choice):
-            return function(*args, **kwargs)
-        make = bar_here() if choice is not False else None
-        if make is None:
-            kwargs["progress"] = None
-            return function(*args, **kwargs)
-        told = Watched(make, time.monotonic)
-        kwargs["progress"] = told
+        is_positional = place < len(args)
+        choice: Any = args[place] if is_positional else kwargs.get("progress")
+        progress_choice(function.__qualname__, "progress", choice)
+        bar: Watched | None = None
+        if not callable(choice):
+            is_wanted = choice is True or (choice is None and not _inside.get())
+            make = bar_here() if is_wanted else None
+            bar = choice = None if make is None else Watched(make, time.monotonic)
+        changed: Any = (*args[:place], choice, *args[place + 1 :]) if is_positional else args
+        if not is_positional:
+            kwargs["progress"] = choice
+        before = _inside.set(True)
         try:
-            return function(*args, **kwargs)
+            return function(*changed, **kwargs)
         finally:
-            told.close()
+            _inside.reset(before)
+            if bar is not None:
+                bar.close()
 
     return shown

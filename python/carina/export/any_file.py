@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from carina.argument_checks import check_arguments, each, file_path, function, instance
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import check_type
 from carina.export.format_table import export_format
 from carina.export.mask_file import check_mask_file
@@ -61,13 +62,13 @@ def export_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = 
     return export_format(path, kind="tree").write(Path(path), tree, badges=badges)
 
 
+@shows_progress
 @check_arguments(
     path=file_path(),
     volume=instance(Volume, "open a volume with carina.open_volume"),
     airways=instance(Airways, "get airways from carina.find_airways"),
     tree=instance(AirwayTree, "get one from carina.find_airways", optional=True),
     badges=each(instance(Note, "create a carina.volume.Note")),
-    progress=function,
     cancel=function,
 )
 def export_airways(
@@ -77,7 +78,7 @@ def export_airways(
     *,
     tree: AirwayTree | None = None,
     badges: Sequence[Note] = (),
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Path:
     """Write the airways to a file, in the format of its suffix.
@@ -95,6 +96,11 @@ def export_airways(
         Another tree than that of the airways (one that a person mended).
     badges
         Lasting notes beside those of the volume and the airways, which are written in any case.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -122,6 +128,6 @@ def export_airways(
     words = drawn_tree(airways.tree).words
     note = None if words is None else f"{words}: not from the CT"
     if to.kind == "surface":
-        mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
+        mesh = lumen_mesh(volume, airways, progress=progress_function(progress), cancel=cancel)
         return to.write(path, mesh, note=note, badges=lasting)
     return to.write(path, lumen_mask(volume, airways), volume, note=note, badges=lasting)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carina.argument_checks import check_arguments, file_path, function, instance, mask_array, number_from
 from carina.display import one_line
 from carina.display.html import caption, escaped, figure
-from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, check_type
 from carina.export.video import VideoWriter, even_size, size_notes
 from carina.navigate import AutoFlight, FlightPath, KeyFrameFlight
@@ -113,8 +113,11 @@ def write_film(
         Frames per second, 1 to 240.
     speed_mm_s
         Speed along a path, 0.1 to 500.
-    progress, cancel
-        ``progress(what, fraction)``, or False for no bar; ``cancel() -> bool``, called before each frame.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -141,7 +144,7 @@ def write_film(
     Film(name='trachea.mp4', num_frames=5, rate_hz=2, size_px=(64, 48))
     """
     check_type("write_film", "volume", volume, Volume, "open a volume with carina.open_volume")
-    told = heard(progress)
+    told = progress_function(progress)
     kinds = (FlightPath, AutoFlight, KeyFrameFlight)
     check_type("write_film", "flight", flight, kinds, "create a carina.FlightPath from the points_lps of a route")
     flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight

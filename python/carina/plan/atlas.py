@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.lobes import lung_grid
 from carina.plan.places import Ways
@@ -98,6 +99,7 @@ class ReachAtlas:
         }
 
 
+@shows_progress
 def reach_atlas(
     volume: Volume,
     airways: Airways,
@@ -105,7 +107,7 @@ def reach_atlas(
     scope: ScopePreset | str = "thin",
     tool: Tool | str = DEFAULT_TOOL,
     wall: WallField | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> ReachAtlas:
     """What of the lungs an instrument and a tool get to.
@@ -121,8 +123,11 @@ def reach_atlas(
         Instruments or their names in the libraries.
     wall
         The airways' wall where it is at hand; else it is made.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -138,11 +143,13 @@ def reach_atlas(
     preset = scope_preset(scope) if isinstance(scope, str) else scope
     used = tool_named(tool) if isinstance(tool, str) else tool
 
+    on_share = share_function(progress_function(progress), "going through all airways")
+
     def say(share: float) -> None:
         if cancel is not None and cancel():
             raise CancelledError("the atlas was cancelled")
-        if progress is not None:
-            progress(share)
+        if on_share is not None:
+            on_share(share)
 
     say(0.0)
     if not math.isfinite(used.reach_mm):

@@ -68,7 +68,7 @@ def fissures(
     border_mm: Values,
     lps_from_ijk: NDArray[np.float64],
     *,
-    progress: Callable[[float], None] | None = None,
+    on_share: Callable[[float], None] | None = None,
 ) -> FissureBox:
     """Plates in the lungs near the lobes' borders.
 
@@ -78,13 +78,13 @@ def fissures(
         Both lungs at 1 mm.
     label_zyx, border_mm, lps_from_ijk
         Lobes by the airways alone, on their own grid (`carina.plan.lobes`).
-    progress
-        Told the share done; it may raise CancelledError.
+    on_share
+        Receives the share done; it may raise CancelledError.
     """
 
     def say(share: float) -> None:
-        if progress is not None:
-            progress(share)
+        if on_share is not None:
+            on_share(share)
 
     near = _near_border(box, label_zyx, border_mm, lps_from_ijk)
     lung_hu = lung_median_hu(box.hu_zyx[::2, ::2, ::2])

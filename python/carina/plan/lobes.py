@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import NoResultError
 from carina.plan.box import Box, ball_distance, extent
 from carina.plan.fissures import FissureBox, fissures
@@ -71,12 +72,13 @@ class Lobes:
         return float((self.label_zyx == LOBE_NAMES.index(lobe) + 1).sum()) * STEP_MM**3 / 1000.0
 
 
+@shows_progress
 def lobes(
     volume: Volume,
     tree: AirwayTree,
     *,
     box: Box | None = None,
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
 ) -> Lobes:
     """The lobes by the airways that are nearest through the lung; fissures that are seen move the borders to them.
 
@@ -89,7 +91,8 @@ def lobes(
     box
         `carina.plan.surroundings.lung_box` of the CT, where it is at hand.
     progress
-        Told what is done, and the share done; it may raise CancelledError.
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown. It may raise CancelledError.
 
     Raises
     ------
@@ -97,27 +100,24 @@ def lobes(
         If there is no lung in the CT (``plan.no_lung``) or no lobe's bronchus on the tree (``plan.no_lobe``).
     """
 
+    report = progress_function(progress)
+
     def say(what: str, share: float) -> None:
-        if progress is not None:
-            progress(what, share)
+        if report is not None:
+            report(what, share)
 
     if box is None:
         say("finding the lungs", 0.0)
         box = lung_box(volume)
     say("the lobes by their airways", 0.2)
     inside, matrix = lung_grid(box)
-    first = nearest_lobe(inside, matrix, tree, progress=_part(say, "the lobes by their airways", 0.2, 0.4))
+    first = nearest_lobe(inside, matrix, tree, on_share=share_function(report, "the lobes by their airways", 0.2, 0.4))
     say("looking for fissures", 0.4)
-    told = _part(say, "looking for fissures", 0.4, 0.7)
-    seen = fissures(box, first.label_zyx, first.border_mm, matrix, progress=told)
+    on_share = share_function(report, "looking for fissures", 0.4, 0.7)
+    seen = fissures(box, first.label_zyx, first.border_mm, matrix, on_share=on_share)
     last = "the lobes by airways and fissures"
     say(last, 0.7)
-    return nearest_lobe(inside, matrix, tree, seen, progress=_part(say, last, 0.7, 1.0))
-
-
-def _part(say: Callable[[str, float], None], what: str, first: float, last: float) -> Callable[[float], None]:
-    """Tells the share done of one part as that of the whole."""
-    return lambda share: say(what, first + (last - first) * share)
+    return nearest_lobe(inside, matrix, tree, seen, on_share=share_function(report, last, 0.7, 1.0))
 
 
 def nearest_lobe(
@@ -126,11 +126,11 @@ def nearest_lobe(
     tree: AirwayTree,
     seen: FissureBox | None = None,
     *,
-    progress: Callable[[float], None] | None = None,
+    on_share: Callable[[float], None] | None = None,
 ) -> Lobes:
     """Each place of the lungs (a grid of 2 mm) belongs to the lobe whose airways are nearest through the lung.
 
-    ``progress`` is told the share done, and may raise CancelledError.
+    ``on_share`` receives the share done, and may raise CancelledError.
     """
     seeds = _seeds(inside, lps_from_ijk, tree)
     if not seeds:
@@ -150,8 +150,8 @@ def nearest_lobe(
     try:
         fronts = {lobe: pool.submit(_arrival, speed, pieces, at) for lobe, at in seeds.items()}
         for n, (lobe, front) in enumerate(fronts.items()):
-            if progress is not None:
-                progress(n / len(seeds))
+            if on_share is not None:
+                on_share(n / len(seeds))
             times[LOBE_NAMES.index(lobe)] = front.result()
     finally:
         pool.shutdown(cancel_futures=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, CarinaError
 from carina.plan.box import Box, ball_distance, smoothed
 from carina.plan.fissures import FissureBox
@@ -100,12 +101,13 @@ class LungMap:
     """Why something could not be told."""
 
 
+@shows_progress
 def map_lungs(
     volume: Volume,
     airways: Airways,
     wall: WallField,
     *,
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
     found: Callable[[LungMap], None] | None = None,
 ) -> LungMap:
     """Vessels first, then the tree that they form, then lobes and fissures; what fails is told and the rest is there.
@@ -115,7 +117,8 @@ def map_lungs(
     volume, airways, wall
         The CT, its airways and their wall.
     progress
-        Told what is done, and the share done; it may raise CancelledError.
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown. It may raise CancelledError.
     found
         Given what is made so far, while the rest is still being looked for.
 
@@ -127,24 +130,25 @@ def map_lungs(
         If ``progress`` raised it.
     """
 
+    report = progress_function(progress)
+
     def say(what: str, share: float) -> None:
-        if progress is not None:
-            progress(what, share)
+        if report is not None:
+            report(what, share)
 
     say("finding the lungs", 0.0)
     box = lung_box(volume)
     looking = "looking for vessels"
     say(looking, 0.05)
-    seen = lung_surroundings(volume, wall, box=box, progress=lambda share: say(looking, 0.05 + 0.4 * share))
+    seen = lung_surroundings(volume, wall, box=box, progress=lambda what, share: say(what, 0.05 + 0.4 * (share or 0.0)))
     say(looking, 0.45)
     inside = seen.vessel & _within(seen.box.known, round(RIM_MM / seen.box.step_mm)) & _amid_lung(seen, airways.tree)
     made = LungMap(_cropped(inside, seen.box), _cropped(_standing_out(inside, seen), seen.box))
     say(looking, 0.48)
     if found is not None:
         found(made)
-    tree = grow_tree(
-        seen.box, inside, seen.sure, progress=lambda share: say("following the vessels", 0.48 + 0.07 * share)
-    )
+    on_share = share_function(report, "following the vessels", 0.48, 0.55)
+    tree = grow_tree(seen.box, inside, seen.sure, on_share=on_share)
     made = replace(made, vessel_tree=_deep_lines(tree, seen.box))
     if found is not None:
         found(made)
@@ -153,7 +157,7 @@ def map_lungs(
             volume,
             airways.tree,
             box=box,
-            progress=None if progress is None else lambda what, share: progress(what, 0.55 + 0.45 * (share or 0.0)),
+            progress=lambda what, share: say(what, 0.55 + 0.45 * (share or 0.0)),
         )
     except CancelledError:
         raise

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carina.argument_checks import check_arguments, function, instance, lps_point
+from carina.argument_checks import check_arguments, instance, lps_point
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import NoResultError, UsageError, check_type
 from carina.plan.boundary import HALVES_MM, Boundary, no_boundary
 from carina.plan.boundary_measures import measured
@@ -24,18 +23,18 @@ MOST_STEPS = 60
 """Voxels from the middle of a box to its side: a mass needs no finer ones."""
 
 
+@shows_progress
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
     at_lps=lps_point(),
     wall=instance(WallField, "make one with carina.wall_field", optional=True),
-    progress=function,
 )
 def grow_nodule(
     volume: Volume,
     at_lps: ArrayLike,
     *,
     wall: WallField | None = None,
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
 ) -> Nodule:
     """Segment the nodule at a place in the lung, or the lesion at a place in an airway.
 
@@ -49,7 +48,8 @@ def grow_nodule(
         The airways' wall where it is at hand (`carina.wall_field`): what stands into an airway is a lesion of its own
         then, and a click into a lumen is said to be one.
     progress
-        Told what is done (how far is not known); it may raise CancelledError.
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown. It may raise CancelledError.
 
     Returns
     -------
@@ -100,9 +100,11 @@ def grow_nodule(
                 code="plan.in-airway",
             )
 
+    report = progress_function(progress)
+
     def look() -> None:
-        if progress is not None:
-            progress("looking for a nodule", None)
+        if report is not None:
+            report("looking for a nodule", None)
 
     coarsest_mm = max(volume.spacing_mm)
     problem = no_boundary()

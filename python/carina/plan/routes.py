@@ -29,6 +29,7 @@ from carina.argument_checks import (
     text_of,
 )
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.hindrances import check_target, notes_of_target, notes_of_tools, why_none
 from carina.plan.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
@@ -239,6 +240,7 @@ class Plan:
         }
 
 
+@shows_progress
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
     airways=instance(Airways, "get airways from carina.find_airways"),
@@ -251,7 +253,6 @@ class Plan:
     errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),
     weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
     wall=instance(WallField, "make one with carina.wall_field", optional=True),
-    progress=function,
     cancel=function,
 )
 def plan_route(
@@ -267,7 +268,7 @@ def plan_route(
     errors: NeedleErrors | None = None,
     weights: ScoreWeights | None = None,
     wall: WallField | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Plan:
     """Ways to a nodule: where a scope stands, and the needle's way from there.
@@ -292,8 +293,11 @@ def plan_route(
         Of the needle, and of the score.
     wall
         The airways' wall where it is at hand (`carina.wall_field`); else it is made.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -326,7 +330,7 @@ def plan_route(
     for name, value, most in (("vessel_margin_mm", vessel_margin_mm, 50.0), ("moved_mm", moved_mm or 0.0, 60.0)):
         if not (math.isfinite(value) and 0.0 <= value <= most):
             raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
-    say = _Steps(progress, cancel)
+    say = _Steps(share_function(progress_function(progress), "planning the routes"), cancel)
     if not isinstance(target, PlanTarget | Nodule):
         # With the wall a lesion in an airway is told as such.
         wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
@@ -494,14 +498,14 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
 class _Steps:
     """Progress and cancel between steps."""
 
-    def __init__(self, progress: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
-        self._progress, self._cancel = progress, cancel
+    def __init__(self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
+        self._on_share, self._cancel = on_share, cancel
 
     def __call__(self, share: float) -> None:
         if self._cancel is not None and self._cancel():
             raise CancelledError("planning was cancelled")
-        if self._progress is not None:
-            self._progress(share)
+        if self._on_share is not None:
+            self._on_share(share)
 
 
 def standing_apart(routes: Sequence[PlannedRoute]) -> tuple[PlannedRoute, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import NoResultError
 from carina.plan.box import Box, ball_distance, lung_median_hu, smoothed
 from carina.plan.fissures import FissureBox
@@ -39,7 +40,7 @@ LEAST_MM3 = 12.0
 SLAB = 48
 """Slices in which walls are asked for between two looks at whether to stop."""
 
-Progress = Callable[[float], None]
+OnShare = Callable[[float], None]
 
 
 @one_line
@@ -105,20 +106,31 @@ def surroundings(
     return replace(_seen(Box.around(volume, centre_lps, half_mm), nodule, wall), fissure=fissure)
 
 
+@shows_progress
 def lung_surroundings(
-    volume: Volume, wall: WallField, *, box: Box | None = None, progress: Progress | None = None
+    volume: Volume, wall: WallField, *, box: Box | None = None, progress: ProgressChoice = None
 ) -> Surroundings:
     """The same for the whole of both lungs, at 1 mm: for pictures of the vessels, not for needles.
 
-    Vessels thinner than about 1 mm are seen in part. ``box`` is `lung_box` of the CT, where it is at hand;
-    ``progress`` is told the share done, and may raise CancelledError.
+    Vessels thinner than about 1 mm are seen in part.
+
+    Parameters
+    ----------
+    volume, wall
+        The CT and the wall of its airways.
+    box
+        `lung_box` of the CT, where it is at hand.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown. It may raise CancelledError.
 
     Raises
     ------
     NoResultError
         If there is no lung in the CT (code ``plan.no_lung``).
     """
-    return _seen(lung_box(volume) if box is None else box, None, wall, progress or _unheard)
+    on_share = share_function(progress_function(progress), "looking for vessels")
+    return _seen(lung_box(volume) if box is None else box, None, wall, on_share or _ignore_share)
 
 
 def lung_box(volume: Volume) -> Box:
@@ -206,16 +218,16 @@ def _lung(coarse: NDArray[np.float32]) -> Mask:
     return found
 
 
-def _unheard(_share: float) -> None:
-    """Where nobody listens."""
+def _ignore_share(_share: float) -> None:
+    """Ignore the share done."""
 
 
-def _seen(box: Box, nodule: Nodule | None, wall: WallField, progress: Progress = _unheard) -> Surroundings:
+def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = _ignore_share) -> Surroundings:
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
     lung_hu = lung_median_hu(smooth)
-    progress(0.15)
+    on_share(0.15)
     # Most of a lung is neither dense nor near a wall: walls are asked for where something is.
-    to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU, lambda share: progress(0.15 + 0.3 * share))
+    to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU, lambda share: on_share(0.15 + 0.3 * share))
     dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)
     clear = to_wall < -LINE_WALL_MM
     if nodule is not None:
@@ -225,16 +237,16 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, progress: Progress =
         clear &= away
     half = 0.5 * THICKEST_VESSEL_MM
     core = ball_distance(dense, box.step_mm) > half
-    progress(0.5)
+    on_share(0.5)
     thick = dense & (ball_distance(~core, box.step_mm) <= half + box.step_mm) if core.any() else np.zeros_like(dense)
     wide = _large_pieces(dense & ~thick & box.known, LEAST_MM3 / box.step_mm**3)
-    progress(0.6)
-    thin, sure = thin_vessels(box, lung_hu, clear & ~thick, progress=lambda share: progress(0.6 + 0.2 * share))
+    on_share(0.6)
+    thin, sure = thin_vessels(box, lung_hu, clear & ~thick, on_share=lambda share: on_share(0.6 + 0.2 * share))
     sure[wide] = 1.0
     vessel = wide | thin
-    progress(0.8)
+    on_share(0.8)
     vessel_mm = _distance(vessel, box.step_mm)
-    progress(0.9)
+    on_share(0.9)
     return Surroundings(box, lung_hu, vessel, thick, vessel_mm, _distance(thick, box.step_mm), sure)
 
 
@@ -244,12 +256,12 @@ def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     return ball_distance(~mask, step_mm)
 
 
-def _to_wall(box: Box, wall: WallField, where: Mask, progress: Progress) -> NDArray[np.float32]:
+def _to_wall(box: Box, wall: WallField, where: Mask, on_share: OnShare) -> NDArray[np.float32]:
     """Signed distance to the airways' wall, above 0 in a lumen; far outside where it was not asked for."""
     found = np.full(where.shape, -np.inf, dtype=np.float32)
     num = len(where)
     for first in range(0, num, SLAB):
-        progress(first / num)
+        on_share(first / num)
         part = slice(first, first + SLAB)
         found[part][where[part]] = wall.distance_mm(_centres(box, where[part], first))
     return found

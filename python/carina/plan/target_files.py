@@ -8,6 +8,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import VolumeImportError, check_type
 from carina.plan.contours import OutlineError, drawn_in
 from carina.plan.mask_measures import drawn_nodule
@@ -39,6 +40,7 @@ PART_OF_SCAN = "the segmentation covers only part"
 SISTER = "it was drawn on another series of the same examination, which has the same coordinates"
 
 
+@shows_progress
 def target_from_file(
     path: str | Path,
     volume: Volume,
@@ -50,7 +52,7 @@ def target_from_file(
     name: str | None = None,
     resample: bool = False,
     wall: WallField | None = None,
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanTarget:
     """Read a target from a mask (NIfTI, NRRD, MetaImage), a DICOM SEG or an RTSTRUCT.
@@ -76,6 +78,11 @@ def target_from_file(
         Take a mask on another grid all the same (not from outlines).
     wall
         The airways' wall, where it is known: it tells whether the target lies in an airway.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -96,7 +103,7 @@ def target_from_file(
     'mask'
     """
     check_type("target_from_file", "volume", volume, Volume, "open a volume with carina.open_volume")
-    watch = Watch(progress, cancel)
+    watch = Watch(progress_function(progress), cancel)
     file = Path(path).expanduser()
     source: TargetSource = "mask"
     ours: References | None = None
@@ -110,7 +117,7 @@ def target_from_file(
     else:
         notes = _belonging(file, read_references(file), ours) if source == "seg" else ()
         number, named = _label(file, volume, structure, resample=resample)
-        mask = open_mask(file, volume, label=number, resample=resample, progress=progress, cancel=cancel)
+        mask = open_mask(file, volume, label=number, resample=resample, progress=watch.progress, cancel=cancel)
         nodule = nodule_from_mask(volume, mask, at_lps=at_lps)
         # A nodule's file need not cover the scan.
         told = (note for note in nodule.notes if not note.startswith(PART_OF_SCAN))

@@ -14,6 +14,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.plan.fork_view import Operator
 from carina.plan.routes import PlannedRoute
@@ -64,6 +65,7 @@ class TurnClip:
         )
 
 
+@shows_progress
 def turn_clips(
     volume: Volume,
     airways: Airways,
@@ -74,7 +76,7 @@ def turn_clips(
     size_px: int = 256,
     num_frames: int = MOST_FRAMES,
     renderer: Renderer | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[TurnClip | None, ...]:
     """A clip of each stretch of a route.
@@ -93,8 +95,11 @@ def turn_clips(
         Of each clip, 2 to 24.
     renderer
         One that shows this volume with these airways, where it is at hand; else it is made.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -121,6 +126,7 @@ def turn_clips(
         renderer = Renderer(volume)
         renderer.set_lumen(airways.lumen_zyx)
         renderer.prepare()
+    report = progress_function(progress)
     made: list[TurnClip | None] = []
     for index, turn in enumerate(turns.turns):
         turn.camera(operator)  # refuses a turn that is seen from nowhere, which is no stretch without length
@@ -138,7 +144,7 @@ def turn_clips(
             assert renderer is not None
             picture = letter_edges(renderer.render(turn_view(renderer, camera, size_px)))
             frames.append(picture.rgb)
-            if progress is not None:
-                progress((index + len(frames) / len(cameras)) / len(turns.turns))
+            if report is not None:
+                report("rendering the clips of the turns", (index + len(frames) / len(cameras)) / len(turns.turns))
         made.append(TurnClip(turn, operator, tuple(frames), cameras, min(float(times[-1]), LONGEST_S)))
     return tuple(made)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.display.png import png_bytes
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.fork_view import Operator
 from carina.plan.turn_marks import draw_clock, draw_edge
@@ -94,6 +95,7 @@ class TurnPicture:
         return self.png()
 
 
+@shows_progress
 def turn_pictures(
     volume: Volume,
     airways: Airways,
@@ -103,7 +105,7 @@ def turn_pictures(
     size_px: int = 512,
     marked: bool = True,
     renderer: Renderer | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[TurnPicture, ...]:
     """One picture of each turn of a route.
@@ -122,8 +124,11 @@ def turn_pictures(
         Off leaves out outline, clock and letters.
     renderer
         One that shows this volume with these airways, where it is at hand; else it is made.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -147,14 +152,15 @@ def turn_pictures(
     if renderer is None and turns.turns:
         renderer = Renderer(volume)
         renderer.set_lumen(airways.lumen_zyx)
+    report = progress_function(progress)
     made: list[TurnPicture] = []
     for turn in turns.turns:
         if cancel is not None and cancel():
             raise CancelledError("the pictures of the turns were cancelled")
         assert renderer is not None
         made.append(_picture(renderer, airways.tree, turn, operator, size_px, marked=marked))
-        if progress is not None:
-            progress(len(made) / len(turns.turns))
+        if report is not None:
+            report("rendering the pictures of the turns", len(made) / len(turns.turns))
     return tuple(made)
 
 

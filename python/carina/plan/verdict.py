@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
 from carina.plan.drive import DrivenRoute
 from carina.plan.drive_aim import aim_drive
@@ -115,6 +116,7 @@ class Verdict:
         }
 
 
+@shows_progress
 def judge_scopes(
     tree: AirwayTree,
     plan: Plan,
@@ -127,7 +129,7 @@ def judge_scopes(
     errors: bool = True,
     effort: float = EFFORT,
     found: Callable[[Verdict], None] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[Verdict, ...]:
     """Verdicts of several instruments on one route, in their order.
@@ -150,8 +152,11 @@ def judge_scopes(
         How long a drive is searched (`search_drive`).
     found
         Told each verdict as soon as it is known: those that figures alone decide at once, then those that are driven.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -178,11 +183,12 @@ def judge_scopes(
         verdicts[n] = verdict
         if found is not None:
             found(verdict)
-        if progress is not None:
-            progress(len(verdicts) / len(listed))
+        if on_share is not None:
+            on_share(len(verdicts) / len(listed))
 
-    if progress is not None:
-        progress(0.0)
+    on_share = share_function(progress_function(progress), "driving each instrument along the route")
+    if on_share is not None:
+        on_share(0.0)
     waiting: dict[int, _Figures] = {}
     for n, scope in enumerate(listed):
         bench.stop_if_cancelled()

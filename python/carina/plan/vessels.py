@@ -70,7 +70,7 @@ class VesselTree:
 
 
 def thin_vessels(
-    box: Box, lung_hu: float, clear: Mask, *, progress: Callable[[float], None] | None = None
+    box: Box, lung_hu: float, clear: Mask, *, on_share: Callable[[float], None] | None = None
 ) -> tuple[Mask, Values]:
     """Voxels of bright lines, and how sure it is of each that it is one.
 
@@ -81,8 +81,8 @@ def thin_vessels(
     ----------
     clear
         (nz, ny, nx) where vessels can be: away from airways' walls, the nodule, thick tissue.
-    progress
-        Told the share done; it may raise CancelledError.
+    on_share
+        Receives the share done; it may raise CancelledError.
 
     Returns
     -------
@@ -93,8 +93,8 @@ def thin_vessels(
     inner = box.known & clear
     rises = inner & (soft > lung_hu + RISE_HU)
     plain = inner & (soft < lung_hu + RISE_HU) & (soft > lung_hu - 150.0)
-    if progress is not None:
-        progress(0.3)
+    if on_share is not None:
+        on_share(0.3)
     curved, noise = _line_strength(box, rises, plain)
     least = max(LEAST_HU, TIMES_NOISE * noise)
     mask = _long_pieces(curved > least, box.step_mm)
@@ -177,15 +177,15 @@ def _long_pieces(mask: Mask, step_mm: float) -> Mask:
     return found
 
 
-def grow_tree(box: Box, vessel: Mask, sure: Values, *, progress: Callable[[float], None] | None = None) -> VesselTree:
+def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float], None] | None = None) -> VesselTree:
     """The vessels of a box as a tree: from each piece's widest place to its far ends, along the middle.
 
     Parameters
     ----------
     vessel, sure
         (nz, ny, nx) of the box.
-    progress
-        Told the share done; it may raise CancelledError.
+    on_share
+        Receives the share done; it may raise CancelledError.
     """
     import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
 
@@ -202,8 +202,8 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, progress: Callable[[float
     ways: list[NDArray[np.intp]] = []
     whole = True
     for num, start in enumerate(order):
-        if progress is not None and num % LOOK_EVERY == 0:
-            progress(num / len(order))
+        if on_share is not None and num % LOOK_EVERY == 0:
+            on_share(num / len(order))
         if owner.reshape(-1)[start] >= 0:
             continue
         if len(branches) >= MOST_BRANCHES:

@@ -23,6 +23,7 @@ from carina.argument_checks import (
     mask_array,
     whole_from,
 )
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import RenderError
 from carina.render.airway import AirwayCaster
 from carina.render.backend import Backend
@@ -30,7 +31,7 @@ from carina.render.decoration import DecorationTree
 from carina.render.planes import PlaneCaster
 from carina.render.radiograph import cast_drr
 from carina.render.reformation import cast_path_view
-from carina.render.scene import Cancel, Progress, Scene, SceneKeeper
+from carina.render.scene import Cancel, Scene, SceneKeeper
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
 from carina.render.tree import cast_tree
@@ -160,16 +161,18 @@ class Renderer:
         """
         self._scenes.set_lumen(lumen_zyx, tree)
 
-    @check_arguments(progress=function, cancel=function, all_classes=AN_OPTION)
+    @shows_progress
+    @check_arguments(cancel=function, all_classes=AN_OPTION)
     def prepare(
-        self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
+        self, progress: ProgressChoice = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
         """Build the IsoRegion map for the present transfer function and lumen, or take it from the cache.
 
         Parameters
         ----------
         progress
-            Called with what is being done and the fraction done.
+            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
+            is None where it is unknown.
         cancel
             Asked every 50 ms. A change of transfer function or lumen while maps are built makes them stale: they are
             built again for the newest.
@@ -182,7 +185,7 @@ class Renderer:
         CancelledError
             If ``cancel`` said so; what was ready before stays in use.
         """
-        self._scenes.prepare(progress, cancel, all_classes=all_classes)
+        self._scenes.prepare(progress_function(progress), cancel, all_classes=all_classes)
 
     def wait_stored(self) -> None:
         """Wait until the maps that the cache keeps are on disk; storing goes on in the background otherwise."""

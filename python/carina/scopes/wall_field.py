@@ -21,6 +21,7 @@ from carina.argument_checks import (
     number_from,
 )
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 
 __all__ = ["WallField"]
 
@@ -76,11 +77,11 @@ class WallField:
         return cls(_core.WallField.from_distances(values, np.asarray(lps_from_ijk, dtype=np.float64)))
 
     @classmethod
+    @shows_progress
     @check_arguments(
         vertices_lps=lps_points(),
         triangles=array_of(None, 3, largest=2**32 - 1, what="triangles (m, 3): indices of vertices"),
         spacing_mm=number_from(0.1, 0.6, unit="mm"),
-        progress=function,
         cancel=function,
     )
     def from_mesh(
@@ -89,7 +90,7 @@ class WallField:
         triangles: NDArray[np.uint32],
         *,
         spacing_mm: float = 0.4,
-        progress: Callable[[float], None] | None = None,
+        progress: ProgressChoice = None,
         cancel: Callable[[], bool] | None = None,
     ) -> WallField:
         """From a closed mesh of the wall, exact at samples that are read trilinearly.
@@ -103,8 +104,11 @@ class WallField:
         spacing_mm
             Distance of the samples. Between them a wall with a radius of curvature r is off by up to
             ``spacing_mm**2 / (8 r)``: 0.013 mm at 0.4 mm in an airway of 3 mm. 0.1 to 0.6.
-        progress, cancel
-            Told the share done; asked whether to stop.
+        progress
+            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
+            is None where it is unknown.
+        cancel
+            Called often; the work stops when it returns True.
 
         Raises
         ------
@@ -113,9 +117,12 @@ class WallField:
         CancelledError
             If ``cancel()`` said so.
         """
-        corners = np.ascontiguousarray(triangles, dtype=np.uint32)
         made = _core.WallField.from_mesh(
-            np.ascontiguousarray(vertices_lps, dtype=np.float64), corners, spacing_mm, cancel=cancel, progress=progress
+            np.ascontiguousarray(vertices_lps, dtype=np.float64),
+            np.ascontiguousarray(triangles, dtype=np.uint32),
+            spacing_mm,
+            cancel=cancel,
+            progress=share_function(progress_function(progress), "measuring the distance to the wall"),
         )
         return cls(made)
 

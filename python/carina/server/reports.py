@@ -84,11 +84,11 @@ class Reports:
         done: Future[Path] = Future()
 
         def work(job: Job) -> None:
-            def rendering(share: float) -> None:
-                job.progress("rendering the pictures", SHEET_SHARE * share)
+            def rendering(_step: str, share: float | None) -> None:
+                job.progress("rendering the pictures", SHEET_SHARE * (share or 0.0))
 
-            def writing(share: float) -> None:
-                job.progress("laying out the pages", SHEET_SHARE + (1.0 - SHEET_SHARE) * share)
+            def writing(what: str, share: float | None) -> None:
+                job.progress(what, SHEET_SHARE + (1.0 - SHEET_SHARE) * (share or 0.0))
 
             try:
                 if path.name.endswith(PLAN_SUFFIXES):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from carina.case import CaseFile, CaseFileError
 from carina.display import one_line
+from carina.display.progress import Progress, ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.volume import Volume, refuse_other_ct
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["CASE_SUFFIX", "CaseScans", "FoundScan", "is_case_file", "way_between"]
 
 CASE_SUFFIX = ".carina"
-Progress = Callable[[str, float | None], None] | None
 Cancel = Callable[[], bool] | None
 
 
@@ -71,6 +71,7 @@ class CaseScans:
     def __repr__(self) -> str:
         return f"CaseScans({self._cache!r})"
 
+    @shows_progress
     def open(
         self,
         case: CaseFile,
@@ -78,7 +79,7 @@ class CaseScans:
         ct: str | Path | None = None,
         series: str | None = None,
         dropped: bool = False,
-        progress: Progress = None,
+        progress: ProgressChoice = None,
         cancel: Cancel = None,
     ) -> FoundScan:
         """Open the CT of a case.
@@ -94,6 +95,11 @@ class CaseScans:
             As of :func:`carina.open_volume`.
         dropped
             The file lies where its person did not put it, so the place in it leads nowhere.
+        progress
+            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
+            is None where it is unknown.
+        cancel
+            Called often; the work stops when it returns True.
 
         Raises
         ------
@@ -106,12 +112,14 @@ class CaseScans:
         if series is None and isinstance(source.choices.get("series"), str):
             series = source.choices["series"]
 
+        report = progress_function(progress)
+
         def opened(place: str) -> FoundScan:
             if place.startswith("demo:"):
                 assert self._open_demo is not None
-                volume = self._open_demo(place.removeprefix("demo:"), progress or _no_progress, cancel or _no_cancel)
+                volume = self._open_demo(place.removeprefix("demo:"), report or _no_progress, cancel or _no_cancel)
             else:
-                volume = self._opened(Path(place), series, progress, cancel)
+                volume = self._opened(Path(place), series, report, cancel)
             refuse_other_ct(volume, source.digest, source)
             return FoundScan(volume, place)
 
@@ -128,7 +136,7 @@ class CaseScans:
                 if refusal is None and isinstance(trouble, CarinaError):
                     refusal = trouble
         kept = None if self._cache is None else self._cache.find_digest(source.digest)
-        volume = None if kept is None else kept.load(progress=progress, cancel=cancel)
+        volume = None if kept is None else kept.load(progress=report, cancel=cancel)
         if volume is None:
             volume = case.packed_volume()
         if volume is not None:
@@ -157,7 +165,7 @@ class CaseScans:
                 found.append(place)
         return found
 
-    def _opened(self, place: Path, series: str | None, progress: Progress, cancel: Cancel) -> Volume:
+    def _opened(self, place: Path, series: str | None, progress: Progress | None, cancel: Cancel) -> Volume:
         from carina.volume import open_volume
 
         if is_case_file(place):

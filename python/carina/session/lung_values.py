@@ -198,7 +198,7 @@ class CaseLungs:
             scope=scope,
             tool=tool,
             wall=wall,
-            progress=lambda share: attempt.progress("going through all airways", share),
+            progress=attempt.progress,
             cancel=attempt.cancel,
         )
 

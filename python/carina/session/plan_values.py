@@ -268,8 +268,8 @@ class CasePlanning:
                 continue
             what = "looking at every place from which the target can be reached"
 
-            def say(share: float, n: int = n, what: str = what) -> None:
-                attempt.progress(what, (n + share) / len(tasks))
+            def say(_step: str, share: float | None, n: int = n, what: str = what) -> None:
+                attempt.progress(what, (n + (share or 0.0)) / len(tasks))
 
             nodule, aims, options = task
             try:
@@ -318,7 +318,7 @@ class CasePlanning:
             spacing_mm=float(max(self._volume.spacing_mm)),
             entry_mm=options.entry_mm,
             found=tell,
-            progress=lambda share: attempt.progress("driving each instrument along the route", share),
+            progress=attempt.progress,
             cancel=attempt.cancel,
         )
 

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from carina.disk import make_folder, say_size, sweep_drafts, write_whole
 from carina.disk.locks import try_lock
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, CarinaError
 from carina.typed_reading import read_json
 from carina.version import VERSION
@@ -60,7 +61,6 @@ _FOUND_FOR_S = 3600.0  # voxels without a source are being written, or were left
 _MAX_RECORD_BYTES = 1 << 24
 
 Cancel = Callable[[], bool]
-Progress = Callable[[str, float | None], None]
 State = Literal["unchanged", "changed", "missing"]
 
 
@@ -125,7 +125,8 @@ class CachedCt:
         now = self.source.now()
         return "missing" if now is None else "unchanged" if now == self.source.files else "changed"
 
-    def load(self, *, progress: Progress | None = None, cancel: Cancel | None = None) -> Volume | None:
+    @shows_progress
+    def load(self, *, progress: ProgressChoice = None, cancel: Cancel | None = None) -> Volume | None:
         """Read the volume as it was opened; None where the cached file is gone or damaged (it is removed, then).
 
         Raises
@@ -133,7 +134,7 @@ class CachedCt:
         CancelledError
             If ``cancel()`` returned true.
         """
-        values = self._cache._read(self._record, Watch(progress, cancel))
+        values = self._cache._read(self._record, Watch(progress_function(progress), cancel))
         return None if values is None else _volume_of(self._record, values)
 
 
@@ -191,12 +192,13 @@ class VolumeCache:
         if not on:
             self.empty()
 
+    @shows_progress
     def open(
         self,
         path: str | Path,
         *,
         series: str | None = None,
-        progress: Progress | None = None,
+        progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> OpenedCt:
         """Open a CT from the cache where its files are as they were, else as :func:`open_volume` does.
@@ -238,12 +240,13 @@ class VolumeCache:
             return opened.from_cache
         return self.put(opened.volume, opened.source, cancel=cancel)
 
+    @shows_progress
     def open_and_keep(
         self,
         path: str | Path,
         *,
         series: str | None = None,
-        progress: Progress | None = None,
+        progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> Volume:
         """Open a CT as :meth:`open` does; what was read from its files is kept by a thread of its own.
@@ -297,12 +300,13 @@ class VolumeCache:
         found = (self._cached(record) for record in records if record is not None and record.voxels.digest == digest)
         return next((cached for cached in found if cached is not None), None)
 
+    @shows_progress
     def get(
         self,
         path: str | Path,
         *,
         series: str | None = None,
-        progress: Progress | None = None,
+        progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> Volume | None:
         """Return the volume of a path and series if its files are unchanged; else None.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carina.argument_checks import check_arguments, file_path, function, text_of
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
 from carina.volume.grid_headers import read_grid_header
@@ -88,15 +89,26 @@ class Inspection:
         }
 
 
-@check_arguments(path=file_path(), series=text_of(200, optional=True), progress=function, cancel=function)
+@shows_progress
+@check_arguments(path=file_path(), series=text_of(200, optional=True), cancel=function)
 def inspect_path(
     path: str | Path,
     *,
     series: str | None = None,
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Inspection:
     """Say what a path holds, from its headers; takes the same arguments as ``open_volume``.
+
+    Parameters
+    ----------
+    path, series
+        As for ``open_volume``.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -113,7 +125,7 @@ def inspect_path(
     >>> inspect_path(CASE_PATH).axes
     'LPS'
     """
-    watch = Watch(progress, cancel)
+    watch = Watch(progress_function(progress), cancel)
     return guarded(Path(path).expanduser(), lambda where: _inspect(where, series, watch))
 
 

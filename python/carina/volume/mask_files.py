@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from carina.argument_checks import check_arguments, file_path, flag, function, instance, whole_from
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import VolumeImportError
 from carina.volume.dicom_start import looks_like_dicom
 from carina.volume.grid_files import read_grid_array
@@ -80,12 +81,12 @@ class MaskGridError(VolumeImportError):
         """How much of the structure lies in the scan, 0 to 1."""
 
 
+@shows_progress
 @check_arguments(
     path=file_path(),
     volume=instance(Volume, "open a volume with carina.open_volume"),
     label=whole_from(-(2**31), 2**31 - 1, optional=True),
     resample=flag,
-    progress=function,
     cancel=function,
 )
 def open_mask(
@@ -94,7 +95,7 @@ def open_mask(
     *,
     label: int | None = None,
     resample: bool = False,
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Mask:
     """Open a mask (NIfTI, NRRD, MetaImage or DICOM SEG) and place it on a volume's grid.
@@ -112,6 +113,11 @@ def open_mask(
         The number (or DICOM segment) of the structure. Needed only where the mask holds several.
     resample
         Take a mask on another grid all the same: each voxel of the CT takes the mask's nearest one.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -138,7 +144,7 @@ def open_mask(
     >>> bool((mask.inside_zyx == phantom.lumen_zyx).all())
     True
     """
-    watch = Watch(progress, cancel)
+    watch = Watch(progress_function(progress), cancel)
 
     def read(where: Path) -> Mask:
         found = _labels(where, volume, watch)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carina.argument_checks import check_arguments, file_path, function, text_of
-from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import UsageError, VolumeImportError, check_type
 from carina.volume.dicom_start import looks_like_dicom
 from carina.volume.grid_files import open_grid_file
@@ -47,10 +47,10 @@ def open_volume(
         Key of the DICOM series to open (``SeriesInfo.key``). Without it the largest chest CT is taken, and
         ``source.notes`` say which others there are.
     progress
-        Called as ``progress(what, fraction)``; the fraction is None where it is unknown. Unless told,
-        a bar in a terminal or a notebook; False shows none.
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
     cancel
-        Asked often; when it returns true the import stops.
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def open_volume(
     True
     """
     check_type("open_volume", "path", path, (str, Path), "name a folder or a file")
-    watch = Watch(heard(progress), cancel)
+    watch = Watch(progress_function(progress), cancel)
     return guarded(Path(path).expanduser(), lambda where: _open(where, series, watch))
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.fork_view import Operator
 from carina.plan.main_carina import SAME_PLACE_MM
@@ -187,6 +188,7 @@ class PlanSheet:
         }
 
 
+@shows_progress
 def make_sheet(
     volume: Volume,
     airways: Airways,
@@ -202,7 +204,7 @@ def make_sheet(
     operator: Operator = "head",
     made_on: datetime.date | None = None,
     wall: WallField | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanSheet:
     """Render the pictures of a plan, and gather all that its report tells.
@@ -229,8 +231,11 @@ def make_sheet(
         Date of the report; today unless told.
     wall
         The airways' wall where it is at hand; else it is made.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -262,7 +267,7 @@ def make_sheet(
     _check_pictures(turns, turn_pictures, operator)
     _check_clips(turn_pictures, turn_clips)
     _check_turns(airways, route, turns)
-    told = _Steps(progress, cancel)
+    told = _Steps(share_function(progress_function(progress), "rendering the pictures"), cancel)
     told(0.0)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     told(0.4)
@@ -306,14 +311,14 @@ def target_words(sheet: PlanSheet) -> str:
 
 
 class _Steps:
-    def __init__(self, progress: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
-        self._progress, self._cancel = progress, cancel
+    def __init__(self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
+        self._on_share, self._cancel = on_share, cancel
 
     def __call__(self, share: float) -> None:
         if self._cancel is not None and self._cancel():
             raise CancelledError("the report was cancelled")
-        if self._progress is not None:
-            self._progress(share)
+        if self._on_share is not None:
+            self._on_share(share)
 
 
 def _chosen(plan: Plan, number: int) -> PlannedRoute | None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from carina.display import one_line
+from carina.display.progress import Progress, ProgressChoice, progress_function, shows_progress
 from carina.plan.fork_view import Operator
 from carina.plan.report.sheet import PlanSheet, make_sheet
 from carina.plan.route_turns import turn_list
@@ -44,12 +45,13 @@ class PlanMaterials:
     notes: tuple[str, ...] = ()
 
 
+@shows_progress
 def whole_sheet(
     materials: PlanMaterials,
     *,
     patient: str | None = None,
     clips: bool = False,
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanSheet:
     """The report of a plan, with the list of turns of its route and a picture of each.
@@ -62,8 +64,11 @@ def whole_sheet(
         A name or number to be printed; none unless told.
     clips
         With the stretch to each turn as a short clip, which only a page on a screen plays.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -76,12 +81,15 @@ def whole_sheet(
     stretches: tuple[TurnClip | None, ...] = ()
     done = 0.0
 
-    def part(share: float) -> Callable[[float], None] | None:
-        """Tells of the next part of the work, which is this share of it."""
+    report = progress_function(progress)
+
+    def part(share: float) -> Progress | None:
+        """Return the progress function of the next part of the work; ``share`` is its share of the whole."""
         nonlocal done
         before, done = done, done + share
-        tell = progress
-        return None if tell is None else lambda told: tell(before + told * share)
+        if report is None:
+            return None
+        return lambda what, fraction: report(what, before + (fraction or 0.0) * share)
 
     if plan.routes:
         route = plan.routes[made.route_number - 1]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from carina.disk import write_whole
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.report.html_page import html_page
 from carina.plan.report.pdf_pages import Paper, pdf_pages
@@ -19,13 +20,14 @@ __all__ = ["ReportKind", "write_report"]
 ReportKind = Literal["report", "tracing"]
 
 
+@shows_progress
 def write_report(
     path: Path | str,
     sheet: PlanSheet,
     *,
     kind: ReportKind = "report",
     paper: Paper = "A4",
-    progress: Callable[[float], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Path:
     """Write the report of a plan.
@@ -40,8 +42,11 @@ def write_report(
         All of it, or ``tracing``: the one-page sheet for the theatre alone. JSON is always all of it.
     paper
         Of a PDF: ``A4`` or ``Letter``. The HTML page prints on both.
-    progress, cancel
-        Told the share done; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -88,11 +93,13 @@ def write_report(
     if kind == "tracing" and sheet.route is None and suffix != ".json":
         raise UsageError("write_report: the plan has no route to trace", code="plan.no-route")
 
+    report = progress_function(progress)
+
     def told(share: float) -> None:
         if cancel is not None and cancel():
             raise CancelledError("writing the report was cancelled")
-        if progress is not None:
-            progress(share)
+        if report is not None:
+            report("laying out the pages", share)
 
     told(0.0)
     if suffix == ".json":

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.argument_checks import check_arguments, flag, function, instance
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.track.edit.calibre import with_sections, with_walls
 from carina.track.edit.evidence import evidence_of
@@ -66,12 +67,12 @@ __all__ = [
 ]
 
 
+@shows_progress
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
     airways=instance(Airways, "get airways from carina.find_airways"),
     edit=instance(TREE_EDITS, "create one of the tree edits of carina.commands"),
     name_branches=flag,
-    progress=function,
     cancel=function,
 )
 def edit_airways(
@@ -80,7 +81,7 @@ def edit_airways(
     edit: TreeEdit,
     *,
     name_branches: bool = True,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> Airways:
     """Return the airways after one edit; only parts that depend on the edit are computed again.
@@ -96,8 +97,11 @@ def edit_airways(
     name_branches
         False leaves the names from anatomy as they were, for :func:`name_edited` to find them again: in a tree of some
         hundred branches that takes longer than the edit.
-    progress, cancel
-        Told what is going on; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -131,16 +135,17 @@ def edit_airways(
     check_type("edit_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("edit_airways", "airways", airways, Airways, "get airways from carina.find_airways")
     _check_ct("edit_airways", volume, airways)
-    edited = _edited(airways, edit, progress, cancel, is_fresh=False)
+    edited = _edited(airways, edit, progress_function(progress), cancel, is_fresh=False)
     return name_edited(airways, edited) if name_branches else edited
 
 
+@shows_progress
 def rebuild_airways(
     volume: Volume,
     base: Airways,
     edits: Sequence[TreeEdit],
     *,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> Airways:
     """Return the airways after all edits, computed from scratch: the reference for :func:`edit_airways`.
@@ -149,6 +154,11 @@ def rebuild_airways(
     ----------
     base
         What the first edit was made to: airways without edits, or with those before.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -161,7 +171,7 @@ def rebuild_airways(
     airways = base
     for number, edit in enumerate(edits, start=1):
         try:
-            edited = _edited(airways, edit, progress, cancel, is_fresh=True)
+            edited = _edited(airways, edit, progress_function(progress), cancel, is_fresh=True)
         except (NoResultError, UsageError) as error:
             error.args = (f"edit {number} of {len(edits)}: {error}", *error.args[1:])
             raise

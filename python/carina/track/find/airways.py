@@ -21,7 +21,7 @@ from carina.argument_checks import (
     number_from,
     text_of,
 )
-from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import NoResultError, UsageError, check_type
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.beyond import NOTHING_BEYOND
@@ -95,8 +95,11 @@ def find_airways(
         is no air in this CT.
     notes
         What is known beforehand, such as where ``lumen_zyx`` is from; said first.
-    progress, cancel
-        Told what is going on; a bar in a terminal or a notebook unless told, none with False. Asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -128,7 +131,7 @@ def find_airways(
     'Trachea'
     """
     check_type("find_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
-    stage = Stages(heard(progress), cancel)
+    stage = Stages(progress_function(progress), cancel)
     root = None if root_lps is None else as_point(root_lps)
     if root is not None and not volume.contains_lps(np.array(root)):
         msg = f"the root {words(root)} lies outside the volume"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from carina._core import cast_sections
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
 from carina.track.levels import AirScale, air_scale
 from carina.track.measures.diameter import Diameter, narrowest_diameter, with_scatter
@@ -258,12 +259,13 @@ class TreeMeasures:
         }
 
 
+@shows_progress
 def measure_tree(
     volume: Volume,
     airways: Airways,
     *,
     previous: TreeMeasures | None = None,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> TreeMeasures:
     """Measure every branch of the airways in sections across its centreline.
@@ -278,8 +280,11 @@ def measure_tree(
     previous
         Measures of these airways before an edit: branches whose points are the same are taken over, with the blur and
         the noise of the scan. Forks and summaries are always made anew. Measures by an earlier method are not used.
-    progress, cancel
-        Told what is going on; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -311,8 +316,9 @@ def measure_tree(
     tree = airways.tree
     if previous is not None and any(branch.is_by_earlier_method for branch in previous.branches):
         previous = None
-    if progress is not None:
-        progress("measuring the airways", 0.0)
+    report = progress_function(progress)
+    if report is not None:
+        report("measuring the airways", 0.0)
     _go_on(cancel)
     scale = air_scale(volume)
     noise = _noise_in_trunk(volume, tree.root, scale) if previous is None else previous.noise
@@ -326,7 +332,7 @@ def measure_tree(
         [normals[number] for number in fresh],
         scale=scale,
         noise=noise,
-        progress=progress,
+        progress=report,
         cancel=cancel,
     )
     blur = casts.blur() if previous is None else previous.blur_mm
@@ -369,8 +375,8 @@ def measure_tree(
             "the blur of the scan could not be measured, so edges are placed at half maximum and small lumens "
             "are underestimated"
         )
-    if progress is not None:
-        progress("airways measured", 1.0)
+    if report is not None:
+        report("airways measured", 1.0)
     return TreeMeasures(measured, forks, blur, noise, tuple(notes), keys)
 
 
@@ -435,10 +441,6 @@ def _cast(
     progress: Progress | None,
     cancel: Cancel | None,
 ) -> SectionCasts:
-    def share(fraction: float) -> None:
-        if progress is not None:
-            progress("measuring the airways", 0.95 * fraction)
-
     none = np.zeros((0, 3))
     # The widest of a branch's own middle and the place itself: beside a fork the distance to the wall is no width.
     radius = [np.minimum(np.maximum(branch.radius, np.median(branch.radius)), 30.0) for branch in branches]
@@ -453,7 +455,7 @@ def _cast(
         wall_rise=scale.span(WALL_RISE_HU),
         noise=noise,
         cancel=cancel,
-        progress=share,
+        progress=share_function(progress, "measuring the airways", 0.0, 0.95),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from carina._core import FieldTracker, aimed_field_path
 from carina.display import one_line
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import GeometryError, NoResultError, UsageError
 from carina.track.paths.tracker import as_point, words
-from carina.track.stages import Cancel, Progress
+from carina.track.stages import Cancel
 from carina.volume.model import Volume
 
 __all__ = ["FieldPath", "FieldPaths", "aimed_path"]
 
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+CALCULATING = "calculating the paths"
 
 
 @one_line
@@ -139,24 +141,44 @@ class FieldPaths:
         """The compiled tracker."""
         return self._core
 
-    def solve_all(self, *, progress: Progress | None = None, cancel: Cancel | None = None) -> None:
+    @shows_progress
+    def solve_all(self, *, progress: ProgressChoice = None, cancel: Cancel | None = None) -> None:
         """Settle everything that a path can reach.
+
+        Parameters
+        ----------
+        progress
+            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
+            is None where it is unknown.
+        cancel
+            Called often; the work stops when it returns True.
 
         Raises
         ------
         CancelledError
             If ``cancel()`` said so; another call goes on from there.
         """
-        self._core.solve_all(cancel=cancel, progress=_share(progress))
+        self._core.solve_all(cancel=cancel, progress=share_function(progress_function(progress), CALCULATING))
 
+    @shows_progress
     def path_to(
         self,
         target_lps: Sequence[float] | NDArray[np.float64],
         *,
-        progress: Progress | None = None,
+        progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> FieldPath:
         """The least-cost path from the root to the voxel that holds a point.
+
+        Parameters
+        ----------
+        target_lps
+            Where the path ends, LPS mm.
+        progress
+            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
+            is None where it is unknown.
+        cancel
+            Called often; the work stops when it returns True.
 
         Raises
         ------
@@ -168,7 +190,8 @@ class FieldPaths:
             If ``cancel()`` said so; another call goes on from there.
         """
         voxel = _voxel(self._volume, target_lps, "target")
-        if not self._core.solve_to(voxel, cancel=cancel, progress=_share(progress)):
+        share = share_function(progress_function(progress), CALCULATING)
+        if not self._core.solve_to(voxel, cancel=cancel, progress=share):
             raise _no_path(target_lps)
         voxels, cost = self._core.path(voxel), self._core.cost(voxel)
         assert voxels is not None
@@ -176,6 +199,7 @@ class FieldPaths:
         return FieldPath(self._volume.to_lps(voxels.astype(np.float64)), voxels, cost, self.num_settled)
 
 
+@shows_progress
 def aimed_path(
     volume: Volume,
     field_zyx: NDArray[np.float32],
@@ -185,7 +209,7 @@ def aimed_path(
     cost: Literal["mean", "enter"] = "mean",
     region_ijk: Box | None = None,
     mask_zyx: NDArray[np.uint8] | None = None,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> FieldPath:
     """The least-cost path to one target alone, searched for in its direction (A*).
@@ -200,8 +224,11 @@ def aimed_path(
         As for `FieldPaths`.
     target_lps
         Where the path ends, LPS mm.
-    progress, cancel
-        Are told the share of open voxels that was settled, and asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        that of the open voxels that were settled.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
@@ -237,7 +264,7 @@ def aimed_path(
         region_ijk=region_ijk,
         mask_zyx=mask_zyx,
         cancel=cancel,
-        progress=_share(progress),
+        progress=share_function(progress_function(progress), CALCULATING),
     )
     if found is None:
         raise _no_path(target_lps)
@@ -270,9 +297,3 @@ def _no_path(target_lps: Sequence[float] | NDArray[np.float64]) -> NoResultError
         "inside the lumen, or paint lumen through the wall"
     )
     return NoResultError(msg, code="track.no-path")
-
-
-def _share(progress: Progress | None) -> Callable[[float], None] | None:
-    if progress is None:
-        return None
-    return lambda fraction: progress("calculating the paths", fraction)

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError
 from carina.track.find.found import Airways
 from carina.track.find.growth import HALF_WALL_HU, STEP_RISE_HU
 from carina.track.levels import air_scale
-from carina.track.stages import Cancel, Progress
+from carina.track.stages import Cancel
 from carina.volume.model import Volume
 
 __all__ = ["Mesh", "lumen_mask", "lumen_mesh", "mask_mesh"]
@@ -45,8 +46,9 @@ class Mesh:
         return float(np.linalg.norm(across, axis=1).sum() / 2.0)
 
 
+@shows_progress
 def lumen_mesh(
-    volume: Volume, airways: Airways, *, progress: Progress | None = None, cancel: Cancel | None = None
+    volume: Volume, airways: Airways, *, progress: ProgressChoice = None, cancel: Cancel | None = None
 ) -> Mesh:
     """The inner wall of the airways as a mesh.
 
@@ -57,8 +59,11 @@ def lumen_mesh(
     airways
         Their lumen. Where it was found in the CT, vertices lie on the half-maximum between air and wall; a lumen from
         another tool is drawn half-way between its voxels and their neighbours.
-    progress, cancel
-        Told what is going on; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -78,18 +83,13 @@ def lumen_mesh(
     """
     if cancel is not None and cancel():
         raise CancelledError("stopped while building the surface")
-
-    def share(fraction: float) -> None:
-        if progress is not None:
-            progress("building the surface", fraction)
-
     vertices, triangles = _core.lumen_mesh(
         volume.hu_zyx,
         volume.lps_from_ijk,
         airways.lumen_zyx,
         levels=_levels(volume, airways),
         cancel=cancel,
-        progress=share,
+        progress=share_function(progress_function(progress), "building the surface"),
     )
     return Mesh(vertices, triangles)
 

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from carina.argument_checks import check_arguments, function, instance, number_from
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import check_type
 from carina.scopes import WallField
 from carina.track.find.found import Airways
-from carina.track.stages import Cancel, Progress
+from carina.track.stages import Cancel
 from carina.track.surface.mesh import lumen_mesh
 from carina.volume.model import Volume
 
 __all__ = ["wall_field"]
 
 
+@shows_progress
 @check_arguments(
     volume=instance(Volume, "open a volume with carina.open_volume"),
     airways=instance(Airways, "get airways from carina.find_airways"),
     spacing_mm=number_from(0.1, 0.6, unit="mm"),
-    progress=function,
     cancel=function,
 )
 def wall_field(
@@ -25,7 +26,7 @@ def wall_field(
     airways: Airways,
     *,
     spacing_mm: float = 0.4,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> WallField:
     """Return the signed distance to the airways' sub-voxel wall: the lumen mesh's, exact at samples.
@@ -36,8 +37,11 @@ def wall_field(
         The CT and the airways in it, as for `lumen_mesh`.
     spacing_mm
         Distance of the samples.
-    progress, cancel
-        Told what is going on; asked whether to stop.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -63,10 +67,6 @@ def wall_field(
     """
     check_type("wall_field", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("wall_field", "airways", airways, Airways, "get airways from carina.find_airways")
-    mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
-
-    def share(fraction: float) -> None:
-        if progress is not None:
-            progress("measuring the distance to the wall", fraction)
-
-    return WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=spacing_mm, progress=share, cancel=cancel)
+    report = progress_function(progress)
+    mesh = lumen_mesh(volume, airways, progress=report, cancel=cancel)
+    return WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=spacing_mm, progress=report, cancel=cancel)

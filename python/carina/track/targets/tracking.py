@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.argument_checks import check_arguments, choice, each, function, instance, lps_point, number_from
-from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.display.progress import ProgressChoice, progress_function, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.track.edit.edits import edit_airways
 from carina.track.edit.kinds import MoveRoot
 from carina.track.find.airways import Airways, find_airways
 from carina.track.paths.tracker import SNAP_MM, Point, as_point, words
-from carina.track.stages import Cancel
+from carina.track.stages import Cancel, Progress
 from carina.track.targets.paper import COSTS, GRAPHS, check_choice, track_on_graph
 from carina.track.targets.results import TargetResult, TrackResult
 from carina.volume.model import Volume
@@ -75,6 +75,11 @@ def track_paths(
         wherever it was measured (benchmarks/README.md).
     airways
         Airways found before; they keep their root unless ``root`` is given.
+    progress
+        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
+        None where it is unknown.
+    cancel
+        Called often; the work stops when it returns True.
 
     Returns
     -------
@@ -100,7 +105,7 @@ def track_paths(
     True
     """
     check_type("track_paths", "volume", volume, Volume, "open a volume with carina.open_volume")
-    progress = heard(progress) or False
+    report = progress_function(progress)
     check_choice(cost, graph)
     points = [as_point(target) for target in targets]
     if not points:
@@ -116,23 +121,21 @@ def track_paths(
     if cost != "lumen":
         return track_on_graph(
             volume,
-            airways or _airways_at(volume, start, lumen_threshold, progress, cancel),
+            airways or _airways_at(volume, start, lumen_threshold, report, cancel),
             points,
             cost=cost,
             graph=graph,
             root_lps=start,
-            progress=heard(progress),
+            progress=report,
             cancel=cancel,
         )
     if airways is None or (start is not None and not np.array_equal(as_point(start), airways.root_lps)):
-        airways = find_airways(
-            volume, root_lps=start, lumen_threshold=lumen_threshold, progress=progress, cancel=cancel
-        )
+        airways = find_airways(volume, root_lps=start, lumen_threshold=lumen_threshold, progress=report, cancel=cancel)
         if start is not None:
             airways = _starting_at(volume, airways, as_point(start), cancel)
     if graph != "voxel":
         return track_on_graph(
-            volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=heard(progress), cancel=cancel
+            volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=report, cancel=cancel
         )
     results: list[TargetResult] = []
     for point in points:
@@ -168,7 +171,7 @@ def _airways_at(
     volume: Volume,
     root: Sequence[float] | NDArray[np.float64] | None,
     lumen_threshold: float | None,
-    progress: ProgressChoice,
+    progress: Progress | None,
     cancel: Cancel | None,
 ) -> Airways | None:
     """Find the airways from a root, to compare paths with; None where a given root is not in a lumen.
