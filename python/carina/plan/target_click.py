@@ -43,7 +43,7 @@ def target_from_click(
     >>> target_from_click(made.volume, made.truth["nodule"]["center_lps"], name="T1").where
     'lung'
     """
-    nodule = grow_nodule(volume, at_lps, wall=wall)
+    nodule = grow_nodule(volume, at_lps, wall=wall, progress=False)
     x, y, z = (float(value) for value in np.asarray(at_lps, dtype=np.float64).reshape(3))
     return PlanTarget(
         target_id=target_id,

@@ -236,7 +236,7 @@ def render_view(
     if lumen_zyx is not None and isinstance(spec, AirwayView | TreeView):
         renderer.set_lumen(lumen_zyx, tree)
     if isinstance(spec, AirwayView) and spec.method == "leap":
-        renderer.prepare()
+        renderer.prepare(progress=False)
     return renderer.render(spec)
 
 
