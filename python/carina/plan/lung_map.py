@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
@@ -58,6 +59,10 @@ class MappedMask:
         """From the place of such a grid, (4, 4)."""
         x, y, z = (float(v) for v in lps_from_ijk[:3, 3])
         return cls(inside_zyx, (x, y, z), float(lps_from_ijk[0, 0]))
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return ``inside_zyx`` for ``numpy.asarray``; the array is copied only for another type or on request."""
+        return np.array(self.inside_zyx, dtype=dtype, copy=copy)
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:

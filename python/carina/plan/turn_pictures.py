@@ -10,9 +10,10 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from carina.display import one_line
 from carina.display.png import png_bytes
@@ -84,6 +85,10 @@ class TurnPicture:
         """What is below the picture."""
         seen = "" if self.in_view else "; the opening itself is not in view from here"
         return f"{self.turn.to_branch}, {hour_words(self.turn.hour(self.operator))}{seen}"
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return ``rgb`` for ``numpy.asarray``; the array is copied only for another type or on request."""
+        return np.array(self.rgb, dtype=dtype, copy=copy)
 
     def png(self) -> bytes:
         """The picture as a PNG that says where its camera was (`carina.render.read_png_pose`)."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from carina.argument_checks import (
     any_number,
@@ -524,7 +524,18 @@ class Picture:
     projection or the plane's normal. Perspective views have ``lps_from_camera`` (4x4) and ``fov_deg``; that of a
     radiograph is the X-ray source, with +x mirrored, since the picture is seen from the other side. Views along a path
     have ``lines``; an airway view through another lens than a pinhole has ``optics``. ``decorated`` names what in it is
-    decoration and not the patient's, as fields of :class:`carina.render.Appearance`.
+    decoration and not the patient's, as fields of :class:`carina.render.Appearance`. ``numpy.asarray`` returns
+    ``rgb``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import carina
+    >>> volume = carina.Volume(np.zeros((4, 5, 6), dtype=np.int16), np.eye(4))
+    >>> pose = carina.Pose.looking((2, 2, 2), (0, 0, -1))
+    >>> picture = carina.render_view(volume, view="axial", pose=pose, width=32, height=24)
+    >>> np.asarray(picture).shape
+    (24, 32, 3)
     """
 
     rgb: NDArray[np.uint8]
@@ -540,6 +551,10 @@ class Picture:
     def __repr__(self) -> str:
         height, width = self.rgb.shape[:2]
         return f"Picture({self.view!r}, {width}x{height}, {self.stats.method}, {self.stats.seconds:.3g} s)"
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return ``rgb`` for ``numpy.asarray``; the array is copied only for another type or on request."""
+        return np.array(self.rgb, dtype=dtype, copy=copy)
 
     def _repr_png_(self) -> bytes:
         """Return the picture for a notebook."""

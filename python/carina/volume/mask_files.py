@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from carina.argument_checks import check_arguments, file_path, flag, function, instance, whole_from
 from carina.display import one_line
@@ -42,6 +42,10 @@ class Mask:
     """(nz, ny, nx) of the CT, 1 inside, read-only."""
     notes: tuple[str, ...] = ()
     """What was done to bring it there, and what is doubtful about its file, in words."""
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return ``inside_zyx`` for ``numpy.asarray``; the array is copied only for another type or on request."""
+        return np.array(self.inside_zyx, dtype=dtype, copy=copy)
 
 
 @one_line

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from carina import _core
 from carina.argument_checks import array_of, check_arguments, check_fields, coordinates, flag, instance, text_of
@@ -99,14 +99,17 @@ class Volume:
 
     ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's numbers.
     ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one
-    voxel along i, j, k in mm, each 0.01 to 100 mm long.
+    voxel along i, j, k in mm, each 0.01 to 100 mm long. ``numpy.asarray`` returns ``hu_zyx``.
 
     Examples
     --------
     >>> import numpy as np
     >>> import carina
-    >>> carina.Volume(np.zeros((4, 5, 6), dtype=np.int16), np.diag([0.7, 0.7, 1.25, 1.0]))
+    >>> volume = carina.Volume(np.zeros((4, 5, 6), dtype=np.int16), np.diag([0.7, 0.7, 1.25, 1.0]))
+    >>> volume
     Volume(shape_zyx=(4, 5, 6), spacing_mm=(0.7, 0.7, 1.25), HU)
+    >>> np.asarray(volume) is volume.hu_zyx
+    True
     """
 
     hu_zyx: NDArray[np.int16]
@@ -156,6 +159,10 @@ class Volume:
         unit = "HU" if self.is_hu else "not HU"
         sx, sy, sz = self.spacing_mm
         return f"Volume(shape_zyx={self.shape_zyx}, spacing_mm=({sx:.4g}, {sy:.4g}, {sz:.4g}), {unit})"
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return ``hu_zyx`` for ``numpy.asarray``; the array is copied only for another type or on request."""
+        return np.array(self.hu_zyx, dtype=dtype, copy=copy)
 
     def _repr_html_(self) -> str:
         """Three slices through the middle, in a notebook. No file name and no series text: they can name a patient."""
