@@ -27,7 +27,7 @@ from carina import _core, phantom
 from carina.phantom import Phantom
 from carina.track import Airways, AirwayTree
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import found_core
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.volume import Volume, ct_digest, model
 
@@ -166,10 +166,7 @@ def kept_airways(name: str, volume: Volume) -> Airways:
     grid = PathGrid(volume, parts)
     paths_zyx = lumen if paths_zyx is None else paths_zyx
     tracker = PathTracker(
-        grid,
-        lambda: found_core(grid.volume, paths_zyx, root_ijk, levels),
-        root_ijk=root_ijk,
-        lumen_zyx=paths_zyx,
+        grid, None, recipe=CoreRecipe(levels, is_edited=False), root_ijk=root_ijk, lumen_zyx=paths_zyx
     )
     if nodes is None:
         tracker.follow_branches(branches)

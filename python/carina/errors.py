@@ -7,7 +7,7 @@ crates and with the web client; ``exit_code`` is what the command line returns (
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from carina.display.printable import printable, shortened_words
 
@@ -50,6 +50,13 @@ class CarinaError(Exception):
         super().__init__(shortened_words(printable(message)))
         if code is not None:
             self.code = code
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = dict(self.__dict__)
+        if isinstance(self, OSError) and self.errno is not None:
+            state["errno"] = self.errno
+        # The class is not called: some subclasses need more arguments than the message.
+        return _pickled_error, (type(self), self.args, state)
 
 
 class CancelledError(CarinaError):
@@ -183,6 +190,15 @@ def error_of(kind: str, message: str, *, code: str) -> CarinaError:
     plain = next(one for one in cls.__mro__ if one is CarinaError or "__init__" not in vars(one))
     made: CarinaError = plain(message, code=code)
     return made
+
+
+def _pickled_error(cls: type[CarinaError], args: tuple[Any, ...], state: dict[str, Any]) -> CarinaError:
+    """Return the error that a pickle holds, as joblib and Ray pass errors of their workers."""
+    error = cls.__new__(cls, *args)
+    error.args = args
+    for name, value in state.items():
+        setattr(error, name, value)
+    return error
 
 
 def check_type(where: str, name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carina.track import Airways, AirwayTree, find_airways
 from carina.track.find.kept import KeptForVolume
 from carina.track.paths.path_grid import PathGrid
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.volume.model import Volume
 
@@ -95,7 +96,8 @@ def open_ended_airways() -> Airways:
     """The airways of the same case, with paths in that volume."""
     airways, grid = edit_case().airways, PathGrid(open_ended_volume())
     told = airways.tracker
-    tracker = PathTracker(grid, told.core, root_ijk=told.root_ijk, lumen_zyx=told.lumen_zyx)
+    recipe = CoreRecipe(airways.wall_levels, is_edited=False)
+    tracker = PathTracker(grid, told.core, recipe=recipe, root_ijk=told.root_ijk, lumen_zyx=told.lumen_zyx)
     assert told.given_nodes is not None
     tracker.set_branches(told.branches, told.given_nodes)
     return replace(airways, tracker=tracker, evidence=KeptForVolume())

@@ -52,7 +52,7 @@ from carina.track import (
 from carina.track.edit.folded import FoldedAirways
 from carina.track.find.kept import KeptForVolume
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import edited_core, found_core
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.uncertain import without_unproven_blocks
 from carina.volume import Note, Volume
@@ -399,9 +399,9 @@ class CaseReader:
         root = dataclasses.replace(self._turn, shape_zyx=(nz, ny, nx)).voxel((i, j, k))
         if not inside or not lumen_zyx[root[::-1]]:
             raise damaged(where, "a start point in the lumen", f"voxel {(i, j, k)}")
-        make = edited_core if nodes is None else found_core
+        recipe = CoreRecipe(levels, is_edited=nodes is None)
         grid = self._grid((nz, ny, nx), where)
-        made = PathTracker(grid, lambda: make(grid.volume, lumen_zyx, root, levels), root_ijk=root, lumen_zyx=lumen_zyx)
+        made = PathTracker(grid, None, recipe=recipe, root_ijk=root, lumen_zyx=lumen_zyx)
         branches, _ = self._tree(tree)
         # Nodes are numbered along the axes.
         if nodes is None or not self._turn.is_none:

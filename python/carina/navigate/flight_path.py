@@ -144,6 +144,10 @@ class FlightPath:
             curve = self._made_curve = _core.FlightCurve(self._source_lps, self._up_lps, self._max_deviation_mm)
         return curve
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = (self._source_lps, self._up_lps, self._forks_mm, self._lookouts_mm, self._max_deviation_mm)
+        return _path_of, values
+
     def __repr__(self) -> str:
         return f"FlightPath(length_mm={self.length_mm:.1f}, num_forks={len(self._forks_mm)})"
 
@@ -226,3 +230,16 @@ class FlightPath:
             msg = f"{what} must lie on the path, between 0 and {self.length_mm:.3f} mm; found {places}"
             raise UsageError(msg, code="navigate.path")
         return tuple(places)
+
+
+def _path_of(
+    source_lps: NDArray[np.float64],
+    up_lps: tuple[float, float, float] | None,
+    forks_mm: tuple[float, ...],
+    lookouts_mm: tuple[float, ...],
+    max_deviation_mm: float,
+) -> FlightPath:
+    """Return the path that a pickle holds; its curve is computed when it is needed."""
+    return FlightPath.made_before(
+        source_lps, up_lps=up_lps, forks_mm=forks_mm, lookouts_mm=lookouts_mm, max_deviation_mm=max_deviation_mm
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -155,6 +155,9 @@ class Volume:
         object.__setattr__(self, "hu_zyx", values)
         object.__setattr__(self, "lps_from_ijk", matrix)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _volume_of, ({one.name: getattr(self, one.name) for one in fields(self)},)
+
     def __repr__(self) -> str:
         unit = "HU" if self.is_hu else "not HU"
         sx, sy, sz = self.spacing_mm
@@ -229,6 +232,15 @@ class Volume:
         nz, ny, nx = self.shape_zyx
         ijk = self.to_ijk(point_lps)
         return bool(np.all(ijk >= -0.5) and np.all(ijk <= np.array([nx, ny, nz]) - 0.5))
+
+
+def _volume_of(values: dict[str, Any]) -> Volume:
+    """Return the volume that a pickle holds, read-only, with what was found of it."""
+    found = {name: values.pop(name) for name in ("_range", "_quality", "_digest")}
+    volume = Volume(**values)
+    for name, value in found.items():
+        object.__setattr__(volume, name, value)
+    return volume
 
 
 def badges_of(volume: Volume, airways: object | None = None) -> tuple[Note, ...]:

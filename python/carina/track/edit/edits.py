@@ -40,6 +40,7 @@ from carina.track.find.airway_ends import find_uncertain
 from carina.track.find.found import TREE_EDITS, Airways
 from carina.track.names.drawn import carried_names, seen_part
 from carina.track.names.naming import name_tree
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import PathTracker, lumen_voxels
 from carina.track.stages import Cancel, Progress
 from carina.track.tree.airway_tree import AirwayTree, Branch
@@ -238,7 +239,8 @@ def _edited(
         branches = with_limited_confidence(AirwayTree(branches, notes=tree.notes)).branches
     grid = airways.tracker.grid
     lumen = lumen_voxels(core) if steps.lumen_changed else airways.tracker.lumen_zyx
-    tracker = PathTracker(grid, core, lumen_zyx=lumen)
+    recipe = CoreRecipe(airways.wall_levels, is_edited=True)
+    tracker = PathTracker(grid, core, recipe=recipe, lumen_zyx=lumen)
     tracker.follow_branches(branches)
     edited_tree = AirwayTree(branches, _smooth=tracker.smooth, notes=tree.notes)
     return dataclasses.replace(

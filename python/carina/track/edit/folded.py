@@ -15,7 +15,7 @@ from carina.errors import UsageError
 from carina.track.edit.kinds import TreeEdit
 from carina.track.edit.lumen import EditedLumen
 from carina.track.find.found import Airways
-from carina.track.paths.rebuilt import edited_core
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty
@@ -81,10 +81,8 @@ class PackedAirways(FoldedAirways):
         box = lumen[k : k + nz, j : j + ny, i : i + nx]
         np.copyto(box, np.uint8(1), where=np.unpackbits(bits, count=count).reshape(self.shape_zyx) != 0)
         lumen.flags.writeable = False
-        levels, root_ijk = self.base.wall_levels, self.root_ijk
-        tracker = PathTracker(
-            grid, lambda: edited_core(grid.volume, lumen, root_ijk, levels), root_ijk=root_ijk, lumen_zyx=lumen
-        )
+        recipe = CoreRecipe(self.base.wall_levels, is_edited=True)
+        tracker = PathTracker(grid, None, recipe=recipe, root_ijk=self.root_ijk, lumen_zyx=lumen)
         tracker.follow_branches(self.branches)
         return dataclasses.replace(
             self.base,

@@ -41,6 +41,7 @@ from carina.track.find.twigs import without_twigs
 from carina.track.levels import AirScale
 from carina.track.names.naming import name_tree
 from carina.track.paths.path_grid import PathGrid
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import SNAP_MM, PathTracker, Point, as_point, branches_from_rows, words
 from carina.track.stages import Cancel, Stages
 from carina.track.tree.airway_tree import AirwayTree, Branch
@@ -307,7 +308,9 @@ def _tracked(
     core.solve_all(cancel=stage.cancel, progress=stage.share)
     stage.begin("building the branches")
     rows = without_twigs(core.branches(cancel=stage.cancel, progress=stage.share))
-    return PathTracker(grid, core, lumen_zyx=sparse_mask(lumen)), rows, branches_from_rows(rows)
+    recipe = CoreRecipe(levels, is_edited=False)
+    tracker = PathTracker(grid, core, recipe=recipe, lumen_zyx=sparse_mask(lumen))
+    return tracker, rows, branches_from_rows(rows)
 
 
 def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carina.track.find.found import Airways
 from carina.track.paths.path_grid import PathGrid
-from carina.track.paths.rebuilt import edited_core
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree
 from carina.volume.digest import CanonicalAxes, canonical_axes, canonical_geometry
@@ -72,10 +72,8 @@ class CanonicalOrder:
         upper = None if upper is None else self._put_back(upper, self.stored.shape_zyx)
         place = np.linalg.inv(grid.lps_from_ijk) @ airways.tracker.grid.lps_from_ijk
         i, j, k = (int(v) for v in np.rint(place[:3, :3] @ np.array(airways.tracker.root_ijk) + place[:3, 3]))
-        levels = airways.wall_levels
-        tracker = PathTracker(
-            grid, lambda: edited_core(grid.volume, lumen, (i, j, k), levels), root_ijk=(i, j, k), lumen_zyx=lumen
-        )
+        recipe = CoreRecipe(airways.wall_levels, is_edited=True)
+        tracker = PathTracker(grid, None, recipe=recipe, root_ijk=(i, j, k), lumen_zyx=lumen)
         tracker.follow_branches(airways.tree.branches)
         tree = AirwayTree(airways.tree.branches, _smooth=tracker.smooth, notes=airways.tree.notes)
         return dataclasses.replace(airways, lumen_zyx=on_ct, tree=tree, tracker=tracker, upper_airway_zyx=upper)

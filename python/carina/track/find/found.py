@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, get_args
 
 import numpy as np
@@ -30,6 +30,7 @@ from carina.track.tree.airway_tree import AirwayTree
 from carina.track.tree.thick_slices import CalibratedShares, shares_of
 from carina.track.tree.uncertain import Uncertainty
 from carina.volume.model import Note
+from carina.volume.sparse_mask import PackedMask
 
 __all__ = ["Airways"]
 
@@ -46,6 +47,9 @@ def _check_threshold(where: str, name: str, value: object) -> None:
 @dataclass(frozen=True, slots=True, eq=False)
 class Airways:
     """The airways of a volume.
+
+    They can be copied and pickled, also for another process (multiprocessing, joblib, Ray): the tree, the paths, edits
+    and measurements are the same there, bit for bit. A pickle holds the CT, and the lumen in few bytes.
 
     Examples
     --------
@@ -105,6 +109,18 @@ class Airways:
             evidence=instance(KeptForVolume, "omit it"),
         )
 
+    def __copy__(self) -> Airways:
+        return replace(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        # On the grid of the CT the lumen is that of the tracker.
+        is_same = self.lumen_zyx is self.tracker.lumen_zyx
+        values["lumen_zyx"] = None if is_same else PackedMask.of(self.lumen_zyx)
+        upper = self.upper_airway_zyx
+        values["upper_airway_zyx"] = None if upper is None else PackedMask.of(upper)
+        return _airways_of, (values,)
+
     def __repr__(self) -> str:
         edited = f", {len(self.edits)} edits" if self.edits else ""
         return f"Airways({self.tree!r}, root_lps={as_words(self.root_lps)}, threshold={self.threshold:g}{edited})"
@@ -146,3 +162,11 @@ class Airways:
     def report(self) -> tuple[str, ...]:
         """The notes."""
         return self.notes
+
+
+def _airways_of(values: dict[str, Any]) -> Airways:
+    """Return the airways that a pickle holds."""
+    lumen, upper = values["lumen_zyx"], values["upper_airway_zyx"]
+    values["lumen_zyx"] = values["tracker"].lumen_zyx if lumen is None else lumen.mask_zyx()
+    values["upper_airway_zyx"] = None if upper is None else upper.mask_zyx()
+    return Airways(**values)

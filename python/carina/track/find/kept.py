@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ class KeptForVolume(Generic[Found]):
         self._found: Found | None = None
         self._values: NDArray[np.int16] | None = None
         self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # What was found is computed again where it is needed: it is large.
+        return KeptForVolume, ()
 
     def of(self, volume: Volume, find: Callable[[], Found]) -> Found:
         """What was found in a volume, or is found now; of another volume it is never kept."""

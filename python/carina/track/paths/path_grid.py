@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,9 @@ class PathGrid:
         parts = shape_zyx[axis] // ct.shape_zyx[axis]
         is_possible = parts == 1 or (1 < parts <= MOST_PARTS and ct.spacing_mm[2 - axis] / parts >= LEAST_PART_MM)
         return parts if is_possible and cls(ct, parts).shape_zyx == shape_zyx else None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PathGrid, (self.ct, self.parts)
 
     def __repr__(self) -> str:
         return f"PathGrid(parts={self.parts}, shape_zyx={self.shape_zyx})"

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import LumenTracker, reroot_lumen
 from carina.volume.model import Volume
 
-__all__ = ["Levels", "edited_core", "found_core"]
+__all__ = ["CoreRecipe", "Levels", "edited_core", "found_core"]
 
 Levels = tuple[float, float, float] | None
 """As :attr:`carina.track.Airways.wall_levels`."""
+
+
+@dataclass(frozen=True, slots=True)
+class CoreRecipe:
+    """How the compiled tracker of a lumen is built again, in another process or from a case file."""
+
+    levels: Levels
+    is_edited: bool
+    """Whether paths have the order of edits (`edited_core`), not that of a search (`found_core`)."""
+
+    def build(self, volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int]) -> LumenTracker:
+        """Return the compiled tracker of a lumen on the grid of a volume, from the voxel of the root."""
+        return (edited_core if self.is_edited else found_core)(volume, lumen_zyx, root_ijk, self.levels)
 
 
 def found_core(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +17,11 @@ from carina.errors import NoResultError, UsageError
 from carina.track.levels import AirScale, air_scale
 from carina.track.paths.live import LivePath, find_live_path, noise_hu
 from carina.track.paths.path_grid import PathGrid
+from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.stages import Cancel
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
+from carina.volume.sparse_mask import PackedMask
 
 __all__ = ["PathTracker", "TrackedPath"]
 
@@ -57,7 +59,8 @@ class TrackedPath:
 class PathTracker:
     """Least-cost paths from one fixed root; what one target has settled is there for the next (paper 6.3).
 
-    Made by :func:`carina.track.find_airways`. May be used from several threads.
+    Made by :func:`carina.track.find_airways`. May be used from several threads. A pickle of it holds the CT, the lumen
+    and the branches; the compiled tracker is built again from them when it is first needed.
     """
 
     __slots__ = (
@@ -69,10 +72,10 @@ class PathTracker:
         "_lock",
         "_lumen_zyx",
         "_made_core",
-        "_make_core",
         "_nodes",
         "_noise_hu",
         "_on_tree",
+        "_recipe",
         "_root_ijk",
         "grid",
     )
@@ -80,33 +83,36 @@ class PathTracker:
     def __init__(
         self,
         grid: PathGrid,
-        core: LumenTracker | Callable[[], LumenTracker],
+        core: LumenTracker | None,
         *,
+        recipe: CoreRecipe,
         root_ijk: tuple[int, int, int] | None = None,
         lumen_zyx: NDArray[np.uint8] | None = None,
     ) -> None:
-        """Make a tracker from a compiled one, or from a function that makes one.
+        """Make a tracker from a compiled one, or from the recipe of one.
 
-        A compiled tracker takes seconds and much memory to make. A function is called when one is first needed; root
-        and lumen are then known without it.
+        A compiled tracker takes seconds and much memory to build. Without one it is built when it is first needed, from
+        the root and the lumen.
 
         Parameters
         ----------
         grid
             The grid that the paths run in.
         core
-            The compiled tracker on that grid, or a function that makes it.
+            The compiled tracker on that grid; None builds it when it is first needed.
+        recipe
+            How the compiled tracker is built again.
         root_ijk
-            The voxel of the grid where all paths begin, if it is known.
+            The voxel of the grid where all paths begin; needed without ``core``.
         lumen_zyx
-            The lumen on the grid, if it is known.
+            The lumen on the grid; needed without ``core``.
         """
         self._root_ijk = root_ijk
         self._lumen_zyx = lumen_zyx
         self.grid = grid
         """The grid that the paths run in: that of the CT, or a finer one where its slices are thick."""
-        self._made_core = core if isinstance(core, LumenTracker) else None
-        self._make_core = None if isinstance(core, LumenTracker) else core
+        self._made_core = core
+        self._recipe = recipe
         self._lock = threading.RLock()
         self._branches: tuple[Branch, ...] = ()
         self._nodes: list[NDArray[np.uint32]] | None = []
@@ -115,6 +121,11 @@ class PathTracker:
         self._on_tree: NDArray[np.int32] | None = None
         self._noise_hu: float | None = None
         self._air_scale: AirScale | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {"grid": self.grid, "recipe": self._recipe, "root_ijk": self.root_ijk}
+        nodes = None if self._follows else self._nodes
+        return _tracker_of, (values, PackedMask.of(self.lumen_zyx), self._branches, nodes)
 
     def __repr__(self) -> str:
         core = self._made_core
@@ -145,9 +156,8 @@ class PathTracker:
             with self._lock:
                 core = self._made_core
                 if core is None:
-                    assert self._make_core is not None
-                    core = self._made_core = self._make_core()
-                    self._make_core = None
+                    assert self._lumen_zyx is not None and self._root_ijk is not None
+                    core = self._made_core = self._recipe.build(self.grid.volume, self._lumen_zyx, self._root_ijk)
         return core
 
     @property
@@ -472,6 +482,15 @@ class PathTracker:
             whole = self._branches[known]
             branches.append(dataclasses.replace(branch, name=whole.name, generation=whole.generation))
         return AirwayTree(tuple(branches), _smooth=self.smooth)
+
+
+def _tracker_of(
+    values: dict[str, Any], lumen: PackedMask, branches: tuple[Branch, ...], nodes: list[NDArray[np.uint32]] | None
+) -> PathTracker:
+    """Return the tracker that a pickle holds."""
+    tracker = PathTracker(core=None, lumen_zyx=lumen.mask_zyx(), **values)
+    tracker._tell(branches, nodes)
+    return tracker
 
 
 def lumen_voxels(core: LumenTracker) -> NDArray[np.uint8]:

@@ -1,0 +1,217 @@
+"""Airways and what they hold are copied and pickled, also for another process, and give the same results there."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import io
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from edit_case import assert_same_tree, edit_case
+
+import carina
+from carina.errors import DiskError, NoEvidenceError
+from carina.track import CutBranch, MoveRoot, PathTracker, RenameBranch, measure_tree
+from carina.volume import MaskLabel, MaskLabelError
+from carina.volume.sparse_mask import PackedMask
+
+IN_ANOTHER_PROCESS = """
+import pickle, sys
+import carina
+from carina.track import CutBranch, measure_tree
+with open(sys.argv[1], "rb") as file:
+    volume, airways, target = pickle.load(file)
+edited = carina.edit_airways(volume, airways, CutBranch(airways.tree.tips()[-1].id))
+path = airways.tracker.path_to(target)
+with open(sys.argv[2], "wb") as file:
+    pickle.dump((edited, path, measure_tree(volume, airways).to_json()), file)
+"""
+
+
+def by_pickle(value: Any) -> Any:
+    return pickle.loads(pickle.dumps(value))
+
+
+def by_buffers(value: Any) -> Any:
+    """As Ray stores objects: arrays beside the pickle, which the other process maps read-only."""
+    buffers: list[pickle.PickleBuffer] = []
+    data = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
+    return pickle.loads(data, buffers=[bytes(one.raw()) for one in buffers])
+
+
+def by_mapped_files(value: Any, folder: Path) -> Any:
+    """As joblib passes arguments: large arrays are files that the other process maps."""
+
+    class Mapping(pickle.Pickler):
+        num_files = 0
+
+        def reducer_override(self, value: Any) -> Any:
+            if type(value) is not np.ndarray or value.nbytes < 1000:
+                return NotImplemented
+            self.num_files += 1
+            path = folder / f"{self.num_files}.npy"
+            np.save(path, value)
+            return np.load, (path, "r")
+
+    file = io.BytesIO()
+    Mapping(file, protocol=5).dump(value)
+    return pickle.loads(file.getvalue())
+
+
+def airways_of_every_kind() -> dict[str, carina.Airways]:
+    case = edit_case()
+    tips = case.airways.tree.tips()
+    renamed = carina.edit_airways(case.volume, case.airways, RenameBranch(tips[0].id, "biopsy"))
+    start = case.airways.tree.root.points[3]
+    return {
+        "found": case.airways,
+        "renamed": renamed,
+        "cut": carina.edit_airways(case.volume, renamed, CutBranch(tips[-1].id)),
+        "rerooted": carina.edit_airways(case.volume, case.airways, MoveRoot(tuple(float(v) for v in start))),
+    }
+
+
+KINDS = ("found", "renamed", "cut", "rerooted")
+
+
+@pytest.fixture(scope="module")
+def every_kind() -> dict[str, carina.Airways]:
+    return airways_of_every_kind()
+
+
+def assert_same_airways(made: carina.Airways, expected: carina.Airways) -> None:
+    assert_same_tree(made.tree, expected.tree)
+    for name in ("lumen_zyx", "root_lps"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+    assert not made.lumen_zyx.flags.writeable
+    assert (made.lumen_zyx is made.tracker.lumen_zyx) == (expected.lumen_zyx is expected.tracker.lumen_zyx)
+    for name in ("threshold", "notes", "wall_levels", "edits", "next_id", "uncertain"):
+        assert repr(getattr(made, name)) == repr(getattr(expected, name)), name
+    for branch in expected.tree.tips():
+        one, other = made.tracker.path_to(branch.tip_lps), expected.tracker.path_to(branch.tip_lps)
+        for field in dataclasses.fields(one):
+            np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
+        route, wanted = made.tree.route_to(branch.id), expected.tree.route_to(branch.id)
+        np.testing.assert_array_equal(route.points_lps, wanted.points_lps)
+    if expected.base is not None:
+        assert made.base is not None
+        assert made.evidence is made.base.evidence
+        assert_same_tree(made.base.tree, expected.base.tree)
+
+
+@pytest.mark.parametrize("way", [by_pickle, by_buffers, copy.copy, copy.deepcopy])
+@pytest.mark.parametrize("kind", KINDS)
+def test_airways_are_the_same_after_a_copy(
+    kind: str, way: Callable[[Any], Any], every_kind: dict[str, carina.Airways]
+) -> None:
+    assert_same_airways(way(every_kind[kind]), every_kind[kind])
+
+
+def test_airways_are_the_same_after_a_pickle_whose_arrays_are_mapped_files(
+    tmp_path: Path, every_kind: dict[str, carina.Airways]
+) -> None:
+    assert_same_airways(by_mapped_files(every_kind["cut"], tmp_path), every_kind["cut"])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_edit_of_a_copy_gives_the_same_airways(kind: str, every_kind: dict[str, carina.Airways]) -> None:
+    volume, airways = edit_case().volume, every_kind[kind]
+    copied_volume, copied = by_pickle((volume, airways))
+    assert copied.tracker.grid.ct is copied_volume
+    edit = CutBranch(airways.tree.tips()[1].id)
+    expected = carina.edit_airways(volume, airways, edit)
+    assert_same_airways(carina.edit_airways(copied_volume, copied, edit), expected)
+
+
+def test_another_process_gives_the_same_edits_paths_and_measures(tmp_path: Path) -> None:
+    case = edit_case()
+    target = tuple(float(v) for v in case.airways.tree.tips()[0].tip_lps)
+    given, made = tmp_path / "given.pickle", tmp_path / "made.pickle"
+    given.write_bytes(pickle.dumps((case.volume, case.airways, target)))
+    subprocess.run([sys.executable, "-c", IN_ANOTHER_PROCESS, str(given), str(made)], check=True)
+    edited, path, measures = pickle.loads(made.read_bytes())
+    cut = CutBranch(case.airways.tree.tips()[-1].id)
+    assert_same_airways(edited, carina.edit_airways(case.volume, case.airways, cut))
+    np.testing.assert_array_equal(path.points_lps, case.airways.tracker.path_to(target).points_lps)
+    assert repr(measures) == repr(measure_tree(case.volume, case.airways).to_json())
+
+
+def test_airways_of_divided_slices_are_the_same_after_a_pickle() -> None:
+    made = carina.generate_phantom(spacing_mm=(0.9, 0.9, 3.0), generations=3, box_lps=((-60, -60, -40), (60, 60, 120)))
+    airways = carina.find_airways(made.volume)
+    assert airways.tracker.grid.is_divided
+    assert_same_airways(by_pickle(airways), airways)
+
+
+def test_a_pickle_of_airways_holds_the_lumen_in_few_bytes() -> None:
+    case = edit_case()
+    without = len(pickle.dumps(case.volume))
+    assert len(pickle.dumps((case.volume, case.airways))) - without < 0.5 * case.airways.lumen_zyx.nbytes
+
+
+def test_a_tracker_that_was_never_built_is_pickled_without_being_built() -> None:
+    tracker: PathTracker = by_pickle(by_pickle(edit_case().airways.tracker))
+    assert repr(tracker) == "PathTracker(not built yet)"
+    assert tracker.num_nodes == edit_case().airways.tracker.num_nodes
+
+
+def test_a_pickled_volume_is_read_only_and_keeps_what_was_found_of_it() -> None:
+    volume = edit_case().volume
+    found = volume.value_range
+    copied = by_pickle(volume)
+    assert not copied.hu_zyx.flags.writeable and not copied.lps_from_ijk.flags.writeable
+    assert copied._range == found
+    np.testing.assert_array_equal(copied.hu_zyx, volume.hu_zyx)
+
+
+@pytest.mark.parametrize("mask", [np.zeros((3, 4, 5)), np.ones((3, 4, 5)), np.eye(4)[None], np.eye(5)[:, None] * 255])
+def test_a_packed_mask_is_the_same_mask(mask: np.ndarray) -> None:
+    made = PackedMask.of(mask.astype(np.uint8)).mask_zyx()
+    np.testing.assert_array_equal(made, mask != 0)
+    assert made.dtype == np.uint8 and not made.flags.writeable
+
+
+@pytest.mark.parametrize("way", [by_pickle, copy.copy, copy.deepcopy])
+def test_a_flight_path_is_the_same_after_a_copy(way: Callable[[Any], Any]) -> None:
+    route = edit_case().airways.tree.route_to(edit_case().airways.tree.tips()[0].id)
+    path = carina.FlightPath(route.points_lps, forks_mm=route.forks_mm)
+    copied = way(path)
+    assert (copied.forks_mm, copied.lookouts_mm) == (path.forks_mm, path.lookouts_mm)
+    np.testing.assert_array_equal(copied.points_lps, path.points_lps)
+    np.testing.assert_array_equal(copied.pose_at(10.0).lps_from_camera, path.pose_at(10.0).lps_from_camera)
+
+
+def test_errors_of_every_kind_pass_from_process_to_process() -> None:
+    label = MaskLabel(3, "tumour", 1.5)
+    full = DiskError("the disk is full", code="disk.full")
+    full.errno = 28
+    for error in (
+        carina.UsageError("wrong", code="usage.range"),
+        carina.VolumeImportError("refused", code="import.clipped"),
+        full,
+        MaskLabelError("several", labels=(label,)),
+        NoEvidenceError("no wall", doubtful_mm=4.0, way_lps=np.zeros((2, 3)), doubtful=np.array([True])),
+    ):
+        for made in (by_pickle(error), copy.copy(error)):
+            assert type(made) is type(error)
+            assert (str(made), made.code, made.exit_code) == (str(error), error.code, error.exit_code)
+            assert vars(made).keys() == vars(error).keys()
+    assert by_pickle(full).errno == 28
+    assert by_pickle(MaskLabelError("several", labels=(label,))).labels == (label,)
+
+
+@pytest.mark.ray
+def test_airways_pass_through_the_pickler_of_ray() -> None:
+    from ray import cloudpickle
+
+    case = edit_case()
+    buffers: list[pickle.PickleBuffer] = []
+    data = cloudpickle.dumps(case.airways, protocol=5, buffer_callback=buffers.append)
+    assert_same_airways(pickle.loads(data, buffers=[bytes(one.raw()) for one in buffers]), case.airways)
