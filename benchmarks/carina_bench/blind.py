@@ -56,7 +56,7 @@ def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
         renderer.set_lumen(airways.lumen_zyx, airways.tree)
         tip = max(airways.tree.tips(), key=lambda branch: (branch.generation, branch.id))
         trachea_mm = sum(b.length_mm for b in airways.tree.lineage(tip.id) if b.name == "Trachea")
-        path = FlightPath(airways.tree.route_to(tip.id).points_lps)
+        path = FlightPath(airways.tree.route_to(tip.id))
         for before_mm in BEFORE_CARINA_MM:
             if trachea_mm - before_mm > 3.0:
                 pose = path.pose_at(trachea_mm - before_mm)

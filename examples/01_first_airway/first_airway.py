@@ -20,7 +20,7 @@ def main(case: str | None, out: Path) -> list[Path]:
     print(f"{len(airways.tree.branches)} branches from {airways.root_lps.round(1)} mm")
 
     farthest = max(airways.tree.tips(), key=lambda branch: branch.generation)
-    path = carina.FlightPath(airways.tree.route_to(farthest.id).points_lps)
+    path = carina.FlightPath(airways.tree.route_to(farthest.id))
     saved = []
     for name, at_mm in (("trachea", 0.25 * path.length_mm), ("bronchus", 0.8 * path.length_mm)):
         picture = carina.render_view(

@@ -42,7 +42,7 @@ def way(tree: carina.AirwayTree) -> tuple[carina.FlightPath, list[PathSpan]]:
         name = branch.name or f"generation {branch.generation}"
         spans.append(PathSpan(name, at_mm, at_mm + branch.length_mm))
         at_mm += branch.length_mm
-    return carina.FlightPath(tree.route_to(farthest.id).points_lps), spans
+    return carina.FlightPath(tree.route_to(farthest.id)), spans
 
 
 def places(path: carina.FlightPath, spans: list[PathSpan]) -> dict[str, carina.Pose]:
@@ -80,7 +80,7 @@ def decorated_places(tree: carina.AirwayTree) -> dict[str, carina.Pose]:
     ):
         lineage = tree.lineage(next(b.id for b in tree.branches if b.name == branch))
         ends = np.cumsum([b.length_mm for b in lineage])
-        found[name] = carina.FlightPath(tree.route_to(lineage[-1].id).points_lps).pose_at(float(ends[of]) + from_mm)
+        found[name] = carina.FlightPath(tree.route_to(lineage[-1].id)).pose_at(float(ends[of]) + from_mm)
     return found
 
 
@@ -91,7 +91,7 @@ def before_the_narrow_place(tree: carina.AirwayTree) -> carina.Pose:
     begins = sum(b.length_mm for b in lineage[:-1])
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     at = begins + float(steps[: int(np.argmin(branch.radius))].sum())
-    return carina.FlightPath(tree.route_to(branch.id).points_lps).pose_at(at - 14.0)
+    return carina.FlightPath(tree.route_to(branch.id)).pose_at(at - 14.0)
 
 
 def bent_vessel() -> tuple[carina.Volume, list[NDArray[np.float64]]]:

@@ -91,7 +91,7 @@ class Things:
 
     @cached_property
     def path(self) -> carina.FlightPath:
-        return carina.FlightPath(self.route.points_lps)
+        return carina.FlightPath(self.route)
 
     @property
     def short_path(self) -> carina.FlightPath:

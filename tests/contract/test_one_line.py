@@ -146,7 +146,7 @@ def shown() -> Shown:
     airways = carina.find_airways(phantom.volume)
     tip = max(airways.tree.tips(), key=lambda branch: branch.generation)
     route = airways.tree.route_to(tip.id)
-    path = carina.FlightPath(route.points_lps)
+    path = carina.FlightPath(route)
     renderer = carina.Renderer(phantom.volume)
     renderer.set_lumen(airways.lumen_zyx)
     pose = path.pose_at(30.0)

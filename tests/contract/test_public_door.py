@@ -67,7 +67,7 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
         (
             lambda: carina.write_film("a.mp4", CT, "path"),
             "write_film: flight: expected FlightPath or AutoFlight or KeyFrameFlight; found str; create a "
-            "carina.FlightPath from the points_lps of a route",
+            "carina.FlightPath from a route",
         ),
         (
             lambda: carina.open_volume("a", progress=3),

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from carina.errors import UsageError
 from carina.navigate import FlightPath
+from carina.track import AirwayTree, Branch, TrackedPath
+from carina.track.tree.airway_tree import Route
 
 
 def bent_path() -> np.ndarray:
@@ -86,3 +88,32 @@ def test_forks_are_found_ahead_and_behind() -> None:
 def test_what_is_no_path_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         FlightPath(points, **options)
+
+
+def route() -> Route:
+    """The route to the second of two branches, with one fork."""
+    points = bent_path()
+    trunk = Branch(0, None, (1,), 0, "Trachea", "tracked", points[:5], np.full(5, 8.0))
+    child = Branch(1, 0, (), 1, "LMB", "tracked", points[4:], np.full(5, 5.0))
+    return AirwayTree((trunk, child)).route_to(1)
+
+
+def test_a_path_of_a_route_has_the_points_and_forks_of_the_route() -> None:
+    path, by_points = FlightPath(route()), FlightPath(route().points_lps)
+    assert path.forks_mm == tuple(route().forks_mm) and len(path.forks_mm) == 1
+    assert path.lookouts_mm == path.forks_mm
+    np.testing.assert_array_equal(path.points_lps, by_points.points_lps)
+    assert by_points.forks_mm == ()
+    assert FlightPath(route(), forks_mm=[30.0]).forks_mm == (30.0,)
+
+
+def test_a_path_of_a_tracked_path_has_its_points() -> None:
+    points = bent_path()
+    empty = np.zeros(len(points))
+    tracked = TrackedPath(points, empty, empty, 1.0, 1.0, empty, empty, points, 0, 0.0)
+    np.testing.assert_array_equal(FlightPath(tracked).source_lps, points)
+
+
+def test_an_object_without_points_is_refused() -> None:
+    with pytest.raises(UsageError, match="FlightPath: points_lps: expected finite numbers"):
+        FlightPath(object())

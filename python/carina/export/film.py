@@ -138,7 +138,7 @@ def write_film(
     >>> import carina
     >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
     >>> airways = carina.find_airways(phantom.volume)
-    >>> path = carina.FlightPath(airways.tree.route_to(airways.tree.root.id).points_lps)
+    >>> path = carina.FlightPath(airways.tree.route_to(airways.tree.root.id))
     >>> view = carina.render.AirwayView(path.pose_at(0.0), width=64, height=48)
     >>> carina.write_film("trachea.mp4", phantom.volume, path, view=view, rate_hz=2.0, speed_mm_s=50.0, progress=False)
     Film(name='trachea.mp4', num_frames=5, rate_hz=2, size_px=(64, 48))
@@ -146,7 +146,7 @@ def write_film(
     check_type("write_film", "volume", volume, Volume, "open a volume with carina.open_volume")
     told = progress_function(progress)
     kinds = (FlightPath, AutoFlight, KeyFrameFlight)
-    check_type("write_film", "flight", flight, kinds, "create a carina.FlightPath from the points_lps of a route")
+    check_type("write_film", "flight", flight, kinds, "create a carina.FlightPath from a route")
     flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight
     look = AirwayView(flown.pose_at(0.0), fov_deg=100.0, width=640, height=480) if view is None else view
     check_type("write_film", "view", look, AirwayView, "a video can only show the airway view")

@@ -43,7 +43,7 @@ class AutoFlight:
     """
 
     @check_arguments(
-        path=instance(FlightPath, "create a carina.FlightPath from the points_lps of a route"),
+        path=instance(FlightPath, "create a carina.FlightPath from a route"),
         speed_mm_s=any_number(),
         pause_s=any_number(),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,20 @@ from carina.argument_checks import (
 from carina.errors import UsageError
 from carina.scopes import PathFrames, Pose
 
-__all__ = ["FlightPath"]
+__all__ = ["FlightPath", "PathPoints"]
+
+
+class PathPoints(Protocol):
+    """A path that was found, such as :class:`carina.track.Route` or :class:`carina.track.TrackedPath`."""
+
+    @property
+    def points_lps(self) -> NDArray[np.float64]:
+        """(n, 3) LPS mm, root to tip."""
+
+
+def _check_points(where: str, name: str, value: object) -> None:
+    """Refuse anything but finite numbers and a path with points."""
+    numbers_within()(where, name, getattr(value, "points_lps", value))
 
 
 class FlightPath:
@@ -35,12 +48,13 @@ class FlightPath:
     Parameters
     ----------
     points_lps
-        ``(n, 3)``, LPS mm, root to tip. Two different points at least; the stairs of a voxel path are smoothed.
+        A route (:class:`carina.track.Route`), a tracked path, or points ``(n, 3)``, LPS mm, root to tip. Two different
+        points at least; the stairs of a voxel path are smoothed.
     up_lps
         What appears up at the start. Anterior unless told (operator at the head end), or superior where the path starts
         along the antero-posterior axis. Frames further on turn as little as can be about the viewing direction.
     forks_mm
-        Places of the bifurcations.
+        Places of the bifurcations; those of a route unless given.
     lookouts_mm
         Where :meth:`next_fork_mm` and :meth:`previous_fork_mm` stop: in front of the forks, with all openings in view.
         The forks themselves unless given.
@@ -61,6 +75,15 @@ class FlightPath:
     >>> path = FlightPath([[0.0, 0.0, 100.0], [0.0, 0.0, 0.0]])
     >>> path.pose_at(40.0).position_lps.round(6).tolist()
     [0.0, 0.0, 60.0]
+
+    A route has its forks:
+
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> tree = carina.find_airways(phantom.volume).tree
+    >>> route = tree.route_to(tree.tips()[0].id)
+    >>> len(carina.FlightPath(route).forks_mm) == len(route.forks_mm)
+    True
     """
 
     __slots__ = (
@@ -74,22 +97,24 @@ class FlightPath:
     )
 
     @check_arguments(
-        points_lps=numbers_within(),
+        points_lps=_check_points,
         up_lps=array_of(3, optional=True),
-        forks_mm=each(any_number()),
+        forks_mm=each(any_number(), optional=True),
         lookouts_mm=each(any_number(), optional=True),
         max_deviation_mm=any_number(),
     )
     def __init__(
         self,
-        points_lps: ArrayLike,
+        points_lps: PathPoints | ArrayLike,
         *,
         up_lps: Sequence[float] | None = None,
-        forks_mm: Sequence[float] = (),
+        forks_mm: Sequence[float] | None = None,
         lookouts_mm: Sequence[float] | None = None,
         max_deviation_mm: float = 0.5,
     ) -> None:
-        points = np.ascontiguousarray(points_lps, dtype=np.float64)
+        if forks_mm is None:
+            forks_mm = getattr(points_lps, "forks_mm", ())
+        points = np.ascontiguousarray(getattr(points_lps, "points_lps", points_lps), dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3:
             raise UsageError(f"a path needs points of shape (n, 3); found {points.shape}", code="navigate.path")
         up = None if up_lps is None else tuple(float(v) for v in up_lps)

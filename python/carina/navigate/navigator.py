@@ -39,7 +39,7 @@ RAD = bounded(1e6, unit="rad")
 SECONDS = number_from(-86_400.0, 86_400.0, unit="s")
 AN_OPERATOR = choice("head", "facing")
 A_POSE = instance(Pose, "get one from a carina.FlightPath or from carina.Pose.looking")
-A_PATH = instance(FlightPath, "create a carina.FlightPath from the points_lps of a route", optional=True)
+A_PATH = instance(FlightPath, "create a carina.FlightPath from a route", optional=True)
 A_VOLUME = instance(Volume, "open a volume with carina.open_volume", optional=True)
 # Easing per mm of advance: at most 4 degrees and half a millimetre, and exponentially over the last stretch.
 EASE_RAD_PER_MM = math.radians(4.0)

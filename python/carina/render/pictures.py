@@ -185,7 +185,7 @@ def render_view(
     >>> import carina
     >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
     >>> airways = carina.find_airways(phantom.volume)
-    >>> pose = carina.FlightPath(airways.tree.route_to(airways.tree.root.id).points_lps).pose_at(20.0)
+    >>> pose = carina.FlightPath(airways.tree.route_to(airways.tree.root.id)).pose_at(20.0)
     >>> picture = carina.render_view(
     ...     phantom.volume, view="airway", pose=pose, width=64, height=48, lumen_zyx=airways.lumen_zyx
     ... )
