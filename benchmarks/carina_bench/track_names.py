@@ -92,7 +92,7 @@ def _is_segment(name: str | None) -> bool:
 
 def _variants(truth: AirwayTree) -> list[str]:
     """Uncommon stems of a true tree."""
-    return [stem for stem in ("RB1+2", "RB2+3", "RB9+10", "LB9+10") if truth.named(stem) is not None] or ["none"]
+    return [stem for stem in ("RB1+2", "RB2+3", "RB9+10", "LB9+10") if stem in truth.names] or ["none"]
 
 
 def along(tree: AirwayTree, points: NDArray[np.float64]) -> int:

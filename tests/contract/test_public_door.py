@@ -15,7 +15,7 @@ import carina
 from carina.display import progress as bars
 from carina.display.progress import Watched, bar_here, shows_progress
 from carina.errors import UsageError
-from carina.render import AirwayView, CutPlaneView, SliceView
+from carina.render import VIEW_NAMES, AirwayView, CutPlaneView, SliceView
 from carina.volume import Volume
 
 CT = Volume(np.full((12, 12, 12), 40, dtype=np.int16), np.eye(4))
@@ -88,6 +88,13 @@ def test_a_wrong_type_is_refused_with_what_was_expected_what_was_found_and_what_
 def test_a_view_by_another_kind_of_value_is_refused() -> None:
     with pytest.raises(UsageError, match=r"render_view: view: expected AirwayView or .*; found Pose; or pass one of"):
         carina.render_view(CT, view=POSE)
+
+
+@pytest.mark.parametrize("options", [{"pose": POSE}, {}, {"pose": POSE, "fov_deg": 90.0}])
+def test_an_unknown_name_of_a_view_is_refused_with_the_names_of_all_views(options: dict[str, object]) -> None:
+    with pytest.raises(UsageError) as refused:
+        carina.render_view(CT, view="airwy", **options)
+    assert str(refused.value) == f"expected one of the views {', '.join(VIEW_NAMES)}; found 'airwy'"
 
 
 def test_a_view_as_a_value_is_the_same_picture_as_by_its_name() -> None:

@@ -106,7 +106,6 @@ def test_the_doubt_of_a_tree_goes_with_it_and_ends_when_it_is_put_right():
 def test_names_that_a_person_gave_are_not_counted_as_misfit():
     tree = true_tree(3)
     segment = tree.named("RB3")
-    assert segment is not None
     given = tuple(
         dataclasses.replace(b, name="RB10", name_from="person") if b.id == segment.id else b for b in tree.branches
     )

@@ -160,3 +160,20 @@ def test_questions_to_the_tree(tree):
     assert route.length_mm == pytest.approx(tree.root.length_mm + tree.branch(7).length_mm)
     with pytest.raises(UsageError, match="no branch"):
         tree.route_to(1)
+
+
+def test_a_branch_is_found_by_its_name_and_an_unknown_name_is_refused_with_all_names(tree):
+    assert tree.names == ("Trachea", "RMB")
+    assert tree.named("RMB") is tree.branches[1]
+    with pytest.raises(UsageError, match=r"^no branch is named 'RB99'; the names in this tree are Trachea, RMB$"):
+        tree.named("RB99")
+    nameless = AirwayTree(tuple(dataclasses.replace(one, name=None, name_from=None) for one in tree.branches))
+    assert nameless.names == ()
+    with pytest.raises(UsageError, match=r"^no branch is named 'RMB'; no branch has a name$"):
+        nameless.named("RMB")
+
+
+def test_a_name_that_two_branches_share_is_listed_once_and_finds_the_first():
+    tree = cut_in_two()
+    assert tree.names.count("RB6") == 1
+    assert tree.named("RB6") is next(one for one in tree.branches if one.name == "RB6")

@@ -76,11 +76,10 @@ def say_drawn(way: ChosenRoute) -> None:
 
 
 def _branch_id(tree: AirwayTree, to: str) -> int:
-    branch = tree.named(to)
-    if branch is not None:
-        return branch.id
+    if to in tree.names:
+        return tree.named(to).id
     if re.fullmatch(r"\d{1,9}", to):
         return tree.branch(int(to)).id
-    names = [b.name for b in tree.branches if b.name]
+    names = tree.names
     known = ", ".join(names[:MAX_NAMES_SAID]) + (", ..." if len(names) > MAX_NAMES_SAID else "")
     raise UsageError(f"--to: no branch is named {to!r}; named branches: {known or 'none'}; branch ids also work")

@@ -22,6 +22,7 @@ from carina.argument_checks import (
     lps_point,
     number_from,
     numbers_within,
+    shown,
     text_of,
     whole_from,
 )
@@ -290,10 +291,35 @@ class AirwayTree:
         """Branches without children."""
         return [branch for branch in self.branches if not branch.children]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the branches, each once, in the order of the tree."""
+        return tuple(dict.fromkeys(branch.name for branch in self.branches if branch.name is not None))
+
     @check_arguments(name=text_of(80))
-    def named(self, name: str) -> Branch | None:
-        """Return the branch with a name; None where no branch has it."""
-        return next((branch for branch in self.branches if branch.name == name), None)
+    def named(self, name: str) -> Branch:
+        """Return the branch with a name, the first of several.
+
+        Raises
+        ------
+        UsageError
+            If no branch has the name; the message lists the names of the tree, as `names` does.
+
+        Examples
+        --------
+        >>> import carina
+        >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+        >>> tree = carina.find_airways(phantom.volume).tree
+        >>> tree.named("RMB").generation
+        1
+        >>> "RB99" in tree.names
+        False
+        """
+        for branch in self.branches:
+            if branch.name == name:
+                return branch
+        listed = f"the names in this tree are {', '.join(self.names)}" if self.names else "no branch has a name"
+        raise UsageError(f"no branch is named {shown(name)}; {listed}")
 
     def rows(self) -> tuple[TreeRow, ...]:
         """Return the branches as rows of a listing, in the order of the tree; each branch is in one row.
