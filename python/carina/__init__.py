@@ -6,7 +6,9 @@ Example::
 
     volume = carina.open_volume("scan_folder")
     airways = carina.find_airways(volume)
+    branches = carina.measure_tree(volume, airways).to_pandas()
     route = airways.tree.route_to(airways.tree.tips()[0].id)
+    mesh = carina.track.lumen_mesh(volume, airways)
 
 Every object below is loaded on first use. ``help(carina.NAME)`` documents one of them, ``help("carina.PART")`` a part.
 
@@ -22,6 +24,7 @@ Airways (``carina.track``)
     find_airways        Find the lumen, the tree and the names of its branches
     edit_airways        Add, cut, bridge, rename or smooth branches
     track_paths         Compute least-cost paths to targets
+    measure_tree        Measure every branch: diameters, wall, stenoses
     wall_field          Compute the distance to the wall for a scope
     Airways, AirwayTree, WallField
 
@@ -52,15 +55,31 @@ Errors (``carina.errors``)
 
 from __future__ import annotations
 
-import importlib
 import sys
-from typing import TYPE_CHECKING, Any
+from importlib import import_module
 
 from carina.version import VERSION
 
 __version__ = VERSION
 
+# The module typing takes three quarters of the time of a bare import; type checkers know this name without it.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
+    from carina import case as case
+    from carina import cluster as cluster
+    from carina import commands as commands
+    from carina import errors as errors
+    from carina import export as export
+    from carina import navigate as navigate
+    from carina import phantom as phantom
+    from carina import plan as plan
+    from carina import render as render
+    from carina import scopes as scopes
+    from carina import session as session
+    from carina import track as track
+    from carina import volume as volume
     from carina.errors import CarinaError, NoResultError, UsageError, VolumeImportError
     from carina.export import export_airways, read_tree, write_film, write_tree
     from carina.navigate import FlightPath, Navigator
@@ -76,9 +95,27 @@ if TYPE_CHECKING:
     )
     from carina.scopes import Pose, ScopeDrive, WallField
     from carina.session import Case
-    from carina.track import Airways, AirwayTree, edit_airways, find_airways, track_paths, wall_field
+    from carina.track import Airways, AirwayTree, edit_airways, find_airways, measure_tree, track_paths, wall_field
     from carina.volume import Volume, demo_patient, inspect_path, open_mask, open_volume
 
+_PARTS = frozenset(
+    (
+        "case",
+        "cluster",
+        "commands",
+        "errors",
+        "export",
+        "navigate",
+        "phantom",
+        "plan",
+        "render",
+        "scopes",
+        "session",
+        "track",
+        "volume",
+    )
+)
+"""The documented parts (``docs/api``), available as ``carina.track`` after ``import carina``."""
 _HOME = {
     "AirwayTree": "track",
     "Airways": "track",
@@ -106,6 +143,7 @@ _HOME = {
     "plan_route": "plan",
     "inspect_path": "volume",
     "isoregion_map": "render",
+    "measure_tree": "track",
     "open_mask": "volume",
     "open_volume": "volume",
     "read_tree": "export",
@@ -146,6 +184,7 @@ __all__ = [
     "grow_nodule",
     "inspect_path",
     "isoregion_map",
+    "measure_tree",
     "open_mask",
     "open_volume",
     "plan_route",
@@ -169,12 +208,14 @@ del __all__
 def __getattr__(name: str) -> Any:
     if name == "__all__" and sys._getframe(1).f_globals.get("__name__") != "pydoc":
         return _PUBLIC
+    if name in _PARTS:
+        return import_module(f"carina.{name}")
     home = _HOME.get(name)
     if home is None:
         msg = f"module 'carina' has no attribute {name!r}"
         raise AttributeError(msg)
-    return getattr(importlib.import_module(f"carina.{home}"), name)
+    return getattr(import_module(f"carina.{home}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted(_PUBLIC)
+    return sorted({*_PUBLIC, *_PARTS})

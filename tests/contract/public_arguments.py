@@ -251,6 +251,7 @@ GOOD: dict[str, Good] = {
     "grow_nodule": Good(lambda t: {"volume": t.volume, "at_lps": t.nodule.centre_lps}),
     "inspect_path": Good(lambda t: {"path": t.ct_file}),
     "isoregion_map": Good(lambda t: {"volume": t.small_volume}),
+    "measure_tree": Good(lambda t: {"volume": t.volume, "airways": t.airways}),
     "open_mask": Good(lambda t: {"path": t.ct_file.with_name("lumen.nii.gz"), "volume": t.volume}),
     "open_volume": Good(lambda t: {"path": t.ct_file}),
     "plan_route": Good(
@@ -293,7 +294,7 @@ GOOD: dict[str, Good] = {
     "AutoFlight": Good(lambda t: {"path": t.path}),
     "AutoFlight.path_mm": Good(lambda _: {"time_s": 1.0}, _flight),
     "AutoFlight.pose_at": Good(lambda _: {"time_s": 1.0}, _flight),
-    "FlightPath": Good(lambda t: {"points_lps": t.route.points_lps}),
+    "FlightPath": Good(lambda t: {"points_lps": t.route}),
     "FlightPath.made_before": Good(lambda t: t.path.made_from() | {"points_lps": t.path.source_lps}),
     "FlightPath.nearest": Good(lambda _: {"point_lps": (0.0, 0.0, 0.0)}, _path),
     "FlightPath.nearest_mm": Good(lambda _: {"point_lps": (0.0, 0.0, 0.0)}, _path),

@@ -34,8 +34,6 @@ def test_examples_print_what_they_say(name: str, tmp_path: Path, monkeypatch: py
     # Examples share their chests and the airways in them: the same arguments give the same voxels.
     monkeypatch.setattr(carina, "generate_phantom", made_phantom, raising=False)
     monkeypatch.setattr(carina, "find_airways", found_airways, raising=False)
-    for part in ("track", "render", "scopes"):
-        importlib.import_module(f"carina.{part}")
     failed, tried = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert tried
     assert not failed, f"{failed} of {tried} examples of {name} print something else (see above)"

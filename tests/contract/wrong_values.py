@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from carina.errors import CarinaError
+from carina.track import TreeMeasures
 
 LIMIT_S = 60.0
 """Limit of one call. The slowest takes 2 s on an idle machine."""
@@ -160,6 +161,9 @@ def not_finite(value: Any, place: str = "result", depth: int = 0) -> str | None:
     """Return the place of the first number in a result that is not finite; None if all are finite."""
     if depth > 6 or value is None or isinstance(value, str | bytes | bool | int):
         return None
+    if isinstance(value, TreeMeasures):
+        # Sections without a figure are NaN by definition; the document has null there.
+        value = value.to_json()
     if isinstance(value, float):
         return None if math.isfinite(value) else f"{place} is {value}"
     if isinstance(value, np.ndarray):

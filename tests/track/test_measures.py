@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -88,7 +87,7 @@ def test_only_what_changed_is_measured_again(chest, measured, monkeypatch):
     tip = airways.tree.tips()[0]
     shorter = dataclasses.replace(tip, points=tip.points[:-3], radius=tip.radius[:-3])
     tree = AirwayTree(tuple(shorter if branch is tip else branch for branch in airways.tree.branches))
-    edited = SimpleNamespace(tree=tree, lumen_zyx=airways.lumen_zyx)
+    edited = dataclasses.replace(airways, tree=tree)
     fresh = measure_tree(chest.volume, edited, previous=measures)
     assert counts[1:] == [len(shorter.points)]
     whole = measure_tree(chest.volume, edited)
@@ -195,7 +194,7 @@ def test_a_branch_of_one_voxel_and_one_at_the_volumes_edge_are_measured_as_far_a
     trunk = dataclasses.replace(root, children=(1,), points=root.points, radius=root.radius)
     twig = Branch(1, 0, (), 1, None, "tracked", root.points[-1:], root.radius[-1:])
     tree = AirwayTree((trunk, twig))
-    measures = measure_tree(chest.volume, SimpleNamespace(tree=tree, lumen_zyx=airways.lumen_zyx))
+    measures = measure_tree(chest.volume, dataclasses.replace(airways, tree=tree))
     single = measures.of(1)
     assert single.at_mm.tolist() == [0.0]
     assert single.summary.length_mm == 0.0
@@ -203,12 +202,8 @@ def test_a_branch_of_one_voxel_and_one_at_the_volumes_edge_are_measured_as_far_a
     # A volume that is cut through the trachea's middle: its sections are partial, and said to be.
     i = int(chest.volume.to_ijk(root.points[len(root.points) // 2])[0] + 0.5)
     half = Volume(np.ascontiguousarray(chest.volume.hu_zyx[:, :, :i]), chest.volume.lps_from_ijk)
-    cut = measure_tree(
-        half,
-        SimpleNamespace(
-            tree=AirwayTree((dataclasses.replace(root, children=()),)), lumen_zyx=airways.lumen_zyx[:, :, :i]
-        ),
-    )
+    alone = AirwayTree((dataclasses.replace(root, children=()),))
+    cut = measure_tree(half, dataclasses.replace(airways, tree=alone, lumen_zyx=airways.lumen_zyx[:, :, :i]))
     own = cut.of(0)
     assert own.at_edge.mean() > 0.5
     assert not (own.at_edge & own.is_usable).any()

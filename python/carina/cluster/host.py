@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import carina
 from carina.cluster.envelope import Counts, Strip, open_order, pack_answer
 from carina.cluster.parcel import open_parcel
 from carina.errors import ClusterError
 from carina.render import Backend, Picture, Renderer, RenderStats, build_info
+from carina.version import VERSION
 
 __all__ = ["RendererHost", "available_bytes", "bare_picture", "counts_of"]
 
@@ -81,7 +81,7 @@ class RendererHost:
         """Who this is, and what it has."""
         info = build_info()
         return {
-            "version": carina.__version__,
+            "version": VERSION,
             "python": platform.python_version(),
             "host": socket.gethostname(),
             "pid": os.getpid(),

@@ -19,6 +19,7 @@ from carina.cluster.parcel import Parcel
 from carina.display import one_line
 from carina.render import CancelToken, Machine, Picture, Renderer, View
 from carina.render.scene import Scene
+from carina.version import VERSION
 
 __all__ = ["Answered", "Lane", "LaneFacts", "Loaded", "LocalLane", "StripAnswer", "StripOrder"]
 
@@ -126,11 +127,10 @@ class LocalLane:
     @property
     def facts(self) -> LaneFacts:
         """This machine."""
-        import carina
         from carina.render import build_info
 
         info = build_info()
-        return LaneFacts(int(info["threads"]), str(info["simd"]), "this machine", carina.__version__)
+        return LaneFacts(int(info["threads"]), str(info["simd"]), "this machine", VERSION)
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
         """Nothing travels: orders bring their scene."""

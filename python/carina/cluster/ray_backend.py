@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import carina
 from carina.cluster.console import Console
 from carina.cluster.envelope import open_answer, pack_order
 from carina.cluster.host import RendererHost
@@ -26,6 +25,7 @@ from carina.cluster.lanes import Answered, LaneFacts, Loaded, StripAnswer, Strip
 from carina.cluster.node import CONSOLE_ENVIRONMENT, check_available, check_token, ray_environment
 from carina.cluster.parcel import Parcel
 from carina.errors import ClusterError
+from carina.version import VERSION
 
 __all__ = ["RayCluster", "RayLane", "look"]
 
@@ -400,7 +400,7 @@ class RayCluster:
         trouble: BaseException | None = None
         try:
             said = ping.result()
-            words = version_words(carina.__version__, str(said["version"]), name)
+            words = version_words(VERSION, str(said["version"]), name)
             lane = RayLane(name, renderer.handle, self, said, renderer.store_bytes) if words is None else None
         except Exception as failure:
             trouble, lane = failure, None

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import cast_sections
+from carina.argument_checks import check_arguments, function, instance
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
 from carina.errors import CancelledError, UsageError
+from carina.track.find.found import Airways
 from carina.track.levels import AirScale, air_scale
 from carina.track.measures.diameter import Diameter, narrowest_diameter, with_scatter
 from carina.track.measures.forks import (
@@ -33,7 +35,6 @@ from carina.volume.model import Volume
 
 if TYPE_CHECKING:
     from carina._core import SectionCasts
-    from carina.track.find.found import Airways
 
 __all__ = [
     "RAYS_PER_MM",
@@ -260,6 +261,12 @@ class TreeMeasures:
 
 
 @shows_progress
+@check_arguments(
+    volume=instance(Volume, "open a volume with carina.open_volume"),
+    airways=instance(Airways, "get airways from carina.find_airways"),
+    previous=instance(TreeMeasures, "get measures from carina.measure_tree", optional=True),
+    cancel=function,
+)
 def measure_tree(
     volume: Volume,
     airways: Airways,

@@ -1,0 +1,43 @@
+"""After a bare ``import carina`` every part and public name is there and listed, and nothing slow is loaded before."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import carina
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTED = sorted(page.stem for page in (ROOT / "docs" / "api").glob("*.md"))
+
+
+def printed(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
+
+
+def test_dir_lists_every_documented_part_and_every_public_name() -> None:
+    listed = set(dir(carina))
+    assert set(DOCUMENTED) <= listed
+    assert set(carina.__all__) <= listed
+    assert {"track", "render", "find_airways", "measure_tree", "FlightPath"} <= listed
+    assert not [name for name in listed if name.startswith("_") and name != "__version__"]
+
+
+def test_every_listed_name_is_there_after_a_bare_import() -> None:
+    code = "import carina; print(*(name for name in dir(carina) if getattr(carina, name, None) is None))"
+    assert printed(code) == ""
+    assert printed("import carina; print(carina.track.lumen_mesh.__name__, carina.errors.UsageError.code)") == (
+        "lumen_mesh usage"
+    )
+
+
+def test_an_unknown_name_is_no_attribute() -> None:
+    assert not hasattr(carina, "no_such_part")
+    assert not hasattr(carina, "_web")
+
+
+def test_a_bare_import_loads_no_part_and_no_library() -> None:
+    code = "import sys, carina; print(*sorted(n for n in sys.modules if n.startswith(('carina', 'numpy', 'msgspec'))))"
+    assert printed(code).split() == ["carina", "carina.version"]
+    assert "carina.track" not in printed("import sys, carina; dir(carina); print(*sys.modules)").split()
