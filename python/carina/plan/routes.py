@@ -30,6 +30,7 @@ from carina.argument_checks import (
 )
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.hindrances import check_target, notes_of_target, notes_of_tools, why_none
 from carina.plan.last_leg import LastLeg, NeedleScene, leg_as_aimed, where_it_may_have_moved, with_errors
@@ -154,8 +155,12 @@ def _check_target(where: str, name: str, value: object) -> None:
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class Plan(Tabular):
     """A target and the ways to it, the best first.
+
+    As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each route: its number from 1, fields of
+    `PlannedRoute`, ``past_carina_mm``, and of its last leg ``to_target_mm``, ``in_target_mm``, ``vessel_mm`` and
+    ``hit_share``.
 
     Examples
     --------
@@ -208,6 +213,33 @@ class Plan:
             weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights"),
             nearest=instance(NearestPlace, "get one from carina.plan_route", optional=True),
             carina_ridge_mm=number_from(-1000.0, 1000.0, optional=True, unit="mm"),
+        )
+
+    def _columns(self) -> Columns:
+        own: dict[str, ColumnKind] = {
+            "branch_id": "int",
+            "branch_name": "text",
+            "along_mm": "float",
+            "aim": "int",
+            "outlook": "text",
+            "chance": "float",
+            "score": "float",
+            "narrowest_mm": "float",
+            "fits": "flag",
+            "bend_deg": "float",
+        }
+        leg: dict[str, ColumnKind] = dict.fromkeys(("to_target_mm", "in_target_mm", "vessel_mm", "hit_share"), "float")
+        return columns_of(
+            (
+                {
+                    "route": number,
+                    **{name: getattr(route, name) for name in own},
+                    "past_carina_mm": self.past_carina_mm(route),
+                    **{name: getattr(route.leg, name) for name in leg},
+                }
+                for number, route in enumerate(self.routes, start=1)
+            ),
+            {"route": "int", **own, "past_carina_mm": "float", **leg},
         )
 
     @check_arguments(route=instance(PlannedRoute, "take one of the plan's routes"))

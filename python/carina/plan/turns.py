@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from carina.display import one_line
+from carina.display.tables import ColumnKind, Columns, Tabular, columns_of
 from carina.errors import NoResultError
 from carina.plan.fork_view import Operator, levelled, turned_hours, whole_hour
 from carina.plan.moves import Move
@@ -175,8 +176,13 @@ class Turn:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class TurnList:
-    """All forks of a route in order, and the place where the scope is parked."""
+class TurnList(Tabular):
+    """All forks of a route in order, and the place where the scope is parked.
+
+    As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each turn: its number from 1,
+    ``from_branch``, ``to_branch``, ``to_branch_id``, ``from_carina_mm``, ``from_fork_mm``, ``depth_estimate_mm``,
+    ``hour_head``, ``hour_facing``, ``angle_deg``, ``diameter_mm``.
+    """
 
     turns: tuple[Turn, ...]
     park_from_carina_mm: float | None
@@ -190,6 +196,30 @@ class TurnList:
     about a radius of the trachea above it. None where the tree shows no main carina."""
     notes: tuple[str, ...] = ()
     """What must be said of the figures."""
+
+    def _columns(self) -> Columns:
+        own: dict[str, ColumnKind] = {
+            "from_branch": "text",
+            "to_branch": "text",
+            "to_branch_id": "int",
+            "from_carina_mm": "float",
+            "from_fork_mm": "float",
+            "angle_deg": "float",
+            "diameter_mm": "float",
+        }
+        return columns_of(
+            (
+                {
+                    "turn": number,
+                    **{name: getattr(turn, name) for name in own},
+                    "depth_estimate_mm": self.depth_mm(turn.from_carina_mm),
+                    "hour_head": turn.hour("head"),
+                    "hour_facing": turn.hour("facing"),
+                }
+                for number, turn in enumerate(self.turns, start=1)
+            ),
+            {"turn": "int", **own, "depth_estimate_mm": "float", "hour_head": "int", "hour_facing": "int"},
+        )
 
     def depth_mm(self, from_carina_mm: float | None) -> float | None:
         """What is read on the scope at nose or mouth, an estimate; None where no depth of the carina was set."""

@@ -68,6 +68,11 @@ def open_volume(
     CancelledError
         If ``cancel()`` returned true.
 
+    See Also
+    --------
+    carina.find_airways : find the airways in the volume.
+    carina.render_view : render a picture of the volume.
+
     Examples
     --------
     >>> from carina.volume import demo_patient

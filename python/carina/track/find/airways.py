@@ -119,6 +119,11 @@ def find_airways(
     CancelledError
         If ``cancel()`` said so.
 
+    See Also
+    --------
+    carina.measure_tree : measure diameters; its ``to_pandas()`` is a table of the branches.
+    carina.track.AirwayTree : ``airways.tree``; its ``to_pandas()`` is a table of the branches without measurements.
+
     References
     ----------
     Paper 6; docs/algorithms.md.

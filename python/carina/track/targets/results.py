@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
+from carina.display.tables import Columns, Tabular, columns_of
 from carina.track.find.found import Airways
 from carina.track.paths.tracker import TrackedPath
 from carina.track.tree.airway_tree import AirwayTree
@@ -83,8 +84,13 @@ class TargetResult:
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackResult:
-    """Paths to several targets, and their common tree."""
+class TrackResult(Tabular):
+    """Paths to several targets, and their common tree.
+
+    As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each target: its number from 1, the
+    requested place ``x_mm``, ``y_mm``, ``z_mm`` (LPS), ``length_mm``, ``cost`` and ``generation`` of its path,
+    ``snapped_mm``, and ``problem``, why there is no path.
+    """
 
     tree: AirwayTree | None
     """None where there is neither a path nor an airway tree."""
@@ -93,3 +99,30 @@ class TrackResult:
     """None where no airway lumen was found, which the costs ``paper`` and ``walls`` do without."""
     search: GraphSearch | None = None
     """The graph that was searched and what that took; None for the cost ``lumen`` on the voxel graph."""
+
+    def _columns(self) -> Columns:
+        return columns_of(
+            (
+                {
+                    "target": number,
+                    **dict(zip(("x_mm", "y_mm", "z_mm"), one.requested_lps.tolist(), strict=True)),
+                    "length_mm": None if one.path is None else one.path.length_mm,
+                    "cost": None if one.path is None else one.path.cost,
+                    "generation": None if one.path is None else int(one.path.generation[-1]),
+                    "snapped_mm": one.snapped_mm,
+                    "problem": one.problem,
+                }
+                for number, one in enumerate(self.targets, start=1)
+            ),
+            {
+                "target": "int",
+                "x_mm": "float",
+                "y_mm": "float",
+                "z_mm": "float",
+                "length_mm": "float",
+                "cost": "float",
+                "generation": "int",
+                "snapped_mm": "float",
+                "problem": "text",
+            },
+        )

@@ -28,6 +28,7 @@ from carina.argument_checks import (
 )
 from carina.display import as_words, one_line
 from carina.display.html import caption, figure, table
+from carina.display.tables import Columns, Tabular, columns_of
 from carina.display.ways import DRAWN_COLOUR, Way, generation_colour, ways_svg
 from carina.errors import TrackingError, UsageError
 from carina.volume.model import Note
@@ -201,8 +202,13 @@ class Route:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AirwayTree:
+class AirwayTree(Tabular):
     """Branches of one root.
+
+    As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each branch: ``id``, ``name``,
+    ``generation``, ``parent``, ``kind``, ``length_mm``, ``lumen_found_mm`` (median diameter of ``Branch.radius``; that
+    of reports is in the table of :func:`carina.measure_tree`), ``confidence``, ``name_confidence``, ``name_from``,
+    ``doubtful_mm`` and the end of the branch, ``tip_x_mm``, ``tip_y_mm``, ``tip_z_mm`` (LPS).
 
     Examples
     --------
@@ -213,6 +219,8 @@ class AirwayTree:
     10.0
     >>> AirwayTree.from_json(tree.to_json()).branches[0].name
     'Trachea'
+    >>> tree.to_columns()["length_mm"]
+    [10.0]
     """
 
     branches: tuple[Branch, ...]
@@ -266,6 +274,43 @@ class AirwayTree:
         shown = table(("branch", "generation", "length, mm", "lumen found, mm"), rows)
         body = f'<div style="display:flex;flex-wrap:wrap;align-items:flex-start">{svg}{shown}</div>'
         return figure(body, caption(lines))
+
+    def _columns(self) -> Columns:
+        return columns_of(
+            (
+                {
+                    "id": one.id,
+                    "name": one.name,
+                    "generation": one.generation,
+                    "parent": one.parent,
+                    "kind": one.kind,
+                    "length_mm": one.length_mm,
+                    "lumen_found_mm": 2.0 * float(np.median(one.radius)) if len(one.radius) else None,
+                    "confidence": one.confidence,
+                    "name_confidence": one.name_confidence,
+                    "name_from": one.name_from,
+                    "doubtful_mm": one.doubtful_mm,
+                    **dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), one.tip_lps.tolist(), strict=True)),
+                }
+                for one in self.branches
+            ),
+            {
+                "id": "int",
+                "name": "text",
+                "generation": "int",
+                "parent": "int",
+                "kind": "text",
+                "length_mm": "float",
+                "lumen_found_mm": "float",
+                "confidence": "float",
+                "name_confidence": "float",
+                "name_from": "text",
+                "doubtful_mm": "float",
+                "tip_x_mm": "float",
+                "tip_y_mm": "float",
+                "tip_z_mm": "float",
+            },
+        )
 
     @property
     def root(self) -> Branch:
