@@ -121,7 +121,7 @@ def phantom_figures(seeds: range, say: Callable[[str], None]) -> Iterator[Figure
     for seed in seeds:
         say(f"phantom {seed}")
         tiny = generate_phantom(seed=seed, spacing_mm=5.0, nodule=True, box_lps=((0, 0, 0), (12, 12, 12)))
-        middle, radius = np.array(tiny.truth["nodule"]["center_lps"]), float(tiny.truth["nodule"]["radius_mm"])
+        middle, radius = np.array(tiny.truth["nodule"]["centre_lps"]), float(tiny.truth["nodule"]["radius_mm"])
         low, high = middle - HALF_MM, middle + HALF_MM
         box = ((low[0], low[1], low[2]), (high[0], high[1], high[2]))
         volume = generate_phantom(seed=seed, spacing_mm=SPACING_MM, nodule=True, noise_hu=NOISE_HU, box_lps=box).volume

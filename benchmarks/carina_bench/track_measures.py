@@ -162,7 +162,7 @@ def compared(phantom: Phantom, tree: AirwayTree, measures: TreeMeasures) -> dict
     result["missing"] = np.array([float(sum(times[i] == 0 for i in ids))])
     stenosis = phantom.truth.get("stenosis")
     if stenosis is not None:
-        branch, _, _ = tree.nearest_branch(stenosis["center_lps"])
+        branch, _, _ = tree.nearest_branch(stenosis["centre_lps"])
         told = measures.of(branch.id).summary.stenosis
         true_percent = 100.0 * (1.0 - stenosis["min_radius_mm"] / stenosis["reference_radius_mm"])
         result["stenosis_off"] = np.array([np.nan if told is None else told.percent - true_percent])

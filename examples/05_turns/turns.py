@@ -17,7 +17,7 @@ def main(out: Path) -> list[Path]:
     """Save a picture of each turn and return their paths."""
     made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     airways = carina.find_airways(made.volume)
-    route = plan_route(made.volume, airways, made.truth["nodule"]["center_lps"]).routes[0]
+    route = plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"]).routes[0]
 
     turns = turn_list(
         airways.tree,

@@ -10,7 +10,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -265,6 +265,7 @@ def generate_phantom(
         "stenosis": made.get("stenosis"),
     }
     truth |= {key: made[key] for key in ("cricoid_lps", "tube", "lean_deg") if key in made}
+    truth = in_one_spelling(truth)
     return Phantom(
         volume=_volume(made["hu_zyx"], np.array(made["lps_from_ijk"]), seed),
         lumen_zyx=_frozen(made["lumen_zyx"]),
@@ -399,6 +400,22 @@ def demo_phantom(
     return made
 
 
+def in_one_spelling(truth: dict[str, Any]) -> dict[str, Any]:
+    """Return the document of ``truth.json`` with ``centre_lps`` where earlier versions wrote ``center_lps``.
+
+    Examples
+    --------
+    >>> in_one_spelling({"nodule": {"center_lps": [1.0, 2.0, 3.0], "radius_mm": 5.0}, "stenosis": None})["nodule"]
+    {'centre_lps': [1.0, 2.0, 3.0], 'radius_mm': 5.0}
+    """
+    made = dict(truth)
+    for part in ("nodule", "stenosis"):
+        found = made.get(part)
+        if isinstance(found, Mapping) and "center_lps" in found:
+            made[part] = {"centre_lps" if key == "center_lps" else key: value for key, value in found.items()}
+    return made
+
+
 def _volume(hu_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64], seed: int) -> Volume:
     source = VolumeSource(format="phantom", title=f"Phantom {seed}: synthetic, not a patient")
     return Volume(hu_zyx, lps_from_ijk, source=source)
@@ -459,7 +476,7 @@ def _read_cached(folder: Path) -> Phantom | None:
         return Phantom(
             volume=_volume(hu_zyx, np.array(rest["lps_from_ijk"]), DEMO_OPTIONS["seed"]),
             lumen_zyx=_frozen(lumen),
-            truth=rest["truth"],
+            truth=in_one_spelling(rest["truth"]),
         )
     except (OSError, ValueError, KeyError, TypeError):
         return None

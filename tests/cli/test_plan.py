@@ -24,7 +24,7 @@ def chest(tmp_path_factory):
     made = made_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("chest")
     carina.write_phantom(made, folder)
-    return folder / "ct.nii.gz", made.truth["nodule"]["center_lps"]
+    return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
 
 
 @cache
@@ -103,7 +103,7 @@ def thick_chest(tmp_path_factory):
     made = made_phantom(seed=4, spacing_mm=(0.8, 0.8, 3.0), generations=5, nodule=True)
     folder = tmp_path_factory.mktemp("thick")
     carina.write_phantom(made, folder)
-    return folder / "ct.nii.gz", made.truth["nodule"]["center_lps"]
+    return folder / "ct.nii.gz", made.truth["nodule"]["centre_lps"]
 
 
 def test_a_plan_in_thick_slices_states_the_calibrated_shares_everywhere(thick_chest, found_once, tmp_path) -> None:

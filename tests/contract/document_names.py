@@ -235,6 +235,7 @@ ALLOWED = {
     "cv2.fisheye": "module of OpenCV",
     "cv2.FileStorage": "class of OpenCV",
     "center_px": "field of wire version 1",
+    "num_centers": "key of earlier versions",
 }
 """Names in backticks that are not names of this repository, each with what it is."""
 

@@ -83,7 +83,7 @@ class Things:
 
     @cached_property
     def nodule(self) -> carina.Nodule:
-        return carina.grow_nodule(self.volume, self.phantom.truth["nodule"]["center_lps"])
+        return carina.grow_nodule(self.volume, self.phantom.truth["nodule"]["centre_lps"])
 
     @cached_property
     def plan(self) -> carina.Plan:

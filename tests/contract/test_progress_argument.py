@@ -77,7 +77,7 @@ def test_plan_route_accepts_every_choice_of_progress(choice: object) -> None:
     made = made_phantom(**chest)
     seen: list[tuple[str, float | None]] = []
     progress: Any = (lambda what, fraction: seen.append((what, fraction))) if choice == "function" else choice
-    target = made.truth["nodule"]["center_lps"]
+    target = made.truth["nodule"]["centre_lps"]
     assert carina.plan_route(made.volume, made_airways(**chest), target, progress=progress).routes
     assert {what for what, _ in seen} == ({"planning the routes"} if choice == "function" else set())
 

@@ -28,7 +28,7 @@ CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 5, "nodule
 def tables() -> dict[str, Tabular]:
     made, airways = made_phantom(**CHEST), made_airways(**CHEST)
     measures = carina.measure_tree(made.volume, airways)
-    plan = carina.plan_route(made.volume, airways, made.truth["nodule"]["center_lps"])
+    plan = carina.plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"])
     tip = airways.tree.tips()[0]
     # The second target is in the lung, far from every airway.
     targets = [tip.tip_lps, (-110.0, 0.0, -60.0)]

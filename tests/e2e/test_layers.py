@@ -24,7 +24,7 @@ def opens(tmp_path):
 
 def mark_the_nodule(workstation) -> None:
     """By its coordinates, as they are read from a report."""
-    x, y, z = made_phantom(**CHEST).truth["nodule"]["center_lps"]
+    x, y, z = made_phantom(**CHEST).truth["nodule"]["centre_lps"]
     page = workstation.page
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_placeholder("-17.6, 35.3, 12.1").fill(f"{x:.1f}, {y:.1f}, {z:.1f}")

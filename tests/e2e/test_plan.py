@@ -60,8 +60,8 @@ def test_a_newcomer_comes_from_the_ct_to_the_printed_plan_with_six_clicks(server
     page.get_by_role("button", name="Target", exact=True).first.click()
     page.get_by_test_id("arm-target").click()
     clicks += 2
-    scroll_to(workstation, truth["center_lps"])
-    page.mouse.click(*place_in_slice(workstation, "axial", truth["center_lps"]))
+    scroll_to(workstation, truth["centre_lps"])
+    page.mouse.click(*place_in_slice(workstation, "axial", truth["centre_lps"]))
     clicks += 1
     lesion = page.get_by_test_id("lesion")
     lesion.wait_for()

@@ -1,6 +1,7 @@
 """The demo case: made once, read back, made anew when damaged; and the pin that keeps caches honest."""
 
 import hashlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,21 @@ def test_a_damaged_cache_is_made_anew(tmp_path: Path, name: str, damage: str) ->
     said.clear()
     demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
     assert said == []
+
+
+@pytest.mark.usefixtures("small_demo")
+def test_a_cached_demo_in_the_spelling_of_earlier_versions_is_read_in_that_of_python(tmp_path: Path) -> None:
+    made = demo_phantom(cache_dir=tmp_path)
+    (file,) = tmp_path.glob("phantom-*/truth.json")
+    file.write_text(file.read_text(encoding="utf-8").replace('"centre_lps"', '"center_lps"'), encoding="utf-8")
+    sums = json.loads((file.parent / "sums.json").read_text(encoding="utf-8"))
+    sums["truth.json"] = hashlib.sha256(file.read_bytes()).hexdigest()
+    (file.parent / "sums.json").write_text(json.dumps(sums), encoding="utf-8")
+    said: list[str] = []
+    read = demo_phantom(cache_dir=tmp_path, progress=lambda what, _: said.append(what))
+    assert said == [], "it is read, not made anew"
+    assert read.truth["nodule"]["centre_lps"] == made.truth["nodule"]["centre_lps"]
+    assert "center_lps" not in read.truth["nodule"]
 
 
 @pytest.mark.usefixtures("small_demo")

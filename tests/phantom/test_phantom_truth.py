@@ -265,11 +265,11 @@ def test_a_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
     assert branch["name"] in {"LMB", "BI"}
     n = int(np.argmin(branch["radius"]))
     assert branch["radius"][n] == stenosis["min_radius_mm"]
-    assert branch["points"][n] == list(stenosis["center_lps"])
+    assert branch["points"][n] == list(stenosis["centre_lps"])
     before = healthy.truth["branches"][stenosis["branch_id"]]
     assert before["points"] == branch["points"]
     assert before["radius"][n] == stenosis["reference_radius_mm"]
-    centre = np.array(stenosis["center_lps"])
+    centre = np.array(stenosis["centre_lps"])
     # 8 % or 0.2 mm: voxels of 0.9 mm, and in front of and behind the plane the lumen is wider.
     assert section_radius(ill, branch, n) == pytest.approx(stenosis["min_radius_mm"], rel=0.08, abs=0.2)
     assert section_radius(healthy, before, n) == pytest.approx(stenosis["reference_radius_mm"], rel=0.08, abs=0.2)
@@ -280,7 +280,7 @@ def test_a_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
 def test_a_nodule_lies_in_the_lung_clear_of_the_airways(seed: int) -> None:
     made = generate_phantom(seed=seed, spacing_mm=3.0, nodule=True, noise_hu=0.0)
     nodule = made.truth["nodule"]
-    centre = np.array(nodule["center_lps"])
+    centre = np.array(nodule["centre_lps"])
     assert 5.0 <= nodule["radius_mm"] <= 10.0
     points = np.concatenate([b["points"] for b in made.truth["branches"]])
     nearest = float(np.linalg.norm(points - centre, axis=1).min())

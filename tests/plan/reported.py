@@ -45,7 +45,7 @@ def wall() -> WallField:
 
 @cache
 def plan() -> Plan:
-    return plan_route(volume(), airways(), made_phantom(**CHEST).truth["nodule"]["center_lps"], wall=wall())
+    return plan_route(volume(), airways(), made_phantom(**CHEST).truth["nodule"]["centre_lps"], wall=wall())
 
 
 @cache

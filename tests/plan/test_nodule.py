@@ -75,7 +75,7 @@ def test_the_error_that_is_told_holds_the_truth_nine_times_of_ten(kind):
 
 def in_phantom(seed: int) -> tuple[Nodule, float]:
     tiny = carina.generate_phantom(seed=seed, spacing_mm=5.0, nodule=True, box_lps=((0, 0, 0), (12, 12, 12)))
-    middle, radius_mm = np.array(tiny.truth["nodule"]["center_lps"]), tiny.truth["nodule"]["radius_mm"]
+    middle, radius_mm = np.array(tiny.truth["nodule"]["centre_lps"]), tiny.truth["nodule"]["radius_mm"]
     box = (tuple(middle - 40.0), tuple(middle + 40.0))
     made = carina.generate_phantom(seed=seed, spacing_mm=0.8, nodule=True, noise_hu=25.0, box_lps=box)
     return grow_nodule(made.volume, middle + np.array([0.3, -0.2, 0.0]) * radius_mm), radius_mm

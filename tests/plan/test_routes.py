@@ -64,7 +64,7 @@ def off_line_mm(line: np.ndarray, point: np.ndarray) -> float:
 
 def test_a_nodule_beside_an_airway_gets_a_route_that_reaches_it_in_the_truth() -> None:
     best = plan().routes[0]
-    tip, aim = np.array(best.leg.tip_lps), np.array(truth()["center_lps"])
+    tip, aim = np.array(best.leg.tip_lps), np.array(truth()["centre_lps"])
     to_edge = np.linalg.norm(aim - tip) - truth()["radius_mm"]
     assert best.leg.to_target_mm == pytest.approx(to_edge, abs=1.0)
     assert best.leg.reaches and best.leg.hit_share > 0.9
@@ -270,7 +270,7 @@ def test_a_plan_is_plain_json_and_a_grown_nodule_plans_the_same() -> None:
         "flexion_rad": None,
     }
     volume = made_phantom(**CHEST).volume
-    again = plan_route(volume, made_airways(**CHEST), grow_nodule(volume, truth()["center_lps"]), wall=wall())
+    again = plan_route(volume, made_airways(**CHEST), grow_nodule(volume, truth()["centre_lps"]), wall=wall())
     assert again.to_json() == said
 
 

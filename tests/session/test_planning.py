@@ -85,7 +85,7 @@ def case(opened: carina.Case) -> Iterator[carina.Case]:
 
 
 def centre_of(chest: Phantom) -> tuple[float, float, float]:
-    x, y, z = chest.truth["nodule"]["center_lps"]
+    x, y, z = chest.truth["nodule"]["centre_lps"]
     return float(x), float(y), float(z)
 
 

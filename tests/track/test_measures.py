@@ -310,11 +310,11 @@ def test_a_phantom_reports_its_stenosis_and_no_other_beyond_chance(seed):
     made, airways = made_phantom(**options), made_airways(**options)
     measures = measure_tree(made.volume, airways)
     truth = made.truth["stenosis"]
-    branch, _, _ = airways.tree.nearest_branch(truth["center_lps"])
+    branch, _, _ = airways.tree.nearest_branch(truth["centre_lps"])
     found = measures.of(branch.id)
     stenosis = found.summary.stenosis
     at = int(np.argmin(np.abs(found.at_mm - stenosis.at_mm)))
-    assert np.linalg.norm(found.centre_lps[at] - truth["center_lps"]) < 2.0
+    assert np.linalg.norm(found.centre_lps[at] - truth["centre_lps"]) < 2.0
     percent = 100.0 * (1.0 - truth["min_radius_mm"] / truth["reference_radius_mm"])
     assert abs(stenosis.percent - percent) < stenosis.percent_error
     others = [one for one in measures.branches if one.summary.stenosis is not None and one is not found]

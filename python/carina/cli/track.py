@@ -143,7 +143,7 @@ def _search_row(search: GraphSearch) -> dict[str, Any]:
         "labels": search.labels,
         "num_nodes": search.num_nodes,
         "num_edges": search.num_edges,
-        "num_centers": search.num_centres,
+        "num_centres": search.num_centres,
         "build_s": search.build_s,
         "search_s": sum(target.search_s for target in search.targets if target is not None),
         "quantum": search.quantum,

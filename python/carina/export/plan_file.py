@@ -146,7 +146,7 @@ def export_plan(
     >>> from carina.export import export_plan
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> found = carina.find_airways(made.volume)
-    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
     >>> export_plan("plan.mrk.json", plan, found.tree).name
     'plan.mrk.json'
     """

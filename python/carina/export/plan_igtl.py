@@ -209,7 +209,7 @@ class PlanServer:
     >>> from carina.export import PlanServer
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> found = carina.find_airways(made.volume)
-    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
     >>> with PlanServer(plan, found.tree, port=0) as server:
     ...     server.port > 0
     True

@@ -48,7 +48,7 @@ def drive_flight(driven: DrivenRoute, *, rate_hz: float = 25.0) -> tuple[NDArray
     >>> from carina.scopes import scope_preset
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> airways = carina.find_airways(made.volume)
-    >>> plan = plan_route(made.volume, airways, made.truth["nodule"]["center_lps"])
+    >>> plan = plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"])
     >>> wall = carina.wall_field(made.volume, airways)
     >>> own = replace(scope_preset("ultrathin"), tip_mm=1.8, tube_mm=1.8)
     >>> verdict = judge_scope(airways.tree, plan, wall, own, effort=4000.0)

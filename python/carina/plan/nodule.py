@@ -71,7 +71,7 @@ def grow_nodule(
     --------
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
-    >>> nodule = grow_nodule(made.volume, made.truth["nodule"]["center_lps"])
+    >>> nodule = grow_nodule(made.volume, made.truth["nodule"]["centre_lps"])
     >>> nodule.kind
     'solid'
 

@@ -82,7 +82,7 @@ def turn_list(
     >>> from carina.plan import plan_route, turn_list
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> airways = carina.find_airways(made.volume)
-    >>> plan = plan_route(made.volume, airways, made.truth["nodule"]["center_lps"])
+    >>> plan = plan_route(made.volume, airways, made.truth["nodule"]["centre_lps"])
     >>> found = turn_list(airways.tree, plan.routes[0])
     >>> found.turns[0].at_main_carina
     True

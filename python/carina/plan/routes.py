@@ -166,7 +166,7 @@ class Plan(Tabular):
     --------
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
-    >>> plan = carina.plan_route(made.volume, carina.find_airways(made.volume), made.truth["nodule"]["center_lps"])
+    >>> plan = carina.plan_route(made.volume, carina.find_airways(made.volume), made.truth["nodule"]["centre_lps"])
     >>> plan.why is None, plan.to_json()["format"]
     (True, 'carina-plan')
     """
@@ -351,7 +351,7 @@ def plan_route(
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> found = carina.find_airways(made.volume)
-    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
     >>> plan.routes[0].leg.reaches
     True
     """

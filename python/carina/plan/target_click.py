@@ -40,7 +40,7 @@ def target_from_click(
     --------
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
-    >>> target_from_click(made.volume, made.truth["nodule"]["center_lps"], name="T1").where
+    >>> target_from_click(made.volume, made.truth["nodule"]["centre_lps"], name="T1").where
     'lung'
     """
     nodule = grow_nodule(volume, at_lps, wall=wall, progress=False)

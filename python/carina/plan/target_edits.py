@@ -50,7 +50,7 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
     --------
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
-    >>> nodule = carina.grow_nodule(made.volume, made.truth["nodule"]["center_lps"])
+    >>> nodule = carina.grow_nodule(made.volume, made.truth["nodule"]["centre_lps"])
     >>> wider = resized(nodule, made.volume, nodule.long_mm + 4.0)
     >>> round(wider.long_mm - nodule.long_mm)
     4

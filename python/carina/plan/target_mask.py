@@ -46,7 +46,7 @@ def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: 
     --------
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.0, nodule=True, box_lps=((-130, 15, -60), (-72, 75, -2)))
-    >>> volume, centre = made.volume, made.truth["nodule"]["center_lps"]
+    >>> volume, centre = made.volume, made.truth["nodule"]["centre_lps"]
     >>> k, j, i = np.indices(volume.shape_zyx)
     >>> ball = np.linalg.norm(volume.to_lps(np.stack([i, j, k], axis=-1)) - centre, axis=-1) < 6.0
     >>> nodule_from_mask(volume, ball).equivalent_mm > 11.5

@@ -254,7 +254,7 @@ def make_sheet(
     >>> import carina
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> found = carina.find_airways(made.volume)
-    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
     >>> from carina.plan import make_sheet
     >>> sheet = make_sheet(made.volume, found, plan)
     >>> sheet.place.lobe is not None, sheet.patient

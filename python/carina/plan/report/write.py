@@ -71,7 +71,7 @@ def write_report(
     >>> from carina.plan import make_sheet, write_report
     >>> made = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=5, nodule=True)
     >>> found = carina.find_airways(made.volume)
-    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["center_lps"])
+    >>> plan = carina.plan_route(made.volume, found, made.truth["nodule"]["centre_lps"])
     >>> sheet = make_sheet(made.volume, found, plan)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_report(f"{folder}/plan.html", sheet).suffix

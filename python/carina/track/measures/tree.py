@@ -169,7 +169,7 @@ class BranchMeasures(Tabular):
             "branch": self.branch_id,
             "by_earlier_method": self.is_by_earlier_method,
             "summary": self.summary.to_json(),
-            "center_lps": np.round(self.centre_lps, 3).tolist(),
+            "centre_lps": np.round(self.centre_lps, 3).tolist(),
             "normal_lps": np.round(self.normal_lps, 5).tolist(),
             **{name: _as_list(getattr(self, name)) for name in ("at_mm", *_SECTION_FIGURES)},
             "at_junction": self.at_junction.tolist(),
