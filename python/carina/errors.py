@@ -7,7 +7,7 @@ crates and with the web client; ``exit_code`` is what the command line returns (
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from carina.display.printable import printable, shortened_words
 
@@ -32,6 +32,7 @@ __all__ = [
     "check_type",
     "error_of",
     "kind_of",
+    "refuse_pickle",
     "without_options",
 ]
 
@@ -225,6 +226,18 @@ def check_type(where: str, name: str, value: object, kinds: type | tuple[type, .
         raise UsageError(
             f"{where}: {name}: expected {expected}; found {type(value).__name__}; {remedy}", code="usage.type"
         )
+
+
+def refuse_pickle(value: object, remedy: str) -> NoReturn:
+    """Refuse to pickle or copy a value that is bound to its process; ``__reduce__`` of its class calls this function.
+
+    Raises
+    ------
+    TypeError
+        The class that Python raises for pickles. An error of Carina could be taken for an answer, such as a verdict.
+        ``remedy`` is the end of the sentence.
+    """
+    raise TypeError(f"a {type(value).__name__} cannot be copied or pickled; {remedy}")
 
 
 def without_options(message: str) -> str:

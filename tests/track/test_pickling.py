@@ -207,6 +207,36 @@ def test_errors_of_every_kind_pass_from_process_to_process() -> None:
     assert by_pickle(MaskLabelError("several", labels=(label,))).labels == (label,)
 
 
+def test_what_is_bound_to_its_process_is_refused_with_what_to_pickle_instead() -> None:
+    case = edit_case()
+    wall = carina.wall_field(case.volume, case.airways)
+    assert copy.copy(wall) is wall and copy.deepcopy({"wall": wall})["wall"] is wall
+    drive = carina.ScopeDrive(wall, "ultrathin", case.airways.tree.root.points)
+    with carina.Case.open(case.volume) as opened:
+        for value, remedy in (
+            (wall, "make the wall from them with carina.wall_field in the other process"),
+            (drive, "create a carina.ScopeDrive in the other process"),
+            (carina.Renderer(case.volume), "create a carina.Renderer of it in the other process"),
+            (opened, "open the file with carina.Case.open in the other process"),
+        ):
+            with pytest.raises(TypeError, match=remedy) as refused:
+                pickle.dumps(value)
+            assert str(refused.value).startswith(f"a {type(value).__name__} cannot be copied or pickled; ")
+
+
+@pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, carina.ScopeDrive.copy])
+def test_a_copy_of_a_scope_moves_as_the_scope_and_alone(way: Callable[[Any], Any]) -> None:
+    case = edit_case()
+    wall = carina.wall_field(case.volume, case.airways)
+    drive = carina.ScopeDrive(wall, "ultrathin", case.airways.tree.root.points)
+    drive.drive(4.0, 0.0, 0.0, 0.1)
+    copied = way(drive)
+    before = drive.state.pose.lps_from_camera.copy()
+    moved = copied.drive(8.0, 0.3, 0.2, 0.1)
+    np.testing.assert_array_equal(drive.state.pose.lps_from_camera, before)
+    np.testing.assert_array_equal(drive.drive(8.0, 0.3, 0.2, 0.1).pose.lps_from_camera, moved.pose.lps_from_camera)
+
+
 @pytest.mark.ray
 def test_airways_pass_through_the_pickler_of_ray() -> None:
     from ray import cloudpickle

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
-from typing import get_args
+from typing import NoReturn, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from carina.argument_checks import (
     whole_from,
 )
 from carina.display.progress import ProgressChoice, progress_function, shows_progress
-from carina.errors import RenderError
+from carina.errors import RenderError, refuse_pickle
 from carina.render.airway import AirwayCaster
 from carina.render.backend import Backend
 from carina.render.decoration import DecorationTree
@@ -121,6 +121,9 @@ class Renderer:
         self._scenes = SceneKeeper(volume, transfer, cache_dir)
         self._airway = AirwayCaster(volume, simd=simd, backend=backend)
         self._planes = PlaneCaster(volume)
+
+    def __reduce__(self) -> NoReturn:
+        refuse_pickle(self, "pickle its volume, and create a carina.Renderer of it in the other process")
 
     def __repr__(self) -> str:
         ready = "prepared" if self.prepared else "not prepared"

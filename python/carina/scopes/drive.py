@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +22,7 @@ from carina.argument_checks import (
     text_of,
 )
 from carina.display import one_line
-from carina.errors import UsageError
+from carina.errors import UsageError, refuse_pickle
 from carina.scopes.library import ScopePreset, scope_preset
 from carina.scopes.pose import Pose
 from carina.scopes.wall_field import WallField
@@ -205,6 +204,16 @@ class ScopeDrive:
         self._operator: OperatorPosition = operator
         self._state = self._seen(self._core.state)
 
+    def __copy__(self) -> ScopeDrive:
+        return self.copy()
+
+    def __deepcopy__(self, _memo: object) -> ScopeDrive:
+        # The wall, which both have, never changes.
+        return self.copy()
+
+    def __reduce__(self) -> NoReturn:
+        refuse_pickle(self, "create a carina.ScopeDrive in the other process, and drive it to the same place")
+
     def __repr__(self) -> str:
         return f"ScopeDrive({self._scope.name!r}, insertion_mm={self._state.insertion_mm:.1f})"
 
@@ -322,7 +331,8 @@ class ScopeDrive:
 
         Both answer the same samples with the same states, bit for bit.
         """
-        other = copy(self)
+        other = ScopeDrive.__new__(ScopeDrive)
+        vars(other).update(vars(self))
         other._core = self._core.copy()
         return other
 

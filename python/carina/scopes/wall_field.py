@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,7 @@ from carina.argument_checks import (
 )
 from carina.display import one_line
 from carina.display.progress import ProgressChoice, progress_function, share_function, shows_progress
+from carina.errors import refuse_pickle
 
 __all__ = ["WallField"]
 
@@ -125,6 +127,17 @@ class WallField:
             progress=share_function(progress_function(progress), "measuring the distance to the wall"),
         )
         return cls(made)
+
+    def __copy__(self) -> WallField:
+        return self
+
+    def __deepcopy__(self, _memo: object) -> WallField:
+        return self
+
+    def __reduce__(self) -> NoReturn:
+        refuse_pickle(
+            self, "pickle the airways, and make the wall from them with carina.wall_field in the other process"
+        )
 
     @property
     def num_bytes(self) -> int:

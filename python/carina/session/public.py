@@ -6,11 +6,11 @@ import contextlib
 import warnings
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from carina.argument_checks import check_arguments, file_path, flag, having, instance, pixels, text_of
 from carina.commands import Command, Question, Redo, Undo
-from carina.errors import CarinaError, NoResultError, UsageError
+from carina.errors import CarinaError, NoResultError, UsageError, refuse_pickle
 from carina.render import LEAD_VIEW
 from carina.session.case_scan import is_case_file
 from carina.session.joined_case import JoinedCase
@@ -113,6 +113,9 @@ class Case:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def __reduce__(self) -> NoReturn:
+        refuse_pickle(self, "save it, and open the file with carina.Case.open in the other process")
 
     def __repr__(self) -> str:
         snapshot = self._session.snapshot()
