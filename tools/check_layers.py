@@ -82,11 +82,23 @@ def check_rust(rules: dict[str, frozenset[str]]) -> list[str]:
     return found
 
 
+PACKAGES = {"carina_bench": "benchmarks", "carina_haptics": "carina_haptics", "carina_haptics_bench": "benchmarks"}
+"""The part of each Python package beside ``carina``."""
+
+
 def _part_of(module: str) -> str | None:
     pieces = module.split(".")
-    if pieces[0] == "carina_bench":
-        return "benchmarks"
+    if pieces[0] in PACKAGES:
+        return PACKAGES[pieces[0]]
     return pieces[1] if pieces[0] == "carina" and len(pieces) > 1 else None
+
+
+def _part_of_file(path: Path) -> str:
+    """Return the part of a Python file: its package, or its first folder or file in ``carina``."""
+    package = ROOT / "python" / "carina"
+    if path.is_relative_to(package):
+        return path.relative_to(package).parts[0].removesuffix(".py")
+    return next((PACKAGES[name] for name in path.parts if name in PACKAGES), "benchmarks")
 
 
 def _imported_parts(tree: ast.AST) -> list[tuple[int, str]]:
@@ -107,13 +119,12 @@ def _imported_parts(tree: ast.AST) -> list[tuple[int, str]]:
 def check_python(rules: Rules) -> list[str]:
     """Imports between the parts of the Python package."""
     found = []
-    package = ROOT / "python" / "carina"
-    for path in sorted([*package.rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]):
-        # The first folder or file of the package; a folder beside it is one part.
-        part = path.relative_to(package).parts[0] if path.is_relative_to(package) else "benchmarks"
-        own = part.removesuffix(".py")
-        # The facade hands on every part but cli.
-        allowed = rules.python.keys() - {"cli"} if own == "__init__" else rules.python.get(own)
+    files = [*(ROOT / "python" / "carina").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]
+    files += [*ROOT.glob("packages/*/python/**/*.py"), *ROOT.glob("packages/*/benchmarks/**/*.py")]
+    for path in sorted(files):
+        own = _part_of_file(path)
+        # The public interface exports every part except the command line; other packages are not part of it.
+        allowed = rules.python.keys() - {"cli", *PACKAGES.values()} if own == "__init__" else rules.python.get(own)
         if allowed is None and own not in rules.everywhere:
             found.append(f"{path.relative_to(ROOT)}: part {own!r} is not in ARCHITECTURE.md; add its row")
             continue

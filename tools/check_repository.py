@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
 BIG_FILES = {"python/carina/_cases/"}  # the bundled CC BY case
 NAMED_PATH = re.compile(
-    r"`((?:crates|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
+    r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
 ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
 """Names of papers that are not in the repository: what they say is in docs/."""

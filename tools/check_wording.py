@@ -370,8 +370,8 @@ def verbs_of(tree: ast.Module) -> set[str]:
 
 
 def from_python() -> dict[str, Found]:
-    """Sentences of the package: the command line's, and everybody's."""
-    files = sorted((ROOT / "python" / "carina").rglob("*.py"))
+    """Return the sentences of the Python packages by surface: the command line and the messages."""
+    files = sorted([*(ROOT / "python" / "carina").rglob("*.py"), *ROOT.glob("packages/*/python/**/*.py")])
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in files}
     in_cli = {path for path in files if "cli" in path.relative_to(ROOT).parts}
     verbs = frozenset().union(*(verbs_of(trees[path]) for path in in_cli))
@@ -416,9 +416,9 @@ def from_python() -> dict[str, Found]:
 
 
 def from_rust() -> Found:
-    """Errors of the crates."""
+    """Return the error sentences of the crates."""
     found = {}
-    for path in sorted((ROOT / "crates").rglob("*.rs")):
+    for path in sorted([*(ROOT / "crates").rglob("*.rs"), *ROOT.glob("packages/*/crates/**/*.rs")]):
         texts = [
             re.sub(r"\\?\s*\n\s*", " ", text).replace('\\"', '"')
             for text in RUST_ERROR.findall(path.read_text(encoding="utf-8"))

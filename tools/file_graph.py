@@ -374,8 +374,10 @@ def floors(imports: Iterable[Import], folder: Path) -> int:
 
 def all_imports(root: Path = ROOT) -> list[Import]:
     """Every import between files of the product."""
-    found = python_imports([root / "python" / "carina", root / "benchmarks" / "carina_bench"])
-    for source in sorted(root.glob("crates/*/src")):
+    packages = [root / "python" / "carina", root / "benchmarks" / "carina_bench"]
+    packages += [path.parent for path in sorted(root.glob("packages/*/*/*/__init__.py"))]
+    found = python_imports(packages)
+    for source in sorted([*root.glob("crates/*/src"), *root.glob("packages/*/crates/*/src")]):
         found += rust_imports(source)
     return found + typescript_imports(root / "web" / "src")
 

@@ -23,7 +23,8 @@ def main() -> int:
         sys.exit("Sphinx is not installed; run: make docs")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", str(OUT)]
     # Behind what Carina itself brings, so that the reference describes the package that is tested.
-    environment = {**os.environ, "PYTHONPATH": str(found[0])}
+    packages = [str(path) for path in sorted(ROOT.glob("packages/*/python"))]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*packages, str(found[0])])}
     ran = subprocess.run(command, cwd=ROOT, env=environment, check=False)
     if not ran.returncode:
         print(f"docs: {OUT.relative_to(ROOT)}/index.html")

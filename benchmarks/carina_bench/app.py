@@ -194,24 +194,6 @@ def bench_stream(
         raise SystemExit(report(folder=output, case=case, quick=quick, as_json=as_json))
 
 
-@bench.command("haptics")
-def bench_haptics(
-    output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
-) -> None:
-    """The force loop's latency, jitter and missed deadlines while 512x512 pictures are rendered 30 times a second.
-
-    First with a simulated hand, then with a bridge over UDP in another process. Needs no extra. A missed limit is a
-    result and no failure: the exit code is 0.
-
-    Example: carina bench haptics --quick
-    """
-    with exit_codes(as_json):
-        from carina_bench.haptics import report
-
-        check_output_folder(output)
-        raise SystemExit(report(folder=output, quick=quick, as_json=as_json))
-
-
 @bench.command("cluster")
 def bench_cluster(
     output: BenchFolder = Path("carina-bench"),

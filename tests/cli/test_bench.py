@@ -129,3 +129,12 @@ def test_the_server_is_started_looked_at_and_its_peak_read(tmp_path):
     if sys.platform == "linux":
         assert row["peak_bytes"] > row["volume_bytes"]
         assert "times the volume" in SECTIONS["isoregion"]["memory"].words([row])[0]
+
+
+def test_the_time_that_the_host_takes_only_grows():
+    first = machine.stolen_s()
+    if first is None:
+        pytest.skip("this system does not report the time that its host takes")
+    again = machine.stolen_s()
+    assert again is not None
+    assert 0.0 <= first <= again

@@ -36,8 +36,9 @@ class Named:
 
 
 def documents() -> list[Path]:
-    """Return ARCHITECTURE.md, the pages of docs/ and the page of the wire."""
-    return [ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "protocol" / "README.md"]
+    """Return ARCHITECTURE.md, the pages of docs/, the page of the wire and the guides of other packages."""
+    guides = sorted((ROOT / "packages").glob("*/README.md"))
+    return [ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "protocol" / "README.md", *guides]
 
 
 def names_in(path: Path) -> Iterator[Named]:
@@ -89,7 +90,10 @@ def source_files() -> tuple[str, ...]:
     return tuple(
         name
         for name in tracked_files()
-        if name.endswith(CODE) and not name.startswith("tests/") and ".test." not in name and (ROOT / name).is_file()
+        if name.endswith(CODE)
+        and not re.match(r"tests/|packages/[^/]+/tests/", name)
+        and ".test." not in name
+        and (ROOT / name).is_file()
     )
 
 
@@ -149,7 +153,8 @@ def is_path(text: str) -> bool:
     if not re.fullmatch(r"[\w.@-]+(/[\w.@-]+)*/?", text):
         return False
     return text.rpartition(".")[2] in SUFFIXES or text.partition("/")[0] in {
-        "crates", "python", "docs", "web", "tests", "tools", "benchmarks", "protocol", "examples", "build_backend",
+        "crates", "packages", "python", "docs", "web", "tests", "tools", "benchmarks", "protocol", "examples",
+        "build_backend",
     }  # fmt: skip
 
 

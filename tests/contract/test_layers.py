@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import ast
 
+import check_layers
 from check_layers import (
     ROOT,
     _lineage,
     attributes,
     check_folders,
     check_limits,
+    check_python,
     files_naming_views,
     public_methods,
     read_rules,
@@ -19,7 +21,8 @@ from check_layers import (
 from file_graph import Import
 
 TRACK = ROOT / "python" / "carina" / "track"
-FOLDERS = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")).folders
+RULES = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
+FOLDERS = RULES.folders
 
 
 def one(source: str, target: str) -> Import:
@@ -48,6 +51,26 @@ def test_folders_in_a_circle_without_a_row_or_without_files_are_refused():
         "ARCHITECTURE.md: python/carina/track has no attic",
         "ARCHITECTURE.md: the folders of track form a circle: tree -> names -> tree",
         "python/carina/track/surface: not in ARCHITECTURE.md; add its row",
+    ]
+
+
+def test_carina_may_not_import_a_package_that_depends_on_it(tmp_path, monkeypatch):
+    files = {
+        "python/carina/__init__.py": "from carina_haptics import ForceLoop\n",
+        "python/carina/session/core.py": "import carina_haptics.haply\n",
+        "packages/carina-haptics/python/carina_haptics/haply.py": "from carina.scopes import Pose\n",
+        "packages/carina-haptics/python/carina_haptics/force_loop.py": "from carina.session import Session\n",
+        "packages/carina-haptics/benchmarks/carina_haptics_bench/pictures.py": "import carina_haptics\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.setattr(check_layers, "ROOT", tmp_path)
+    found = [line.partition(";")[0] for line in check_python(RULES)]
+    assert found == [
+        "packages/carina-haptics/python/carina_haptics/force_loop.py:1: carina_haptics imports session",
+        "python/carina/__init__.py:1: __init__ imports carina_haptics",
+        "python/carina/session/core.py:1: session imports carina_haptics",
     ]
 
 

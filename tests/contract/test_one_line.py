@@ -30,7 +30,7 @@ from carina.display.slices import middle_slices
 from carina.navigate import AutoFlight, AxesSample, KeyFrame, KeyFrameFlight, Pilot, Recorder, SampleFilter, SampleGate
 from carina.phantom import Phantom
 from carina.render import AirwayView
-from carina.scopes import ForceLoop, scope_preset
+from carina.scopes import scope_preset
 from carina.session import LocalStore, Session
 from carina.track import AirwayTree, Branch, lumen_mesh
 from carina.value import FrozenValue
@@ -192,7 +192,6 @@ def test_what_works_says_in_one_line_how_it_does(shown: Shown, tmp_path: Path) -
         values = {
             "AutoFlight(FlightPath(": AutoFlight(shown.path),
             "Draft('": draft,
-            "ForceLoop(ForceLaw(": ForceLoop(shown.wall),
             "History(0 changes, 0 of them applied)": History("a document"),
             "KeyFrameFlight(3 key frames, ": KeyFrameFlight(poses),
             "LocalStore('very/": LocalStore(Path(name)),

@@ -1,4 +1,4 @@
-//! The binary messages between a device's bridge and the force loop (`docs/haptics.md`): fixed size, little-endian.
+//! The binary messages between a device's bridge and the force loop (`packages/carina-haptics/README.md`): fixed size, little-endian.
 
 use crate::force::{HandForce, HandSample};
 

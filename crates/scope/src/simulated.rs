@@ -1,4 +1,4 @@
-//! A device with mass and a hand with a spring, in place of a real one: for tests and for `carina bench haptics`.
+//! A device with mass and a hand with a spring, in place of a real one: for tests and for the benchmark of `packages/carina-haptics`.
 
 use crate::force::{HandForce, HandSample};
 

@@ -4,18 +4,6 @@
 from carina.scopes.calibration import lens_from_file, lens_from_text
 from carina.scopes.drive import Contact, ContactRecord, ScopeDrive, ScopeHold, ScopeLimit, ScopeState, lever_flexion
 from carina.scopes.fit import FittedOptics, Residual, fit_generic_optics
-from carina.scopes.haptics import (
-    FORCE_LIMIT_N,
-    FORCE_SLEW_N_PER_MS,
-    MAX_STIFFNESS_N_PER_MM,
-    ForceFigures,
-    ForceLaw,
-    ForceLoop,
-    HandForce,
-    forces_along,
-    picture_threads,
-    rumble,
-)
 from carina.scopes.lens import (
     FULL_FRAME,
     OUTLINES,
@@ -35,10 +23,7 @@ from carina.scopes.wall_field import WallField
 __all__ = [
     "DEFAULT_SCOPE",
     "FIT_MARGIN_MM",
-    "FORCE_LIMIT_N",
-    "FORCE_SLEW_N_PER_MS",
     "FULL_FRAME",
-    "MAX_STIFFNESS_N_PER_MM",
     "OUTLINES",
     "PINHOLE",
     "Calibration",
@@ -46,10 +31,6 @@ __all__ = [
     "ContactRecord",
     "DepthOfField",
     "FittedOptics",
-    "ForceFigures",
-    "ForceLaw",
-    "ForceLoop",
-    "HandForce",
     "ImageField",
     "Lens",
     "Optics",
@@ -64,12 +45,9 @@ __all__ = [
     "ScopeState",
     "WallField",
     "fit_generic_optics",
-    "forces_along",
     "lens_from_file",
     "lens_from_text",
     "lever_flexion",
-    "picture_threads",
-    "rumble",
     "scope_preset",
     "scope_presets",
     "upright",

@@ -1,10 +1,9 @@
-"""``carina bench haptics``: how the force loop keeps time while pictures are rendered."""
+"""Timing of the force loop while pictures are rendered: lateness, missed ticks, latency, share of a core."""
 
 from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -20,36 +19,27 @@ from carina.disk import make_folder, write_whole
 from carina.navigate import FlightPath
 from carina.phantom import lumen_distance_at
 from carina.render import Renderer
-from carina.scopes import (
-    FORCE_LIMIT_N,
-    FORCE_SLEW_N_PER_MS,
-    ForceFigures,
-    ForceLoop,
-    WallField,
-    picture_threads,
-)
-from carina.scopes.haptic_packets import decode_force, encode_sample
+from carina.scopes import WallField
 from carina_bench.cases import open_phantom
 from carina_bench.gates import Gate
-from carina_bench.haptics_pictures import PICTURES_HZ, Pictures, full_pictures, moving_pictures
 from carina_bench.machine import load_average, machine_facts, stolen_s
-from carina_bench.worker import child_environment, run_section
+from carina_haptics import FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, ForceFigures, ForceLoop, picture_threads
+from carina_haptics_bench.pictures import PICTURES_HZ, Pictures, full_pictures, moving_pictures
 
-__all__ = ["bridge", "measure", "report"]
+__all__ = ["measure", "report"]
 
 CASE = "phantom-256"
-BRIDGE_HZ = 500.0
-# The limits of the plan.
+# Aims for an ordinary computer.
 MOST_OF_A_CORE = 0.15
 MOST_MISSED = 0.001
 
 
 def report(*, folder: Path, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``haptics.json``; always 0 when it could be measured: a missed limit is a result."""
+    """Measure, print, write ``haptics.json`` and return 0; a missed limit is a result, not a failure."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
-    measured = run_section("haptics:measure", {"seconds": 8.0 if quick else 60.0})
+    measured = measure(8.0 if quick else 60.0)
     rows = measured["rows"]
     gates = [gate for row in rows for gate in _gates(row)]
     document = {
@@ -123,12 +113,11 @@ def _words(row: dict[str, Any]) -> list[str]:
     return lines
 
 
-def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """The loop beside nothing, beside moving pictures with a simulated hand and a bridge, and beside full pictures.
+def measure(seconds: float) -> dict[str, Any]:
+    """Measure the loop alone, beside moving pictures (simulated hand, UDP bridge) and beside full pictures.
 
-    The first row is the machine's own floor: what is missed there no program took.
+    The first row, without pictures, shows the deadlines that the machine itself misses.
     """
-    seconds = request["seconds"]
     volume, points = open_phantom(CASE, progress_printer())
     renderer = Renderer(volume)
     renderer.prepare()
@@ -157,7 +146,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Watch:
-    """What the host of a virtual machine took of the cores since it was entered."""
+    """Share of the processor time that the host of a virtual machine takes, from entry on."""
 
     def __enter__(self) -> _Watch:
         self._start_s, self._stolen_s = time.monotonic(), stolen_s()
@@ -167,6 +156,7 @@ class _Watch:
         pass
 
     def stolen_share(self) -> float | None:
+        """Return the share since entry; None if the system does not report the time."""
         now_s, cores = stolen_s(), os.cpu_count() or 1
         if now_s is None or self._stolen_s is None:
             return None
@@ -175,10 +165,12 @@ class _Watch:
 
 @contextmanager
 def _bridged(loop: ForceLoop, seconds: float, centre: tuple[float, float, float]) -> Iterator[Any]:
-    """A bridge in a process of its own; gives what waits for its figures."""
-    command = [sys.executable, "-m", "carina_bench.haptics_bridge"]
-    asked = json.dumps({"port": loop.port, "seconds": seconds, "center": centre})
-    other = subprocess.Popen([*command, asked], stdout=subprocess.PIPE, text=True, env=child_environment())
+    """Run a bridge in another process; yield a function that waits for the bridge and returns its measurements."""
+    command = [sys.executable, "-m", "carina_haptics_bench.udp_bridge"]
+    request = json.dumps({"port": loop.port, "seconds": seconds, "center": centre})
+    # The benchmarks are installed nowhere: the process needs the import path of this one.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    other = subprocess.Popen([*command, request], stdout=subprocess.PIPE, text=True, env=environment)
     try:
         yield lambda: json.loads(other.communicate(timeout=60)[0])
     finally:
@@ -188,7 +180,7 @@ def _bridged(loop: ForceLoop, seconds: float, centre: tuple[float, float, float]
 
 
 def _trachea(place: Any) -> WallField:
-    """The exact wall round a place."""
+    """Return the exact wall of the phantom around a point in its trachea."""
     n = np.arange(-30, 31) * 0.8
     offsets = np.stack(np.meshgrid(n, n, n, indexing="ij")[::-1], axis=-1)
     distance = -lumen_distance_at((offsets + place).reshape(-1, 3), generations=7).reshape(offsets.shape[:3])
@@ -228,28 +220,3 @@ def _row(
         "num_sent": None if bridged is None else bridged["num_sent"],
         "num_lost": None if bridged is None else bridged["num_lost"],
     }
-
-
-def bridge(request: dict[str, Any]) -> dict[str, Any]:
-    """A bridge's other end: samples at a steady rate, and how long each force took."""
-    trips: list[float] = []
-    num_sent = 0
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.connect(("127.0.0.1", request["port"]))
-        link.settimeout(0.05)
-        x, y, z = request["center"]
-        start = time.perf_counter()
-        while (now := time.perf_counter()) - start < request["seconds"]:
-            turn = 9.0 * (now - start)
-            at = (x + 11.0 * np.cos(turn), y + 11.0 * np.sin(turn), z)
-            num_sent += 1
-            link.send(encode_sample(num_sent, int(now * 1e6), at, (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
-            try:
-                reply = decode_force(link.recv(256))
-            except TimeoutError:
-                reply = None
-            if reply is not None and reply.number == num_sent:
-                trips.append(1e6 * (time.perf_counter() - now))
-            time.sleep(max(0.0, start + num_sent / BRIDGE_HZ - time.perf_counter()))
-    found = np.percentile(trips, [50, 99, 100]).tolist() if trips else [0.0, 0.0, 0.0]
-    return {"round_trip_us": found, "num_sent": num_sent, "num_lost": num_sent - len(trips)}

@@ -1,4 +1,4 @@
-"""What of the force loop's benchmark holds on any machine, however loaded: what is counted and what is gated."""
+"""The timing benchmark: summaries and gates, which are the same on every machine."""
 
 from __future__ import annotations
 
@@ -7,27 +7,25 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pytest
 
 from carina.navigate import FlightPath
 from carina.render import Renderer
-from carina.scopes import picture_threads
-from carina_bench import haptics
-from carina_bench.haptics_pictures import full_pictures, moving_pictures, summed
-from carina_bench.machine import stolen_s
+from carina_haptics import picture_threads
+from carina_haptics_bench import force_timing
+from carina_haptics_bench.pictures import full_pictures, moving_pictures, summed
 from small_case import small_volume
 
 
 @dataclass
 class Header:
-    """Of a picture's header what is summed."""
+    """The fields of a picture header that the summary reads."""
 
     width: int
     step_vox: float | None
     render_ms: float = 10.0
 
 
-def test_pictures_are_summed_without_the_first_second_and_the_view_finder_counts_as_none():
+def test_the_summary_excludes_the_first_second_and_the_view_finder():
     shown: list[Any] = [
         (0.5, Header(512, 0.5)),
         (1.5, Header(256, 0.5)),
@@ -40,7 +38,7 @@ def test_pictures_are_summed_without_the_first_second_and_the_view_finder_counts
     assert summed(shown[3:4], 0.0, 3.0).per_s == 0.0
 
 
-def test_moving_pictures_come_from_the_products_pump_and_full_ones_are_full():
+def test_moving_pictures_keep_the_rate_and_full_pictures_have_full_size():
     volume = small_volume()
     renderer = Renderer(volume)
     centre = volume.centre_lps
@@ -53,14 +51,14 @@ def test_moving_pictures_come_from_the_products_pump_and_full_ones_are_full():
     assert full.per_s > 0.0
 
 
-def test_the_benchmark_measures_the_products_threads_and_gates_what_moves(monkeypatch, capsys, tmp_path):
+def test_the_benchmark_restores_the_threads_and_gates_the_rows_with_moving_pictures(monkeypatch, capsys, tmp_path):
     volume = small_volume()
     top = volume.lps_from_ijk[:3, 3] + np.array([0.0, 0.0, 50.0])
-    monkeypatch.setattr(haptics, "open_phantom", lambda *_: (volume, [top]))
-    # In this process, and short: the figures do not matter here.
-    monkeypatch.setattr(haptics, "run_section", lambda *_: haptics.measure({"seconds": 1.2}))
+    monkeypatch.setattr(force_timing, "open_phantom", lambda *_: (volume, [top]))
+    # A short run: the measured values do not matter here.
+    monkeypatch.setattr(force_timing, "measure", lambda _seconds, measure=force_timing.measure: measure(1.2))
     all_threads = picture_threads()
-    assert haptics.report(folder=tmp_path, quick=True, as_json=False) == 0
+    assert force_timing.report(folder=tmp_path, quick=True, as_json=False) == 0
     assert picture_threads() == all_threads
     document = json.loads((tmp_path / "haptics.json").read_text())
     assert document["render_threads"] == max(1, all_threads - 1)
@@ -76,12 +74,3 @@ def test_the_benchmark_measures_the_products_threads_and_gates_what_moves(monkey
     missed = [gate for gate in document["gates"] if gate["name"].startswith("share of deadlines missed")]
     assert [gate["limit"] for gate in missed] == [0.001, 0.001]
     assert "missed" in capsys.readouterr().out
-
-
-def test_what_the_host_takes_only_grows():
-    first = stolen_s()
-    if first is None:
-        pytest.skip("this system does not say what its host takes")
-    again = stolen_s()
-    assert again is not None
-    assert 0.0 <= first <= again

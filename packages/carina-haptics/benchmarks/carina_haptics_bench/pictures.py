@@ -1,4 +1,4 @@
-"""Pictures beside the force loop: as a window gets them while the tip moves, and in full at a fixed place."""
+"""Pictures rendered beside the force loop: those of a window while the tip moves, and full ones at a fixed pose."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ __all__ = ["Pictures", "full_pictures", "moving_pictures", "summed"]
 
 SIZE_PX = 512
 PICTURES_HZ = 30.0
-# A hand's input, as from a gamepad or a screen.
+# Rate of a gamepad or of a screen.
 HAND_HZ = 60.0
 SPEED_MM_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """What came in a time."""
+    """Rate, resolution and cost of the pictures in a period."""
 
     per_s: float
     scale: float
-    """Of the sides, against 512 pixels; the mean of all pictures."""
+    """Mean side length relative to 512 pixels."""
     step_vox: float
-    """Ray step; the mean."""
+    """Mean ray step."""
     render_ms: float
-    """Median."""
+    """Median time of a picture."""
     finder_per_s: float = 0.0
-    """Pictures of the view finder, which stands in where even the coarsest picture is too slow; they count as none."""
+    """Rate of view finder pictures, which replace airway pictures that are too slow; not part of the other values."""
 
     def to_json(self) -> dict[str, Any]:
-        """For the report."""
+        """Return the values as JSON."""
         return {
             "per_s": self.per_s,
             "scale": self.scale,
@@ -51,10 +51,10 @@ class Pictures:
 
 
 def moving_pictures(renderer: Renderer, path: FlightPath, seconds: float) -> Pictures:
-    """Pictures of 512x512 pixels on a screen, 30 a second, while the tip flies to and fro.
+    """Render 30 pictures of 512x512 pixels a second while the tip moves to and fro.
 
-    By the frame pump of ``carina open``, which chooses how fine each is so that the rate is kept. Its pictures are
-    encoded as for a window, and each counts as shown when it is handed over; there is no socket and no browser.
+    The frame pump of ``carina open`` chooses the resolution that keeps the rate and encodes the pictures. A picture
+    counts as shown when the pump delivers it; there is no socket and no browser.
     """
     shown: list[tuple[float, PictureHeader]] = []
 
@@ -79,7 +79,7 @@ def moving_pictures(renderer: Renderer, path: FlightPath, seconds: float) -> Pic
 
 
 def summed(shown: Sequence[tuple[float, PictureHeader]], start_s: float, seconds: float) -> Pictures:
-    """What was shown in a time, but for its first second: the budget's, to learn what pictures cost."""
+    """Summarise the pictures of a period without its first second, in which the pump learns the cost of pictures."""
     steady = [header for shown_s, header in shown if start_s + 1.0 <= shown_s <= start_s + seconds]
     airway = [(header, header.step_vox) for header in steady if header.step_vox is not None]
     finder_per_s = (len(steady) - len(airway)) / (seconds - 1.0)
@@ -95,7 +95,7 @@ def summed(shown: Sequence[tuple[float, PictureHeader]], start_s: float, seconds
 
 
 def full_pictures(renderer: Renderer, path: FlightPath, seconds: float) -> Pictures:
-    """As many full pictures of 512x512 pixels as come, up to 30 a second: what is seen at rest."""
+    """Render full pictures of 512x512 pixels, as at rest, at up to 30 a second."""
     view = AirwayView(path.pose_at(20.0), width=SIZE_PX, height=SIZE_PX)
     times_ms: list[float] = []
 
@@ -109,7 +109,7 @@ def full_pictures(renderer: Renderer, path: FlightPath, seconds: float) -> Pictu
 
 
 class _Tip:
-    """A tip that flies to and fro, and the scene that shows it."""
+    """A tip that moves to and fro on a path, and the scene of its current pose."""
 
     def __init__(self, renderer: Renderer, path: FlightPath) -> None:
         self._renderer = renderer
@@ -118,6 +118,7 @@ class _Tip:
         self.scene = self._scene()
 
     def move(self, pump: FramePump) -> None:
+        """Move by one step of the hand and announce the new scene to the pump."""
         self._num += 1
         self.scene = self._scene()
         pump.content_changed()
@@ -139,7 +140,7 @@ class _Tip:
 
 
 def _at_rate(hz: float, seconds: float, work: Callable[[], None]) -> float:
-    """Work at a rate for a time; a call that comes late makes the later ones no denser. Says how long it was."""
+    """Call a function at a rate for a period and return the duration; late calls do not increase the rate."""
     start = due = time.monotonic()
     while (now := time.monotonic()) - start < seconds:
         time.sleep(max(0.0, due - now))

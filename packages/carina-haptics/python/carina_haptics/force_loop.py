@@ -1,12 +1,11 @@
-"""Force feedback: the hand's place and speed to a force, 1,000 times a second (`docs/haptics.md`).
+"""The force loop: position and speed of the hand to a force, 1,000 times a second.
 
-The loop runs in the compiled module on a thread of its own, without the interpreter's lock. A device is fed in
-process, or by a bridge over binary UDP on loopback.
+The loop runs in the compiled module on its own thread, without the interpreter's lock. A device feeds the loop in
+process, or through a bridge over binary UDP on loopback.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from carina import _core
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.scopes.wall_field import WallField
+from carina.scopes import WallField
 
 __all__ = [
     "FORCE_LIMIT_N",
@@ -30,7 +29,6 @@ __all__ = [
     "HandForce",
     "forces_along",
     "picture_threads",
-    "rumble",
 ]
 
 Point = tuple[float, float, float]
@@ -41,26 +39,26 @@ FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, MAX_STIFFNESS_N_PER_MM = _core.force_limits(
 @one_line
 @dataclass(frozen=True, slots=True)
 class ForceLaw:
-    """The numbers of the law; ranges are checked when a loop starts."""
+    """Parameters of the force law; a loop checks their ranges when it starts."""
 
     tip_radius_mm: float = 2.45
-    """Radius of the tip that feels."""
+    """Radius of the tip that touches the wall."""
     grip_mm: float = 40.0
-    """From the tip back to the hand: the lever of the torque."""
+    """Distance from the tip back to the hand: the lever of the torque."""
     stiffness_n_per_mm: float = 0.4
-    """Of the wall, to `MAX_STIFFNESS_N_PER_MM`."""
+    """Stiffness of the wall, at most `MAX_STIFFNESS_N_PER_MM`."""
     damping_ns_per_mm: float = 0.001
-    """Of the wall, against movement across it."""
+    """Damping of movement across the wall."""
     friction: float = 0.15
-    """Force along the wall per force across it."""
+    """Ratio of the force along the wall to the force across the wall."""
     guidance_n_per_mm: float = 0.0
-    """Towards the path; 0 for none. Guidance never draws harder than 1 N."""
+    """Stiffness of the pull towards the path; 0 switches guidance off. The pull is at most 1 N."""
     watchdog_ms: float = 20.0
-    """A hand that is silent for longer feels nothing, after at most 30 ms."""
+    """Time without a sample after which the force is released, within 30 ms."""
 
     @property
     def numbers(self) -> tuple[float, float, float, float, float, float, float]:
-        """In the compiled module's order."""
+        """All parameters in the order of the compiled module."""
         return (
             self.tip_radius_mm,
             self.grip_mm,
@@ -75,76 +73,77 @@ class ForceLaw:
 @one_line
 @dataclass(frozen=True, slots=True)
 class HandForce:
-    """What the hand feels."""
+    """The force and the torque that a hand feels."""
 
     force_n: Point
-    """LPS, at most `FORCE_LIMIT_N` long."""
+    """Force in LPS, at most `FORCE_LIMIT_N` long."""
     torque_n_mm: Point
-    """About the grip, LPS."""
+    """Torque about the grip, in LPS."""
     touches: bool
-    """The tip is at the wall."""
+    """Whether the tip touches the wall."""
     limited: bool
-    """The wall would push harder than the limit lets it."""
+    """Whether the force limit reduces the force of the wall."""
     silent: bool
-    """No hand was heard of in time."""
+    """Whether the watchdog found no sample in time."""
     at_lps: Point | None
-    """The tip that it answers."""
+    """Position of the tip in the sample that this force answers."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ForceFigures:
-    """How a loop kept time."""
+    """Timing statistics of a force loop."""
 
     num_ticks: int
-    """Ticks that were due."""
+    """Number of ticks that were due."""
     num_missed: int
-    """Of which not done within their millisecond."""
+    """Number of ticks that were not finished within their millisecond."""
     late_us: Point
-    """How late ticks began: median, 99th percentile, worst."""
+    """Delay of the start of a tick: median, 99th percentile, maximum."""
     work_us: Point
-    """How long ticks took, from begin to end: median, 99th percentile, worst."""
+    """Duration of a tick from start to end: median, 99th percentile, maximum."""
     latency_us: Point
-    """From when a sample was put to its force: median, 99th percentile, worst."""
+    """Time from a sample to its force: median, 99th percentile, maximum."""
     cpu_s: float
-    """Time of its thread on cores (Linux; else 0)."""
+    """Processor time of the loop's thread (Linux; 0 on other systems)."""
     wall_s: float
-    """Time since the start."""
+    """Time since the start of the loop."""
     num_samples: int
-    """Samples from outside."""
+    """Number of samples that the loop received from outside."""
     num_refused: int
-    """Of them no sane ones."""
+    """Number of samples that the loop refused as invalid."""
     is_real_time: bool
-    """The system lets the loop go before all threads of ordinary programs (Linux, where the user may have that)."""
+    """Whether the loop's thread runs before all threads of ordinary programs (Linux, with the user's permission)."""
     max_force_n: float
-    """The strongest force so far."""
+    """Largest force since the start."""
     max_change_n: float
-    """The largest change in a tick."""
+    """Largest change of the force in one tick."""
 
 
 class ForceLoop:
-    """The force law 1,000 times a second; a context manager that starts at once and ends the loop.
+    """The force law, evaluated 1,000 times a second on its own thread from construction to `stop`.
+
+    A context manager that ends the loop.
 
     Parameters
     ----------
     field
         Signed distance to the wall.
     law
-        Its numbers.
+        Parameters of the force law.
     path_lps
-        (n, 3), what guidance draws to.
+        (n, 3) path that guidance pulls towards.
     udp_port
-        Listen for a bridge on this port of 127.0.0.1; 0 takes a free one (`port`).
+        UDP port of 127.0.0.1 for a bridge; 0 takes a free port (`port`).
     lps_from_device
-        (4, 4) the bridge's space in LPS: turned, shifted and scaled alike on all axes, by 0.05 to 1; not mirrored.
+        (4, 4) transform from the bridge's space to LPS: rotation, translation and one scale from 0.05 to 1; no mirror.
     simulated
-        A hand that moves by itself, for tests and benches: round which place (LPS mm), how far (mm), how often a
-        second.
+        A hand that moves without a device, for tests and benchmarks: centre (LPS mm), radius (mm), turns per second.
 
     Raises
     ------
     UsageError
-        If a number is out of range or the port is taken (code ``scope.force``).
+        If a number is out of range or the port is in use (code ``scope.force``).
 
     Examples
     --------
@@ -188,12 +187,12 @@ class ForceLoop:
 
     @property
     def law(self) -> ForceLaw:
-        """The numbers of the law."""
+        """Parameters of the force law."""
         return self._law
 
     @property
     def port(self) -> int | None:
-        """The UDP port, if it listens."""
+        """UDP port of the loop; None without UDP."""
         return self._core.port
 
     def put(
@@ -202,11 +201,14 @@ class ForceLoop:
         velocity_mm_s: Sequence[float] = (0.0, 0.0, 0.0),
         forward_lps: Sequence[float] = (0.0, 0.0, -1.0),
     ) -> bool:
-        """Hand over where the tip is (LPS mm), its velocity and direction; False for numbers that no hand makes."""
+        """Pass a sample to the loop: position of the tip (LPS mm), velocity, direction; return False if invalid.
+
+        A sample is invalid if a number is not finite or impossible for a hand.
+        """
         return self._core.put(list(at_lps), list(velocity_mm_s), list(forward_lps))
 
     def felt(self) -> HandForce:
-        """The newest force."""
+        """Return the latest force."""
         found = self._core.felt()
         at = found["at_lps"]
         return HandForce(
@@ -219,33 +221,33 @@ class ForceLoop:
         )
 
     def figures(self) -> ForceFigures:
-        """How it keeps time."""
+        """Return the timing statistics since the start."""
         found = self._core.figures()
         values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in found.items()}
         return ForceFigures(**values)
 
     def stop(self) -> None:
-        """End the loop and wait for it; it may be called again."""
+        """Stop the loop and wait for its thread; a second call does nothing."""
         self._core.stop()
 
 
 def picture_threads() -> int:
-    """How many threads a picture is made by now: one less while a :class:`ForceLoop` runs."""
+    """Return the number of threads that render a picture; a running `ForceLoop` reduces the number by one."""
     return _core.picture_threads()
 
 
 def forces_along(field: WallField, samples: ArrayLike, law: ForceLaw | None = None) -> NDArray[np.float64]:
-    """What a hand would feel along a movement, without thread and clock: the same samples give the same forces.
+    """Return the forces of a recorded movement, without thread and clock; equal samples give equal forces.
 
     Parameters
     ----------
     field
         Signed distance to the wall.
     samples
-        (n, 9), one for each millisecond: the tip's centre (LPS mm), its velocity (mm/s) and direction (unit length).
-        A row with numbers that no hand makes is a hand that was not heard of.
+        (n, 9), one row per millisecond: centre of the tip (LPS mm), velocity (mm/s) and direction (unit length).
+        A row with invalid numbers counts as a missing sample.
     law
-        The numbers of the law.
+        Parameters of the force law.
 
     Returns
     -------
@@ -255,7 +257,7 @@ def forces_along(field: WallField, samples: ArrayLike, law: ForceLaw | None = No
     Raises
     ------
     UsageError
-        If a number of the law is out of range, or the samples have another shape (code ``scope.force``).
+        If a parameter of the law is out of range, or the samples have another shape (code ``scope.force``).
 
     Examples
     --------
@@ -270,18 +272,3 @@ def forces_along(field: WallField, samples: ArrayLike, law: ForceLaw | None = No
     if rows.ndim != 2 or rows.shape[1] != 9:
         raise UsageError(f"expected samples of shape (n, 9); found {rows.shape}", code="scope.force")
     return _core.forces_along(field.core, (law or ForceLaw()).numbers, rows)
-
-
-def rumble(depth_mm: float) -> tuple[float, float]:
-    """The everyday fallback: the strengths (strong, weak) of a gamepad's motors for a contact of a depth, 0 to 1.
-
-    The weak motor says that the tip touches, the strong one how hard.
-
-    Examples
-    --------
-    >>> rumble(0.0), rumble(50.0)
-    ((0.0, 0.0), (1.0, 1.0))
-    """
-    if not math.isfinite(depth_mm) or depth_mm <= 0.0:
-        return 0.0, 0.0
-    return min(depth_mm / 10.0, 1.0), min(0.2 + depth_mm / 4.0, 1.0)

@@ -1,6 +1,7 @@
-"""The binary messages between a device's bridge and the force loop (`docs/haptics.md`), for bridges in Python.
+"""The binary UDP messages between a device's bridge and the force loop, for bridges in Python.
 
-Little-endian and of fixed size: a sample is 96 bytes, a force 72.
+Messages are little-endian and of fixed size: a sample has 96 bytes, a force has 72. The guide contains the table of
+bytes.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 __all__ = ["ForceReply", "decode_force", "encode_sample"]
 
-# Magic, version, kind, flags or buttons, number, unused, the device's clock in us; then vectors of float64.
+# Magic, version, kind, flags or buttons, number, unused, clock of the device in us; then vectors of float64.
 _SAMPLE = struct.Struct("<4sBBHIIQ9d")
 _FORCE = struct.Struct("<4sBBHIIQ6d")
 _MAGIC, _VERSION, _KIND_SAMPLE, _KIND_FORCE = b"CARH", 1, 1, 2
@@ -20,12 +21,12 @@ _MAGIC, _VERSION, _KIND_SAMPLE, _KIND_FORCE = b"CARH", 1, 1, 2
 
 @dataclass(frozen=True, slots=True)
 class ForceReply:
-    """A force as it arrives at the bridge, in the device's axes."""
+    """A force that a bridge receives, in the axes of the device."""
 
     number: int
-    """Of the sample that it answers."""
+    """Number of the sample that the force answers."""
     device_us: int
-    """The device's clock in that sample."""
+    """Clock of the device in the sample that the force answers."""
     force_n: tuple[float, float, float]
     torque_n_mm: tuple[float, float, float]
     touches: bool
@@ -42,7 +43,7 @@ def encode_sample(
     *,
     buttons: int = 0,
 ) -> bytes:
-    """A sample as 96 bytes; vectors are in the device's space.
+    """Encode a sample as 96 bytes; vectors are in the space of the device.
 
     Examples
     --------
@@ -63,7 +64,7 @@ def encode_sample(
 
 
 def decode_force(packet: bytes) -> ForceReply | None:
-    """A force from its bytes, or None for anything that is no force of this version."""
+    """Decode a force; return None for bytes that are not a force of this version."""
     if len(packet) != _FORCE.size:
         return None
     magic, version, kind, flags, number, _unused, device_us, *vectors = _FORCE.unpack(packet)

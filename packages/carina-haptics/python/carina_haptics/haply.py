@@ -1,8 +1,8 @@
-"""Haply devices (Inverse3): a client of their local service, which speaks JSON over a WebSocket on this machine.
+"""Client of the local service of Haply devices (Inverse3): JSON over a WebSocket on this machine.
 
-The service sends the state of all devices in one message and answers each command with the next; positions are metres
-in the device's axes (x right, y away from the hand's owner, z up), forces newtons. Checked against published clients of
-service 3.1 and later and against a simulated service, not yet against a device.
+The service sends the state of all devices in one message and answers each command with the next message. Positions are
+metres in the axes of the device (x right, y away from the user, z up); forces are newtons. The client agrees with
+published clients of service 3.1 and later and with a simulated service; a test with a device is missing.
 """
 
 from __future__ import annotations
@@ -19,46 +19,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import UsageError
-from carina.scopes.haptics import ForceLoop
-from carina.scopes.pose import Pose
+from carina.scopes import Pose
+from carina_haptics.force_loop import ForceLoop
 
 __all__ = ["HAPLY_URL", "HaplyBridge", "HaplyState", "read_haply_message"]
 
 HAPLY_URL = "ws://127.0.0.1:10001"
-"""Where the service listens."""
+"""Address of the service."""
 Status = Literal["connecting", "no device", "running", "stopped"]
 Point = tuple[float, float, float]
 
-# Longer than a hand's step, shorter than a person's patience.
+# Short enough that a user does not notice the pause after the service restarts.
 _RETRY_S = 1.0
 _SILENCE_S = 1.0
 _MOST_BYTES = 65536
-# No hand is faster, and no device is larger.
+# Upper limits of a device's size and of a hand's speed.
 _MOST_M, _MOST_M_PER_S = 2.0, 20.0
-# Of unit length where it is in order.
+# A valid quaternion has unit length; the limit only keeps its square finite.
 _MOST_QUATERNION = 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class HaplyState:
-    """One device and the grip in it, as the service tells them."""
+    """State of one device and of its grip, as the service reports them."""
 
     device_id: str
     position_m: Point
     velocity_m_s: Point
     orientation_wxyz: tuple[float, float, float, float] | None
-    """Of the wireless grip, unit length; None where there is none."""
+    """Orientation of the wireless grip, unit length; None without a grip."""
     buttons: frozenset[str]
-    """Names of those held down."""
+    """Names of the pressed buttons."""
 
 
 def read_haply_message(text: str | bytes) -> HaplyState | None:
-    """The first device of a message; None for a message without one.
+    """Return the state of the first device in a message; None for a message without a device.
 
     Raises
     ------
     ValueError
-        If it is not JSON of the form that the service sends, or holds numbers that no device makes.
+        If the message is not JSON in the form of the service, or contains impossible numbers.
     """
     found = json.loads(text)
     if not isinstance(found, dict):
@@ -103,33 +103,33 @@ def _quaternion(found: dict[str, Any]) -> tuple[float, float, float, float] | No
         raise ValueError("expected a quaternion w, x, y, z")
     length = math.sqrt(sum(float(v) ** 2 for v in values if v is not None))
     if length < 0.5:
-        # A grip that is not awake yet sends zeros.
+        # A grip that has not started yet sends zeros.
         return None
     w, x, y, z = (float(v) / length for v in values if v is not None)
     return w, x, y, z
 
 
 class HaplyBridge:
-    """Couples a Haply device to a force loop.
+    """Coupling of a Haply device and a force loop.
 
-    Where the hand is when the first state arrives (or when `centre` is called) is where the tip is; from there the tip
-    follows the hand, scaled. The device's right, away and up are the picture's right, forward and up.
+    The position of the hand in the first state (or in the first state after `centre`) corresponds to `pose`; from
+    there the tip follows the hand, scaled. Right, away and up of the device are right, forward and up of the picture.
 
     Parameters
     ----------
     loop
-        Gives the force. Its samples come from here: no other device should feed it.
+        Source of the force. The bridge passes the samples to the loop; no other device may do so.
     pose
-        The tip when the hand is at rest.
+        Pose of the tip when the hand is at rest.
     scale
-        mm of the lumen per mm of the hand, 0.05 to 1.
+        Movement of the tip (mm) per mm of the hand, 0.05 to 1.
     url
-        The service.
+        Address of the service.
 
     Raises
     ------
     UsageError
-        If the scale is out of range.
+        If the scale is out of range (code ``scope.force``).
     """
 
     def __init__(self, loop: ForceLoop, pose: Pose, *, scale: float = 0.25, url: str = HAPLY_URL) -> None:
@@ -149,34 +149,34 @@ class HaplyBridge:
 
     @property
     def status(self) -> Status:
-        """``connecting``, ``no device``, ``running`` or ``stopped``."""
+        """State of the connection: ``connecting``, ``no device``, ``running`` or ``stopped``."""
         return self._status
 
     @property
     def state(self) -> HaplyState | None:
-        """The newest state of the device."""
+        """Latest state of the device."""
         return self._state
 
     @property
     def num_refused(self) -> int:
-        """Messages that were not as the service sends them."""
+        """Number of invalid messages."""
         return self._num_refused
 
     @property
     def num_samples(self) -> int:
-        """States that were felt."""
+        """Number of states that the bridge passed to the loop."""
         return self._num_samples
 
     def centre(self, pose: Pose) -> None:
-        """From the next state on the hand's place is this pose (a clutch)."""
+        """Assign this pose to the position of the hand in the next state (a clutch)."""
         matrix = pose.lps_from_camera
-        # The device's right, away and up are the camera's +x, +z and -y.
+        # Right, away and up of the device are +x, +z and -y of the camera.
         self._lps_from_device = np.stack([matrix[:3, 0], matrix[:3, 2], -matrix[:3, 1]], axis=1)
         self._at_lps = matrix[:3, 3].copy()
         self._rest_m = None
 
     async def run(self) -> None:
-        """Serve the device until cancelled: connect, again where the service went away, and let go at the end."""
+        """Connect and serve the device until cancelled; reconnect after a lost connection; release the force last."""
         from websockets.asyncio.client import connect
         from websockets.exceptions import WebSocketException
 
@@ -186,7 +186,7 @@ class HaplyBridge:
                 with contextlib.suppress(OSError, WebSocketException, TimeoutError):
                     async with connect(self._url, max_size=_MOST_BYTES, compression=None, open_timeout=5) as link:
                         await self._serve(link)
-                # The hand may be elsewhere when it comes back.
+                # The hand may have moved before the connection returns.
                 self._rest_m = None
                 await asyncio.sleep(_RETRY_S)
         finally:
@@ -197,7 +197,7 @@ class HaplyBridge:
         self._status = "no device"
         try:
             while True:
-                # Not `wait_for`: in Python 3.11 it loses a cancellation that comes together with a message.
+                # `wait_for` of Python 3.11 loses a cancellation that arrives together with a message.
                 async with asyncio.timeout(_SILENCE_S):
                     text = await link.recv()
                 try:
@@ -208,7 +208,7 @@ class HaplyBridge:
                     if device_id is None:
                         continue
                 if state is None:
-                    # Without a device there is nothing to command; with a broken message it is let go.
+                    # An invalid message releases the force; without a device there is no command.
                     if device_id is None:
                         self._status = "no device"
                         continue
@@ -222,7 +222,7 @@ class HaplyBridge:
                     await link.send(_command(device_id, (0.0, 0.0, 0.0)))
 
     def feel(self, state: HaplyState) -> Point:
-        """The force (N, the device's axes) for a state: hands it to the loop and takes what the loop found last."""
+        """Pass a state to the loop and return the loop's latest force (N, axes of the device)."""
         position = np.array(state.position_m)
         if self._rest_m is None:
             self._rest_m = position
@@ -241,11 +241,11 @@ class HaplyBridge:
 
 
 def _forward(orientation_wxyz: Sequence[float] | None) -> NDArray[np.float64]:
-    """Where the grip points in the device's axes: away from the hand's owner, turned as the grip is."""
+    """Return the direction of the grip in the axes of the device: away from the user, turned like the grip."""
     if orientation_wxyz is None:
         return np.array([0.0, 1.0, 0.0])
     w, x, y, z = orientation_wxyz
-    # The second column of the rotation.
+    # Second column of the rotation matrix: the image of the y axis.
     return np.array([2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)])
 
 
