@@ -22,13 +22,13 @@ import numpy as np
 from carina.cli.console import print_json, say
 from carina.cluster import ClusterRenderer, ClusterSettings
 from carina.cluster.host import RendererHost
-from carina.cluster.simulation import SimulatedCluster, SimulatedRenderer, SimulationResult
 from carina.disk import make_folder, write_whole
 from carina.errors import UsageError
 from carina.phantom import generate_phantom
 from carina.render import AirwayView, Renderer, View
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.cluster_simulation import SimulatedCluster, SimulatedRenderer, SimulationResult
 from carina_bench.machine import load_average, machine_facts
 from carina_bench.plot_svg import line_plot, timeline
 

@@ -23,11 +23,12 @@ from carina.cluster.console import Job
 from carina.cluster.host import RendererHost
 from carina.cluster.node import Node, make_token
 from carina.cluster.ray_backend import RayCluster
-from carina.cluster.stand_in import StandInHost
 from carina.errors import ClusterError
 from carina.render import AirwayView, Picture, Renderer, View
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.cluster_sleeping_renderer import SleepingRenderer
+from carina_bench.worker import child_environment
 
 __all__ = [
     "Flown",
@@ -55,6 +56,10 @@ def real_head(renderers: int, threads: int | None = None) -> Iterator[tuple[Node
         probe.bind((IP, 0))
         port = int(probe.getsockname()[1])
     token = make_token(folder / "token")
+    # Renderers run in processes of Ray, which import the sleeping renderer from the benchmarks.
+    environment = {"PYTHONPATH": child_environment()["PYTHONPATH"]}
+    if threads is not None:
+        environment["RAYON_NUM_THREADS"] = str(threads)
     node = Node(
         token,
         head=True,
@@ -64,7 +69,7 @@ def real_head(renderers: int, threads: int | None = None) -> Iterator[tuple[Node
         dedicated=True,
         temp_dir=folder / "ray",
         log=folder / "log",
-        environment={} if threads is None else {"RAYON_NUM_THREADS": str(threads)},
+        environment=environment,
     )
     try:
         node.wait_ready()
@@ -205,7 +210,10 @@ def small_renderer(console: Console) -> ClusterRenderer:
 def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[list[dict[str, Any]], Flown]:
     """Renderers that sleep, paced at 30 a second and unpaced: what scheduling and transport take."""
     rows: list[dict[str, Any]] = []
-    with renderers_ready(head, num, StandInHost, ClusterSettings(open_frames=2), row_seconds=ROW_S) as (console, _):
+    with renderers_ready(head, num, SleepingRenderer, ClusterSettings(open_frames=2), row_seconds=ROW_S) as (
+        console,
+        _,
+    ):
         renderer = small_renderer(console)
         wait_ready(console, num)
         fly(renderer, console, stand_in_view, seconds=2.0, rate_hz=30.0)
@@ -232,7 +240,7 @@ def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[lis
 def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str, Any]:
     """kill -9 of one renderer after the other in flight: gaps between shown frames round each."""
     worst = []
-    with renderers_ready(head, num, StandInHost, ClusterSettings(), row_seconds=ROW_S) as (console, _):
+    with renderers_ready(head, num, SleepingRenderer, ClusterSettings(), row_seconds=ROW_S) as (console, _):
         renderer = small_renderer(console)
         for n in range(kills):
             wait_ready(console, num)

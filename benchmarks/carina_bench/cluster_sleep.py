@@ -13,7 +13,6 @@ from pathlib import Path
 from carina.cluster import ClusterRenderer, ClusterSettings, Console
 from carina.cluster.node import Node
 from carina.cluster.ray_backend import RayLane
-from carina.cluster.stand_in import StandInHost
 from carina_bench.cluster_real import (
     SIDE,
     Flown,
@@ -23,6 +22,7 @@ from carina_bench.cluster_real import (
     stand_in_view,
     wait_ready,
 )
+from carina_bench.cluster_sleeping_renderer import SleepingRenderer
 
 __all__ = ["SleepingRun", "sleeping_runs"]
 
@@ -74,7 +74,7 @@ def sleeping_runs(
             if scheme != plain and speeds != (1.0,) * concurrency[-1]:
                 continue
             say(f"sleeping machines: {scheme}, {len(speeds)} of them")
-            with renderers_ready(head, len(speeds), StandInHost, settings) as (console, _):
+            with renderers_ready(head, len(speeds), SleepingRenderer, settings) as (console, _):
                 renderer = small_renderer(console)
                 wait_ready(console, len(speeds), 240.0)
                 for grid, seconds in frame_s.items():

@@ -20,7 +20,7 @@ from ray_rig import VIEW, Head, flying, wait_for
 
 from carina.cluster import ClusterSettings
 from carina.cluster.node import Node, make_token
-from carina.cluster.stand_in import StandInHost
+from carina_bench.cluster_sleeping_renderer import SleepingRenderer
 from own_folders import environment_in
 
 ADDRESSES = [f"10.231.77.{10 + n}" for n in range(3)]
@@ -88,7 +88,7 @@ def main(folder: Path, prefix: str) -> dict[str, object]:
         node.wait_ready(120.0)
         head = Head(node, token, folder)
         with flying(
-            head, StandInHost, num=1, settings=ClusterSettings(), ip=ADDRESSES[0], row_seconds=0.02 / 170
+            head, SleepingRenderer, num=1, settings=ClusterSettings(), ip=ADDRESSES[0], row_seconds=0.02 / 170
         ) as flight:
             # Both come during the flight.
             joined = [join(folder, prefix, host) for host in (1, 2)]

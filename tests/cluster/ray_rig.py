@@ -1,9 +1,10 @@
-"""A real Ray on loopback for tests: one head, stand-in renderers, nothing left behind."""
+"""A real Ray on loopback for tests: one head, sleeping renderers, no process left at the end."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 import shutil
 import socket
 import sys
@@ -18,10 +19,10 @@ import pytest
 
 from carina.cluster import ClusterRenderer, ClusterSettings, Console
 from carina.cluster.node import Node, descendants, make_token, reap
-from carina.cluster.stand_in import stand_in_pixels
 from carina.render import AirwayView, Picture, Renderer
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.cluster_sleeping_renderer import position_pixels
 
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
@@ -29,6 +30,11 @@ needs_ray = pytest.mark.skipif(
 )
 IP = "127.0.0.2"  # Ray rewrites 127.0.0.1 to the machine's address on the network
 VIEW = AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=512, height=512)
+
+
+def import_path() -> dict[str, str]:
+    """Return the variable that gives another process the import path of this one, with tests and benchmarks."""
+    return {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
 def free_port() -> int:
@@ -84,6 +90,7 @@ def running_head(renderers: int) -> Iterator[Head]:
         dedicated=True,
         temp_dir=folder / "ray",
         log=folder / "log",
+        environment=import_path(),
     )
     head = Head(node, token, folder)
     _running.append(head)
@@ -170,14 +177,14 @@ class Flight:
         return [m.name for m in members if m.state == "ready" and m.name != "console"]
 
     def check(self, picture: Picture) -> float:
-        """Every row is what a stand-in shows for it, or, where nobody else could in time, the console's own.
+        """Check that each row comes from a sleeping renderer or, if none was in time, from the console.
 
-        Returns how much of it is the stand-ins', 0 to 1.
+        Returns the fraction that comes from sleeping renderers, 0 to 1.
         """
         assert picture.rgb.shape == (VIEW.height, VIEW.width, 3)
         if self._truth is None or self._truth[0] != self.content:
             own = Renderer(self.renderer.volume).render(VIEW).rgb
-            self._truth = (self.content, stand_in_pixels(VIEW, None, self.content), own)
+            self._truth = (self.content, position_pixels(VIEW, None, self.content), own)
         _, stood_in, own = self._truth
         theirs = np.all(picture.rgb == stood_in, axis=(1, 2))
         right = theirs | np.all(picture.rgb == own, axis=(1, 2))

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from network_flight import ADDRESSES, own_folders
-from ray_rig import needs_ray
+from ray_rig import import_path, needs_ray
 
 
 def _ip(*words: str) -> bool:
@@ -64,7 +64,8 @@ def test_a_cut_cable_costs_a_moment_and_the_machine_serves_again_when_it_is_back
         with _network(prefix):
             command = ["ip", "netns", "exec", f"{prefix}0", *own_folders(folder), sys.executable, "-W", "ignore"]
             command += [str(flight), str(folder), prefix]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
+            environment = {**os.environ, **import_path()}
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, check=False)
         words = "\n".join(f"{log.name}: {log.read_text()[-1500:]}" for log in folder.glob("*.log"))
         assert done.returncode == 0, f"{done.stderr[-3000:]}\n{words}"
         found = json.loads(done.stdout.splitlines()[-1])

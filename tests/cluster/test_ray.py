@@ -16,8 +16,8 @@ from ray_rig import IP, VIEW, flying, how_it_is, needs_ray, running_head, small_
 from carina.cluster import ClusterSettings
 from carina.cluster.host import RendererHost
 from carina.cluster.node import make_token
-from carina.cluster.stand_in import StandInHost
 from carina.render import transfer_preset
+from carina_bench.cluster_sleeping_renderer import SleepingRenderer
 
 pytestmark = [
     pytest.mark.ray,
@@ -50,7 +50,7 @@ def flight(head):
 
     Tests that come before the ones with renderers of their own; each leaves it whole.
     """
-    with flying(head, StandInHost, num=4, settings=SETTINGS, row_seconds=0.04 / 128) as flight:
+    with flying(head, SleepingRenderer, num=4, settings=SETTINGS, row_seconds=0.04 / 128) as flight:
         _fly(flight, 1.0)
         yield flight
 
@@ -184,7 +184,7 @@ def test_a_cluster_that_is_closed_leaves_the_machines_to_the_next(head, flight):
     picture = flight.renderer.render(VIEW)
     assert picture.stats.method != "stand-in", "this machine renders alone"
     # One that goes while its renderers are only starting leaves them, too: nobody else would ever get one.
-    with flying(head, StandInHost, num=0) as hasty:
+    with flying(head, SleepingRenderer, num=0) as hasty:
         wait_for(lambda: len(hasty.cluster._renderers) == 4)
     wait_for(lambda: hasty.cluster.ray.available_resources().get("renderer") == 4)
 
@@ -212,18 +212,18 @@ def test_real_renderers_give_the_single_machines_picture_and_follow_its_content(
 
 
 def test_another_version_of_carina_is_told_which_side_to_upgrade(head):
-    with flying(head, StandInHost, num=0, limit=1, version="0.0.1") as flight:
+    with flying(head, SleepingRenderer, num=0, limit=1, version="0.0.1") as flight:
         [notice, *_] = wait_for(lambda: flight.console.status().notices)
         assert "runs Carina 0.0.1" in notice and "upgrade the machine" in notice
         assert flight.ready() == []
         assert flight.renderer.render(VIEW).rgb.shape == (512, 512, 3), "this machine renders alone"
-    with flying(head, StandInHost, num=0, limit=1, version="99.0") as flight:
+    with flying(head, SleepingRenderer, num=0, limit=1, version="99.0") as flight:
         wait_for(lambda: flight.console.status().notices)
         assert "upgrade this console" in flight.console.status().notices[0]
 
 
 def test_a_volume_larger_than_a_members_memory_is_told_and_rendered_by_others(head):
-    with flying(head, StandInHost, num=0, limit=1, volume=small_volume(64), memory_bytes=1000) as flight:
+    with flying(head, SleepingRenderer, num=0, limit=1, volume=small_volume(64), memory_bytes=1000) as flight:
         notice = wait_for(lambda: [n for n in flight.console.status().notices if "free memory" in n])[0]
         assert "is not used" in notice
         assert flight.renderer.render(VIEW).rgb.shape == (512, 512, 3)

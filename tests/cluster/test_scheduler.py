@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
 from carina.cluster.settings import ClusterSettings
 from carina.cluster.shares import Shares
-from carina.cluster.simulation import SimulatedCluster, SimulatedRenderer
 from carina.cluster.strips import cut_rows
 from carina.errors import UsageError
+from carina_bench.cluster_simulation import SimulatedCluster, SimulatedRenderer
 
 ROW_S = 0.005 / 128
 

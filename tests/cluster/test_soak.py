@@ -12,7 +12,7 @@ from ray_rig import VIEW, flying, needs_ray, running_head, wait_for
 
 from carina.cluster import ClusterSettings
 from carina.cluster.node import descendants, reap
-from carina.cluster.stand_in import StandInHost
+from carina_bench.cluster_sleeping_renderer import SleepingRenderer
 
 SECONDS = float(os.environ.get("CARINA_SOAK_SECONDS", "600"))
 KILL_EVERY_S = 20.0
@@ -28,7 +28,7 @@ def _resident_bytes() -> int:
 @pytest.mark.filterwarnings("ignore")
 def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
     with running_head(renderers=4) as head:
-        with flying(head, StandInHost, num=4, settings=ClusterSettings(), row_seconds=0.004 / 128) as flight:
+        with flying(head, SleepingRenderer, num=4, settings=ClusterSettings(), row_seconds=0.004 / 128) as flight:
             # Jobs would grow with the flight; the timeline is not wanted here.
             flight.console.jobs = None
             began_s = time.monotonic()
@@ -70,7 +70,7 @@ def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
 @pytest.mark.filterwarnings("ignore")
 def test_with_the_head_gone_the_console_renders_alone_and_goes_on():
     """Ray ends a program whose head is gone for 60 s, unless it is told to wait."""
-    with running_head(renderers=2) as head, flying(head, StandInHost, num=2, row_seconds=0.004 / 256) as flight:
+    with running_head(renderers=2) as head, flying(head, SleepingRenderer, num=2, row_seconds=0.004 / 256) as flight:
         assert flight.check(flight.renderer.render(VIEW)) == 1.0
         head.look()
         tree = descendants(head.node.process.pid)

@@ -1,4 +1,4 @@
-"""What a benchmark measures inside the compiled module, without the way through Python."""
+"""Times of paths to nodes, measured inside the compiled module without the cost of Python calls."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["time_paths", "unsolved_tracker"]
 
 
 def unsolved_tracker(airways: Airways) -> LumenTracker:
-    """A tracker over the lumen of airways with their root, and nothing settled."""
+    """Return a tracker over the lumen of airways that has their root and no settled node."""
     return LumenTracker(
         airways.tracker.volume.hu_zyx,
         airways.tracker.grid.lps_from_ijk,
@@ -29,6 +29,6 @@ def unsolved_tracker(airways: Airways) -> LumenTracker:
 def time_paths(
     tracker: PathTracker | LumenTracker, nodes: Sequence[int] | NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Nanoseconds that each path to a node took, and how many voxels it has (0 where none is settled)."""
+    """Return the time (ns) and the number of voxels of the path to each node; 0 voxels for an unsettled node."""
     core = tracker.core if isinstance(tracker, PathTracker) else tracker
     return time_lumen_paths(core, np.asarray(nodes, dtype=np.uint32))

@@ -1,6 +1,6 @@
-"""A cluster on a simulated clock: the same scheduler, renderers whose times are given. Exact, and quick.
+"""Simulation of a cluster: the scheduler of Carina on a simulated clock, with renderers of given speed.
 
-Serves the tests and ``carina bench cluster``, which calibrates it with measured costs of strips and calls.
+``carina bench cluster`` calibrates the simulation with measured costs of strips and calls; tests use given costs.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ __all__ = ["Job", "SimulatedCluster", "SimulatedRenderer", "SimulationResult"]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRenderer:
-    """A machine: how long a row takes it, and how long a call is under way in all (there and back)."""
+    """Speed of one machine: time of a row, and time of a call in both directions together."""
 
     row_seconds: float
     call_seconds: float = 0.001
     call_jitter_seconds: float = 0.0005
     strip_seconds: float = 0.0
-    """What a strip costs beyond its rows."""
+    """Time of a strip in addition to its rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One strip as it was rendered: who, of which frame, from when to when."""
+    """One rendered strip: renderer, frame, start and end."""
 
     lane: int
     frame_id: int
@@ -41,40 +41,40 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class SimulationResult:
-    """What a run gave."""
+    """Times and shares of a simulated run."""
 
     seconds: float
     frame_s: tuple[float, ...]
-    """When each frame was complete."""
+    """Time at which each frame was complete."""
     response_s: tuple[float, ...]
-    """From the opening of each frame until it was complete."""
+    """Time from the start of each frame until it was complete."""
     busy: tuple[float, ...]
-    """How much of the time each renderer rendered, 0 to 1."""
+    """Fraction of the time in which each renderer rendered, 0 to 1."""
     shares: tuple[dict[int, float], ...]
-    """The shares after each frame."""
+    """Shares of the renderers after each frame."""
     jobs: tuple[Job, ...] = field(repr=False, default=())
 
     def fps(self, skip: int = 0) -> float:
-        """Frames per second, from the frame ``skip`` on."""
+        """Return the frames per second from the frame ``skip`` on."""
         times = self.frame_s[skip:]
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
 
 
 class SimulatedCluster:
-    """Renders frames on simulated machines.
+    """A cluster of simulated machines that renders frames.
 
     Parameters
     ----------
     renderers
-        The machines.
+        Speeds of the machines.
     settings
-        Of the scheduler.
+        Settings of the scheduler.
     console_seconds, console_row_seconds
-        What the console itself, and its link, take for each answer and each row in it; one answer after the other.
+        Time of the console and its connection for each answer and for each row of an answer; answers do not overlap.
     row_cost
-        What a row costs, as a multiple of the mean: rows of a picture differ.
+        Cost of each row as a multiple of the mean cost.
     seed
-        Of the jitter.
+        Seed of the jitter.
     """
 
     def __init__(
@@ -97,11 +97,11 @@ class SimulatedCluster:
         self._order = itertools.count()
 
     def run(self, num_frames: int, num_rows: int, *, period_s: float = 0.0) -> SimulationResult:
-        """Render frames: one every ``period_s``, or as fast as buffers come free."""
+        """Render frames, one every ``period_s``, or as fast as buffers become free if the period is 0."""
         scheduler = self._scheduler
         free_s = [0.0] * len(self._renderers)
         busy_s = [0.0] * len(self._renderers)
-        # Answers leave a machine in the order of its strips, whatever the network does to each.
+        # Answers of one machine keep the order of its strips, as on one connection.
         last_answer_s = [0.0] * len(self._renderers)
         wanted: list[int] = []
         opened: dict[int, float] = {}

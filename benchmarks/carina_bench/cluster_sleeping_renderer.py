@@ -1,6 +1,6 @@
-"""A renderer that sleeps instead of rendering, and misbehaves when told to: for tests and benchmarks of the cluster.
+"""Renderer that sleeps instead of rendering, and that fails on request: for tests and benchmarks of the cluster.
 
-It needs no cores, so that eight of them on two cores are eight machines to the scheduler and the transport.
+The renderer needs no cores: scheduler and transport see eight machines although the computer has two cores.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from carina.cluster.host import RendererHost, bare_picture, counts_of
 from carina.errors import ClusterError
 from carina.render import LEAD_VIEW, Picture, RenderStats, View
 
-__all__ = ["StandInHost", "stand_in_pixels"]
+__all__ = ["SleepingRenderer", "position_pixels"]
 
 
-def stand_in_pixels(view: View, rows: tuple[int, int] | None, content: int) -> NDArray[np.uint8]:
-    """What a stand-in shows: pixels that tell where they belong, (rows, width, 3)."""
+def position_pixels(view: View, rows: tuple[int, int] | None, content: int) -> NDArray[np.uint8]:
+    """Return pixels (rows, width, 3) that encode their row, their column and the content of the picture."""
     first, end = rows or (0, view.height)
     return _pixels(first, end, view.width, (int(getattr(view, "fov_deg", None) or 0) + content) % 256)
 
 
 @lru_cache(maxsize=64)
 def _pixels(first: int, end: int, width: int, salt: int) -> NDArray[np.uint8]:
-    """Made once: eight stand-ins that calculate on two cores would not be eight machines that wait."""
+    """Return the pixels of rows, cached: eight renderers that compute on two cores would wait for each other."""
     row = (np.arange(first, end) % 256).astype(np.uint8)[:, None]
     column = (np.arange(width) % 256).astype(np.uint8)[None, :]
     made = np.empty((end - first, width, 3), np.uint8)
@@ -40,15 +40,15 @@ def _pixels(first: int, end: int, width: int, salt: int) -> NDArray[np.uint8]:
     return made
 
 
-class StandInHost(RendererHost):
-    """Sleeps ``strip_seconds`` for each strip and ``row_seconds`` for each row.
+class SleepingRenderer(RendererHost):
+    """A renderer that sleeps ``strip_seconds`` for each strip and ``row_seconds`` for each row.
 
     Parameters
     ----------
     version
-        In place of Carina's own, for tests.
+        Reported version in place of Carina's version.
     memory_bytes
-        In place of what is left.
+        Reported free memory in place of the measured one.
     """
 
     def __init__(
@@ -70,37 +70,37 @@ class StandInHost(RendererHost):
         self._trouble: str | None = None
 
     def ping(self) -> dict[str, Any]:
-        """As the real one's, but for what it was told to say."""
-        said = super().ping()
+        """Return the facts of the real renderer with the given version and memory."""
+        facts = super().ping()
         if self._version is not None:
-            said["version"] = self._version
+            facts["version"] = self._version
         if self._memory_bytes is not None:
-            said["memory_bytes"] = self._memory_bytes
-        return said
+            facts["memory_bytes"] = self._memory_bytes
+        return facts
 
     def misbehave(self, trouble: str | None = None, factor: float = 1.0) -> int:
-        """Be ``factor`` times slower from now on, or get ``"size"``, ``"frame"`` or ``"rows"`` wrong.
+        """Become ``factor`` times slower, or answer with a wrong ``"size"``, ``"frame"`` or ``"rows"``.
 
-        A wrong frame and wrong rows come with their own pixels. Returns the number of the process.
+        A wrong frame and wrong rows have pixels of their own. Returns the process ID.
         """
         self._trouble, self._factor = trouble, factor
         return os.getpid()
 
     def pace(self, row_seconds: float, row_costs: tuple[float, ...]) -> None:
-        """From now on take ``row_seconds`` times its cost for each row of a picture: rows differ."""
+        """Set the time of each row of a picture to ``row_seconds`` times the cost of the row."""
         self._row_seconds, self._row_costs = row_seconds, row_costs
 
     def strip(self, frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> Strip:
-        """Sleep, and answer with pixels that tell where they belong."""
+        """Sleep and return pixels that encode their position."""
         began_s = time.perf_counter()
         if self._content != content:
             raise ClusterError(f"the renderer has content {self._content}; expected {content}", code="cluster.lost")
         shown = pickle.loads(view)
         first_row, end_row = rows or (0, shown.height)
         if self._trouble == "rows":
-            # Another strip of the same height, as an answer to an older cut of the frame would be.
+            # Another strip of the same height, like an answer to an earlier division of the frame.
             first_row, end_row = first_row + 1, end_row + 1
-        rgb = stand_in_pixels(shown, (first_row, end_row), content)
+        rgb = position_pixels(shown, (first_row, end_row), content)
         rows_alike = len(rgb) if self._row_costs is None else sum(self._row_costs[first_row:end_row])
         wanted_s = (self._strip_seconds + self._row_seconds * rows_alike) * self._factor
         time.sleep(max(0.0, wanted_s - (time.perf_counter() - began_s)))
