@@ -63,13 +63,20 @@ $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
 	$(UV) pip install -q --python $(PY) --require-hashes -r requirements-cluster.lock
 	@touch $@
 
+# Force feedback is a separate package: only tests, checks and documentation need its compiled module.
+HAPTICS_STAMP := .venv/.carina-haptics
+HAPTICS_SOURCES := $(shell find packages/carina-haptics -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) packages/carina-haptics/pyproject.toml
+$(HAPTICS_STAMP): $(HAPTICS_SOURCES) $(STAMP)
+	$(UV) pip install -q --python $(PY) --no-deps --reinstall-package carina-haptics -e packages/carina-haptics
+	@touch $@
+
 # A worker is a process with servers and a browser of its own, and often waits for them: one more than there are cores.
 # Beyond four they wait for memory.
 WORKERS ?= $(shell $(PY) -c 'import os; print(min((os.cpu_count() or 1) + 1, 4))' 2>/dev/null || echo 3)
 
-setup-tests: $(STAMP) $(CLUSTER_STAMP)
+setup-tests: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP)
 
-test-python: $(STAMP) $(CLUSTER_STAMP)
+test-python: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP)
 	$(PY) tools/find_browser.py --install
 	$(PY) -m pytest -m "not soak" -n $(WORKERS) --dist loadscope --no-loadscope-reorder -ra --durations=25
 
@@ -87,7 +94,7 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	$(UV) pip install -q --python .venv-gpu/bin/python --no-deps target/gpu-wheel/*.whl
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
-soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, 2,000 drives of the scope, a cluster that loses members
+soak: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, 2,000 drives of the scope, a cluster that loses members
 	PROPTEST_CASES=2000 cargo test --profile checked -p carina-airpath --lib section
 	cargo test $(ALL_CRATES) -- --include-ignored
 	$(PY) -m pytest -m soak -ra -o faulthandler_timeout=0
@@ -106,11 +113,11 @@ check-crates:
 check-web: web/node_modules/.package-lock.json
 	cd web && npm run check
 
-check-python: $(STAMP)
+check-python: $(STAMP) $(HAPTICS_STAMP)
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/mypy
-	$(PY) -m mypy.stubtest carina._core --ignore-missing-stub
+	$(PY) -m mypy.stubtest carina._core carina_haptics._force --ignore-missing-stub
 	.venv/bin/typos
 	$(PY) tools/check_layers.py
 	$(PY) tools/check_kernels.py
@@ -135,7 +142,7 @@ $(DOCS_STAMP): requirements-docs.lock | $(STAMP)
 	$(UV) pip sync -q --python .venv-docs/bin/python --require-hashes requirements-docs.lock
 	@touch $@
 
-docs: $(DOCS_STAMP) $(STAMP) ## the documentation and the Python reference as pages, in build/docs
+docs: $(DOCS_STAMP) $(STAMP) $(HAPTICS_STAMP) ## the documentation and the Python reference as pages, in build/docs
 	$(PY) tools/make_docs.py
 
 bench-setup: $(STAMP)
@@ -154,4 +161,4 @@ wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI and 
 
 clean: ## remove what was built (not the caches of cases)
 	rm -rf .venv .venv-docs .venv-gpu target dist web/node_modules python/carina/_web
-	find python -name '*.so' -delete
+	find python packages -name '*.so' -delete

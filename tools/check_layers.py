@@ -67,18 +67,18 @@ def read_rules(text: str) -> Rules:
 def check_rust(rules: dict[str, frozenset[str]]) -> list[str]:
     """Crate dependencies against the rules."""
     found = []
-    for manifest in sorted(ROOT.glob("crates/*/Cargo.toml")):
-        part = manifest.parent.name
+    for manifest in sorted([*ROOT.glob("crates/*/Cargo.toml"), *ROOT.glob("packages/*/crates/*/Cargo.toml")]):
+        part, where = manifest.parent.name, manifest.parent.relative_to(ROOT)
         data = tomllib.loads(manifest.read_text(encoding="utf-8"))
         uses = {name.removeprefix("carina-") for name in data.get("dependencies", {}) if name.startswith("carina-")}
         if part not in rules:
-            found.append(f"crates/{part}: not in ARCHITECTURE.md; add its row")
+            found.append(f"{where}: not in ARCHITECTURE.md; add its row")
             continue
         for used in sorted(uses - rules[part]):
-            found.append(f"crates/{part} depends on {used}; it may use {sorted(rules[part]) or 'none of our crates'}")
+            found.append(f"{where} depends on {used}; it may use {sorted(rules[part]) or 'none of our crates'}")
         external = {name for name in data.get("dependencies", {}) if name in {"pyo3", "numpy"}}
-        if external and part != "bindings":
-            found.append(f"crates/{part} depends on {sorted(external)}; only bindings knows Python")
+        if external and not part.endswith("bindings"):
+            found.append(f"{where} depends on {sorted(external)}; only bindings depend on Python")
     return found
 
 

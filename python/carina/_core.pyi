@@ -55,6 +55,8 @@ class WallField:
         """(n,) of (n, 3)."""
     @property
     def num_bytes(self) -> int: ...
+    def to_bytes(self) -> bytes:
+        """Lattice and samples, little-endian."""
     def digest(self) -> str:
         """BLAKE3 of all that it holds, hexadecimal."""
 
@@ -85,45 +87,18 @@ class ScopeDrive:
         """(tip, shaft)."""
 
 @final
-class ForceLoop:
-    """The force law 1,000 times a second."""
+class ReservedThread:
+    """A thread that renders no pictures until it is released."""
 
-    def __new__(
-        cls,
-        field: WallField,
-        numbers: tuple[float, float, float, float, float, float, float],
-        path_lps: NDArray[np.float64],
-        *,
-        udp_port: int | None = None,
-        simulated: tuple[Sequence[float], float, float] | None = None,
-        lps_from_device: NDArray[np.float64] | None = None,
-    ) -> ForceLoop: ...
-    @property
-    def port(self) -> int | None: ...
-    def put(self, at_lps: Sequence[float], velocity_mm_s: Sequence[float], forward_lps: Sequence[float]) -> bool:
-        """A sample; False if it is refused."""
-    def felt(self) -> dict[str, Any]:
-        """The newest force."""
-    def figures(self) -> dict[str, Any]:
-        """How it keeps time."""
-    def stop(self) -> None:
-        """End the loop."""
+    def __new__(cls) -> ReservedThread: ...
+    def release(self) -> None:
+        """Let pictures use the thread again; a second call does nothing."""
 
 def picture_clock_s() -> float | None:
     """Mean processor time of the threads which make pictures now, in s; None where it cannot be told (yet)."""
 
 def picture_threads() -> int:
-    """Threads that a picture is made by now."""
-
-def forces_along(
-    field: WallField,
-    numbers: tuple[float, float, float, float, float, float, float],
-    samples: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Samples (n, 9) to forces (n, 3), a millisecond each."""
-
-def force_limits() -> tuple[float, float, float]:
-    """N, N per ms, N per mm."""
+    """Number of threads that render a picture."""
 
 # ---- phantom ----
 

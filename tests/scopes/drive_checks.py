@@ -8,20 +8,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from drive_hands import DT_S, kind_of, random_samples, scope_of
+from drive_hands import kind_of, random_samples, scope_of
 from lumen_cells import LumenCells, SignedMm
 from numpy.typing import NDArray
 
-from carina.scopes import (
-    FORCE_LIMIT_N,
-    FORCE_SLEW_N_PER_MS,
-    MAX_STIFFNESS_N_PER_MM,
-    ForceLaw,
-    ScopeDrive,
-    ScopeState,
-    WallField,
-    forces_along,
-)
+from carina.scopes import ScopeDrive, WallField
 
 EDGE_MM = 0.6
 RIGID_MM = 10.0
@@ -98,23 +89,17 @@ class Findings:
     num_looked_at: int = 0
     travels_mm: list[float] = field(default_factory=list)
     limits: Counter[str] = field(default_factory=Counter)
-    max_force_n: float = 0.0
-    max_change_n: float = 0.0
 
     def check(self) -> None:
         """The bounds of `docs/decisions/0125`, and that these were drives along walls."""
         print(self.told())
         assert self.tip.mm <= 0.1, self.tip.told
         assert self.shaft.mm <= 0.5, self.shaft.told
-        assert self.max_force_n <= FORCE_LIMIT_N
-        # 1e-9: rounding of a difference of forces of some newtons.
-        assert self.max_change_n <= FORCE_SLEW_N_PER_MS + 1e-9
-        # The scope was near walls, went somewhere, was pressed at walls, and they were felt.
+        # The scope was near walls, went somewhere, and was pressed at walls.
         assert self.tip.mm > -1.0
         assert self.num_touched > 0.5 * self.num_drives
         assert np.median(self.travels_mm) > 5.0
         assert {"none", "wall", "narrow"} <= set(self.limits)
-        assert self.max_force_n > 0.3
 
     def told(self) -> str:
         """For people."""
@@ -123,7 +108,6 @@ class Findings:
                 f"{self.num_drives} drives, {self.num_looked_at} states looked at, {self.num_touched} drives touched",
                 f"deepest: tip {self.tip.told}; shaft {self.shaft.told}",
                 f"median travel {np.median(self.travels_mm):.0f} mm, limits {dict(self.limits)}",
-                f"force {self.max_force_n:.3f} N at most, change {self.max_change_n:.4f} N in a ms",
             ]
         )
 
@@ -176,30 +160,7 @@ def drive_and_look(lumen: Lumen, run: int, found: Findings, *, num_samples: int,
     found.num_touched += any(state.contact is not None for state in states[1:])
     places = np.array([state.pose.position_lps for state in states])
     found.travels_mm.append(float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()))
-    law = ForceLaw(tip_radius_mm=scope.tip_mm / 2.0, stiffness_n_per_mm=MAX_STIFFNESS_N_PER_MM)
-    forces = np.concatenate([np.zeros((1, 3)), forces_along(lumen.wall, hand_of(states), law)])
-    assert np.isfinite(forces).all(), told
-    found.max_force_n = max(found.max_force_n, float(np.linalg.norm(forces, axis=1).max()))
-    found.max_change_n = max(found.max_change_n, float(np.linalg.norm(np.diff(forces, axis=0), axis=1).max()))
     return Seen(np.concatenate(tips), joined(shafts), told)
-
-
-def hand_of(states: list[ScopeState]) -> Floats:
-    """(n, 9) a millisecond each: the hand that drove the tip, as deep in the wall as it pressed; then it lets go."""
-    at = np.array([_hand_at(state) for state in states])
-    forward = np.array([state.pose.lps_from_camera[:3, 2] for state in states])
-    ticks = round(1000.0 * DT_S)
-    share = np.linspace(0.0, 1.0, ticks, endpoint=False)[:, None]
-    moved = np.concatenate([a + share * (b - a) for a, b in itertools.pairwise(at)])
-    speed = 1000.0 * np.diff(moved, axis=0, prepend=moved[:1])
-    rows = np.concatenate([moved, speed, np.repeat(forward[:-1], ticks, axis=0)], axis=1)
-    return np.concatenate([rows, np.full((40, 9), 1e30)])
-
-
-def _hand_at(state: ScopeState) -> Floats:
-    contact = state.contact
-    pressed = np.zeros(3) if contact is None else contact.depth_mm * np.array(contact.normal_lps)
-    return state.pose.position_lps - pressed
 
 
 def tip_surface_lps(drive: ScopeDrive) -> Floats:

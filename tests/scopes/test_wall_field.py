@@ -57,3 +57,11 @@ def test_outside_the_lumen_and_far_in_it_the_ball_is_what_the_distance_says() ->
     wide = tubes(6.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
     assert wide.ball_mm([0.0, 0.0, 0.0]).tolist() == [4.5]
     assert len(wide.ball_mm(np.empty((0, 3)))) == 0
+
+
+def test_the_bytes_of_equal_walls_are_equal_and_contain_all_samples() -> None:
+    axis, middle = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    wall = tubes(2.0, axis, middle)
+    assert wall.to_bytes() == tubes(2.0, axis, middle).to_bytes()
+    assert wall.to_bytes() != tubes(2.1, axis, middle).to_bytes()
+    assert len(wall.to_bytes()) > wall.num_bytes

@@ -9,7 +9,6 @@ mod arrays;
 mod cross_section;
 mod errors;
 mod evidence;
-mod force;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
 mod gpu;
 mod growth;
@@ -69,7 +68,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     phantom::register(module)?;
     scope::register(module)?;
     scope_drive::register(module)?;
-    force::register(module)?;
     pool::register(module)?;
     views::register(module)?;
     Ok(())

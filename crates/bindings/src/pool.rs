@@ -1,4 +1,4 @@
-//! The threads that pictures are made by: all of the machine's, or one fewer while a force device is on.
+//! The threads that render pictures: all threads of the machine, or one fewer while a thread is reserved.
 
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 
@@ -7,8 +7,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::thread_clock::PoolClock;
 
-/// Who wants a thread left to them, and the smaller pool while anybody does.
-struct Left {
+/// Number of reservations, and the smaller pool while there are any.
+struct Reservations {
     num_holders: usize,
     pool: Option<Arc<Smaller>>,
 }
@@ -18,7 +18,7 @@ struct Smaller {
     clock: PoolClock,
 }
 
-static LEFT: Mutex<Left> = Mutex::new(Left {
+static RESERVATIONS: Mutex<Reservations> = Mutex::new(Reservations {
     num_holders: 0,
     pool: None,
 });
@@ -32,21 +32,37 @@ static ALL: LazyLock<PoolClock> = LazyLock::new(|| {
     clock
 });
 
-fn left() -> MutexGuard<'static, Left> {
-    LEFT.lock().unwrap_or_else(PoisonError::into_inner)
+fn reservations() -> MutexGuard<'static, Reservations> {
+    RESERVATIONS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Leaves a thread until it is dropped.
-pub(crate) struct LeftThread(());
+/// A reservation of one thread, from construction until `release` or until Python deletes the object.
+#[pyclass(frozen, module = "carina._core")]
+struct ReservedThread(Mutex<Option<Reservation>>);
 
-impl LeftThread {
-    pub(crate) fn new() -> Self {
-        let mut left = left();
-        left.num_holders += 1;
-        if left.pool.is_none() {
+#[pymethods]
+impl ReservedThread {
+    #[new]
+    fn new() -> Self {
+        Self(Mutex::new(Some(Reservation::new())))
+    }
+
+    fn release(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+    }
+}
+
+/// Reserves a thread until the value is dropped.
+struct Reservation(());
+
+impl Reservation {
+    fn new() -> Self {
+        let mut current = reservations();
+        current.num_holders += 1;
+        if current.pool.is_none() {
             let threads = rayon::current_num_threads().saturating_sub(1).max(1);
-            // Without a second pool (no threads to be had) pictures are made as before: slower force, no fault.
-            left.pool = ThreadPoolBuilder::new()
+            // If the system refuses threads for a second pool, pictures use all threads: not an error.
+            current.pool = ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .thread_name(|n| format!("carina-picture-{n}"))
                 .build()
@@ -62,20 +78,20 @@ impl LeftThread {
     }
 }
 
-impl Drop for LeftThread {
+impl Drop for Reservation {
     fn drop(&mut self) {
-        let mut left = left();
-        left.num_holders -= 1;
-        if left.num_holders == 0 {
-            left.pool = None;
+        let mut current = reservations();
+        current.num_holders -= 1;
+        if current.num_holders == 0 {
+            current.pool = None;
         }
     }
 }
 
-/// Makes a picture without the interpreter's lock, by the threads that are there for it.
+/// Renders a picture without the interpreter's lock, on the threads that are not reserved.
 pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     py.detach(|| {
-        let pool = left().pool.clone();
+        let pool = reservations().pool.clone();
         match pool {
             Some(smaller) => smaller.pool.install(work),
             None => work(),
@@ -87,17 +103,18 @@ pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send)
 /// tell, and until each of them has been asked once.
 #[pyfunction]
 fn picture_clock_s() -> Option<f64> {
-    let smaller = left().pool.clone();
+    let smaller = reservations().pool.clone();
     smaller.map_or_else(|| ALL.read_s(), |smaller| smaller.clock.read_s())
 }
 
-/// How many threads a picture is made by now.
+/// Number of threads that render a picture.
 #[pyfunction]
 fn picture_threads(py: Python<'_>) -> usize {
     detached(py, rayon::current_num_threads)
 }
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<ReservedThread>()?;
     module.add_function(wrap_pyfunction!(picture_clock_s, module)?)?;
     module.add_function(wrap_pyfunction!(picture_threads, module)?)
 }

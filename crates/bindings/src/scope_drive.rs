@@ -12,7 +12,7 @@ use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 
 use crate::arrays;
 use crate::errors::IntoPy;
@@ -36,7 +36,7 @@ pub(crate) fn points(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]
 
 /// Signed distance to the lumen's wall.
 #[pyclass(name = "WallField", frozen, module = "carina._core")]
-pub(crate) struct PyWallField(pub(crate) Arc<WallField>);
+struct PyWallField(Arc<WallField>);
 
 #[pymethods]
 impl PyWallField {
@@ -102,6 +102,12 @@ impl PyWallField {
     #[getter]
     fn num_bytes(&self) -> usize {
         self.0.num_bytes()
+    }
+
+    fn to_bytes<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        let mut bytes = Vec::new();
+        py.detach(|| self.0.for_each_part(|part| bytes.extend_from_slice(part)));
+        PyBytes::new(py, &bytes)
     }
 
     fn digest(&self, py: Python<'_>) -> String {

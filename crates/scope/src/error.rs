@@ -33,12 +33,6 @@ pub enum ScopeError {
         /// Why.
         reason: String,
     },
-    /// The force law's numbers are unusable, or the loop cannot run.
-    #[error("cannot compute the force: {reason}")]
-    Force {
-        /// Why.
-        reason: String,
-    },
     /// The caller stopped the work.
     #[error("stopped")]
     Cancelled,
@@ -54,7 +48,6 @@ impl ScopeError {
             Self::Deviation { .. } => "navigate.deviation",
             Self::Wall { .. } => "scope.wall",
             Self::Scope { .. } => "scope.drive",
-            Self::Force { .. } => "scope.force",
             Self::Cancelled => "cancelled",
         }
     }

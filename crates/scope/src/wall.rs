@@ -11,6 +11,8 @@ use crate::ScopeError;
 pub(crate) const CELLS: usize = 8;
 const SIDE: usize = CELLS + 1;
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
+/// Size of the matrix and of the shape in the bytes of a field.
+const HEAD_BYTES: usize = 8 * 15;
 /// Distances are kept from this far outside the lumen ...
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
 /// ... to this far inside; beyond, they say only that it is farther. No scope has such a radius.
@@ -173,6 +175,67 @@ impl WallField {
         }
     }
 
+    /// Decodes the bytes of [`WallField::for_each_part`], joined; refuses bytes that are not a field.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, ScopeError> {
+        let refuse = |reason: &str| ScopeError::Wall {
+            reason: format!("the bytes are not those of a wall: {reason}"),
+        };
+        let (head, rest) = bytes
+            .split_at_checked(HEAD_BYTES)
+            .ok_or_else(|| refuse("they are too short"))?;
+        let word = |n: usize| -> [u8; 8] { std::array::from_fn(|k| head[8 * n + k]) };
+        let rows: [[f64; 4]; 3] =
+            std::array::from_fn(|r| std::array::from_fn(|c| f64::from_le_bytes(word(4 * r + c))));
+        let lps_from_lattice = Affine::from_rows(rows);
+        if rows.iter().flatten().any(|v| !v.is_finite()) {
+            return Err(refuse("the lattice is not finite"));
+        }
+        let shape = [12, 13, 14].map(|n| u64::from_le_bytes(word(n)));
+        // 2^16 samples on an axis are 26 m; the limit keeps the products below from overflow.
+        if shape.iter().any(|n| !(2..=1 << 16).contains(n)) {
+            return Err(refuse("the shape of the lattice is out of range"));
+        }
+        let shape_ijk = shape.map(|n| n as usize);
+        let num_bricks = shape_ijk.map(|n| (n - 1).div_ceil(CELLS));
+        let (bricks, samples) = rest
+            .split_at_checked(4 * num_bricks.iter().product::<usize>())
+            .ok_or_else(|| refuse("they are too short"))?;
+        let brick_at: Vec<u32> = bricks
+            .chunks_exact(4)
+            .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
+        if samples.is_empty() || samples.len() % (4 * SAMPLES) != 0 {
+            return Err(refuse("samples are missing"));
+        }
+        let num_stored = samples.len() / (4 * SAMPLES);
+        if brick_at
+            .iter()
+            .any(|&b| b < FAR_INSIDE && b as usize >= num_stored)
+        {
+            return Err(refuse("a brick has no samples"));
+        }
+        let samples: Vec<f32> = samples
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
+        if samples.iter().any(|d| d.is_nan()) {
+            return Err(refuse("a distance is not a number"));
+        }
+        let Some(lattice_from_lps) = lps_from_lattice.inverse() else {
+            return Err(refuse("the lattice has no volume"));
+        };
+        let spacing = [0, 1, 2].map(|a| carina_grid::length(lps_from_lattice.column(a)));
+        Ok(Self {
+            lattice_from_lps,
+            lps_from_lattice,
+            shape_ijk,
+            num_bricks,
+            brick_at,
+            samples,
+            step_mm: 0.5 * spacing[0].min(spacing[1]).min(spacing[2]),
+        })
+    }
+
     /// Distance to the wall, positive in the lumen. It ends at -2.5 mm outside (also beyond the lattice, and for a point
     /// that is no number) and at 4.5 mm inside.
     #[must_use]
@@ -217,21 +280,6 @@ impl WallField {
             self.distance_mm(high) - self.distance_mm(low)
         });
         carina_grid::unit(slope)
-    }
-
-    /// The nearest place with at least `clearance_mm` to the wall that steps away from the wall lead to.
-    #[must_use]
-    pub fn freed(&self, p_lps: [f64; 3], clearance_mm: f64) -> Option<[f64; 3]> {
-        let mut p = p_lps;
-        for _ in 0..64 {
-            let lack = clearance_mm - self.distance_mm(p);
-            if lack <= 0.0 {
-                return Some(p);
-            }
-            let away = self.away_from_wall(p)?;
-            p = std::array::from_fn(|a| p[a] + lack.max(0.05) * away[a]);
-        }
-        None
     }
 }
 
@@ -286,17 +334,45 @@ mod tests {
     }
 
     #[test]
-    fn a_point_in_the_wall_is_freed_and_one_without_room_is_not() {
-        let field = tube(4.0);
-        let freed = field.freed([4.8, 0.5, 0.0], 2.0).unwrap();
-        assert!(field.distance_mm(freed) >= 2.0);
-        assert!(field.freed([4.8, 0.5, 0.0], 5.0).is_none());
-    }
-
-    #[test]
     fn distances_that_are_no_numbers_or_too_few_are_refused() {
         assert!(WallField::from_distances(&[1.0; 7], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[f32::NAN; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
         assert!(WallField::from_distances(&[-9.0; 8], [2, 2, 2], &Affine::IDENTITY).is_err());
+    }
+
+    fn bytes_of(field: &WallField) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        field.for_each_part(|part| bytes.extend_from_slice(part));
+        bytes
+    }
+
+    #[test]
+    fn the_bytes_of_a_field_give_the_same_field() {
+        let field = tube(4.0);
+        assert_eq!(WallField::from_bytes(&bytes_of(&field)), Ok(field));
+    }
+
+    #[test]
+    fn damaged_bytes_of_a_field_are_refused() {
+        let good = bytes_of(&tube(4.0));
+        for short in [0, 8, HEAD_BYTES, HEAD_BYTES + 3, good.len() - 1] {
+            assert!(WallField::from_bytes(&good[..short]).is_err(), "{short}");
+        }
+        // A row of the matrix, a size of the lattice, the number of a brick, a sample.
+        for (at, bytes) in [
+            (0, f64::NAN.to_le_bytes()),
+            (0, 0.0f64.to_le_bytes()),
+            (8 * 12, u64::MAX.to_le_bytes()),
+            (8 * 12, 1u64.to_le_bytes()),
+            (HEAD_BYTES, (1u64 << 20).to_le_bytes()),
+            (good.len() - 8, u64::MAX.to_le_bytes()),
+        ] {
+            let mut bad = good.clone();
+            bad[at..at + 8].copy_from_slice(&bytes);
+            if at == 0 && bytes == [0; 8] {
+                bad[..24].fill(0);
+            }
+            assert!(WallField::from_bytes(&bad).is_err(), "{at}");
+        }
     }
 }

@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 from carina.errors import UsageError
+from carina.render import picture_threads
 from carina.scopes import WallField
 from carina_haptics import (
     FORCE_LIMIT_N,
     FORCE_SLEW_N_PER_MS,
     ForceLaw,
     ForceLoop,
+    _force,
     decode_force,
     encode_sample,
     forces_along,
-    picture_threads,
     rumble,
 )
 
@@ -164,3 +165,20 @@ def test_forces_of_a_recorded_movement_repeat_exactly(tube: WallField, reach_mm:
     with pytest.raises(UsageError) as refused:
         forces_along(tube, samples[:, :8])
     assert refused.value.code == "scope.force"
+
+
+def test_damaged_bytes_of_a_wall_are_refused(tube: WallField) -> None:
+    good = tube.to_bytes()
+    samples = np.zeros((1, 9))
+    assert _force.forces_along(good, ForceLaw().numbers, samples).shape == (1, 3)
+    for broken in (b"", good[:-1], good[:200], b"\xff" * 120 + good[120:]):
+        with pytest.raises(UsageError) as refused:
+            _force.forces_along(broken, ForceLaw().numbers, samples)
+        assert refused.value.code == "scope.wall"
+
+
+def test_a_path_and_a_space_of_wrong_shape_are_refused(tube: WallField) -> None:
+    for options in ({"path_lps": np.zeros((2, 2))}, {"lps_from_device": np.eye(3)}):
+        with pytest.raises(UsageError) as refused:
+            ForceLoop(tube, **options)
+        assert refused.value.code == "scope.force"

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from carina.navigate import FlightPath
-from carina.render import Renderer
-from carina_haptics import picture_threads
+from carina.render import Renderer, picture_threads
 from carina_haptics_bench import force_timing
 from carina_haptics_bench.pictures import full_pictures, moving_pictures, summed
 from small_case import small_volume

@@ -14,6 +14,7 @@ from carina.render.renderer import Renderer, can_cut
 from carina.render.sight import Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
 from carina.render.structures import build_isoregion_map, isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
+from carina.render.thread_reservation import picture_threads, reserved_thread
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.view_settings import ViewSettings
 from carina.render.view_table import (
@@ -104,11 +105,13 @@ __all__ = [
     "letter_edges",
     "mark_path",
     "mark_tip",
+    "picture_threads",
     "project_maximum",
     "read_png_badges",
     "read_png_pose",
     "render_surface",
     "render_view",
+    "reserved_thread",
     "sample_plane",
     "transfer_from_histogram",
     "transfer_preset",

@@ -144,6 +144,13 @@ class WallField:
         """Memory of the samples."""
         return self.core.num_bytes
 
+    def to_bytes(self) -> bytes:
+        """Return lattice and samples as bytes (a copy), for compiled modules of other packages.
+
+        The bytes are not a file format: only a package of the same version reads them.
+        """
+        return self.core.to_bytes()
+
     def digest(self) -> str:
         """Return what identifies a field: equal for equal samples, to the last bit."""
         return self.core.digest()

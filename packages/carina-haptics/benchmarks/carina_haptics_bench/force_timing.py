@@ -18,12 +18,12 @@ from carina.cli.console import print_json, progress_printer, say
 from carina.disk import make_folder, write_whole
 from carina.navigate import FlightPath
 from carina.phantom import lumen_distance_at
-from carina.render import Renderer
+from carina.render import Renderer, picture_threads
 from carina.scopes import WallField
 from carina_bench.cases import open_phantom
 from carina_bench.gates import Gate
 from carina_bench.machine import load_average, machine_facts, stolen_s
-from carina_haptics import FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, ForceFigures, ForceLoop, picture_threads
+from carina_haptics import FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, ForceFigures, ForceLoop
 from carina_haptics_bench.pictures import PICTURES_HZ, Pictures, full_pictures, moving_pictures
 
 __all__ = ["measure", "report"]

@@ -12,7 +12,6 @@ from carina_haptics.force_loop import (
     ForceLoop,
     HandForce,
     forces_along,
-    picture_threads,
 )
 from carina_haptics.gamepad import rumble
 from carina_haptics.haply import HAPLY_URL, HaplyBridge, HaplyState, read_haply_message
@@ -33,7 +32,6 @@ __all__ = [
     "decode_force",
     "encode_sample",
     "forces_along",
-    "picture_threads",
     "read_haply_message",
     "rumble",
 ]

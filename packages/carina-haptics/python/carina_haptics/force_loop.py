@@ -7,6 +7,7 @@ process, or through a bridge over binary UDP on loopback.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
@@ -14,10 +15,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from carina import _core
 from carina.display import one_line
 from carina.errors import UsageError
+from carina.render import reserved_thread
 from carina.scopes import WallField
+from carina_haptics import _force
 
 __all__ = [
     "FORCE_LIMIT_N",
@@ -28,12 +30,11 @@ __all__ = [
     "ForceLoop",
     "HandForce",
     "forces_along",
-    "picture_threads",
 ]
 
 Point = tuple[float, float, float]
 
-FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, MAX_STIFFNESS_N_PER_MM = _core.force_limits()
+FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, MAX_STIFFNESS_N_PER_MM = _force.force_limits()
 
 
 @one_line
@@ -123,7 +124,7 @@ class ForceFigures:
 class ForceLoop:
     """The force law, evaluated 1,000 times a second on its own thread from construction to `stop`.
 
-    A context manager that ends the loop.
+    A context manager that ends the loop. While the loop runs, pictures are rendered by one thread less.
 
     Parameters
     ----------
@@ -170,9 +171,11 @@ class ForceLoop:
         self._law = law or ForceLaw()
         path = np.zeros((0, 3)) if path_lps is None else np.ascontiguousarray(path_lps, dtype=np.float64)
         matrix = None if lps_from_device is None else np.ascontiguousarray(lps_from_device, dtype=np.float64)
-        self._core = _core.ForceLoop(
-            field.core, self._law.numbers, path, udp_port=udp_port, simulated=simulated, lps_from_device=matrix
+        self._core = _force.ForceLoop(
+            field.to_bytes(), self._law.numbers, path, udp_port=udp_port, simulated=simulated, lps_from_device=matrix
         )
+        self._thread = ExitStack()
+        self._thread.enter_context(reserved_thread())
 
     def __repr__(self) -> str:
         return f"ForceLoop({self._law!r}, port={self.port})"
@@ -229,11 +232,7 @@ class ForceLoop:
     def stop(self) -> None:
         """Stop the loop and wait for its thread; a second call does nothing."""
         self._core.stop()
-
-
-def picture_threads() -> int:
-    """Return the number of threads that render a picture; a running `ForceLoop` reduces the number by one."""
-    return _core.picture_threads()
+        self._thread.close()
 
 
 def forces_along(field: WallField, samples: ArrayLike, law: ForceLaw | None = None) -> NDArray[np.float64]:
@@ -271,4 +270,4 @@ def forces_along(field: WallField, samples: ArrayLike, law: ForceLaw | None = No
     rows = np.ascontiguousarray(samples, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 9:
         raise UsageError(f"expected samples of shape (n, 9); found {rows.shape}", code="scope.force")
-    return _core.forces_along(field.core, (law or ForceLaw()).numbers, rows)
+    return _force.forces_along(field.to_bytes(), (law or ForceLaw()).numbers, rows)

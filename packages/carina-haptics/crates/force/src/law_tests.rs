@@ -2,16 +2,16 @@ use std::sync::Arc;
 
 use carina_grid::length;
 
-use crate::drive_tests::field;
-use crate::force::{
+use crate::law::{
     ForceLaw, ForceModel, HandForce, HandSample, LIMIT_N, MAX_STIFFNESS_N_PER_MM, SLEW_N_PER_MS,
 };
-use crate::simulated::SimulatedHand;
+use crate::simulated_hand::SimulatedHand;
+use crate::test_tube::tube;
 
-type Point = [f64; 3];
+use crate::vector::Point;
 
 fn model(law: ForceLaw) -> ForceModel {
-    ForceModel::new(field(), law, vec![[0.0, 0.0, 110.0], [0.0, 0.0, 0.0]]).unwrap()
+    ForceModel::new(tube(), law, vec![[0.0, 0.0, 110.0], [0.0, 0.0, 0.0]]).unwrap()
 }
 
 fn hand(at: Point) -> HandSample {
@@ -180,7 +180,7 @@ fn swings(stiffness: f64, mass_kg: f64, spring: f64, speed_mm_s: f64) -> Vec<f64
         stiffness_n_per_mm: stiffness,
         ..ForceLaw::default()
     };
-    let mut model = ForceModel::new(Arc::clone(&field()), law, Vec::new()).unwrap();
+    let mut model = ForceModel::new(Arc::clone(&tube()), law, Vec::new()).unwrap();
     let mut device = SimulatedHand {
         mass_kg,
         spring_n_per_mm: spring,

@@ -1,24 +1,21 @@
-//! Bindings of the force loop.
+//! `carina_haptics._force`: the force loop behind the Python package. It checks arrays, releases the GIL, maps errors.
 #![allow(
     clippy::needless_pass_by_value,
     reason = "PyO3 hands arrays over by value"
 )]
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use carina_scope::{
-    ForceLaw, ForceLoop, ForceModel, HandSample, LIMIT_N, LoopOptions, MAX_STIFFNESS_N_PER_MM,
-    SLEW_N_PER_MS, ScopeError, SimulatedHand, WanderingHand,
+use carina_force::{
+    ForceError, ForceLaw, ForceLoop, ForceModel, HandSample, LIMIT_N, LoopOptions,
+    MAX_STIFFNESS_N_PER_MM, SLEW_N_PER_MS, SimulatedHand, WanderingHand,
 };
+use carina_grid::Affine;
+use carina_scope::WallField;
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-
-use crate::arrays;
-use crate::errors::IntoPy;
-use crate::pool::LeftThread;
-use crate::scope_drive::{PyWallField, points};
 
 type LawNumbers = (f64, f64, f64, f64, f64, f64, f64);
 
@@ -33,28 +30,82 @@ fn law(numbers: LawNumbers) -> PyResult<ForceLaw> {
         watchdog_ms: numbers.6,
     }
     .checked()
-    .map_err(IntoPy::into_py)
+    .map_err(|e| python_error(&e))
 }
 
-/// The force law 1,000 times a second, on a thread of its own, which the renderer leaves to it while it runs.
-#[pyclass(name = "ForceLoop", frozen, module = "carina._core")]
-struct PyForceLoop {
-    force: Mutex<ForceLoop>,
-    left: Mutex<Option<LeftThread>>,
+/// `carina.errors.UsageError` with a stable code.
+fn usage_error(code: &str, message: &str) -> PyErr {
+    Python::attach(|py| {
+        let build = || -> PyResult<PyErr> {
+            let class = py.import("carina.errors")?.getattr("UsageError")?;
+            let exception = class.call1((message,))?;
+            exception.setattr("code", code)?;
+            Ok(PyErr::from_value(exception))
+        };
+        build().unwrap_or_else(|e| e)
+    })
 }
+
+fn python_error(error: &ForceError) -> PyErr {
+    usage_error(error.code(), &error.to_string())
+}
+
+/// The wall from the bytes of `carina.scopes.WallField.to_bytes`.
+fn wall(py: Python<'_>, bytes: &[u8]) -> PyResult<Arc<WallField>> {
+    py.detach(|| WallField::from_bytes(bytes))
+        .map(Arc::new)
+        .map_err(|e| usage_error(e.code(), &e.to_string()))
+}
+
+/// A 4x4 matrix as an affine map.
+fn affine(what: &'static str, matrix: &PyReadonlyArray2<'_, f64>) -> PyResult<Affine> {
+    if matrix.shape() != [4, 4] {
+        let reason = format!(
+            "{what}: expected a 4x4 matrix; found shape {:?}",
+            matrix.shape()
+        );
+        return Err(python_error(&ForceError { reason }));
+    }
+    let view = matrix.as_array();
+    let rows: [[f64; 4]; 4] = std::array::from_fn(|r| std::array::from_fn(|c| view[[r, c]]));
+    Affine::from_matrix(what, &rows).map_err(|e| {
+        python_error(&ForceError {
+            reason: e.to_string(),
+        })
+    })
+}
+
+/// Points (n, 3).
+fn points(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]>> {
+    if array.shape()[1] != 3 {
+        let reason = format!("expected points of shape (n, 3); found {:?}", array.shape());
+        return Err(python_error(&ForceError { reason }));
+    }
+    let rows = array.as_array();
+    Ok(rows
+        .rows()
+        .into_iter()
+        .map(|r| [r[0], r[1], r[2]])
+        .collect())
+}
+
+/// The force law, evaluated 1,000 times a second on its own thread.
+#[pyclass(name = "ForceLoop", frozen, module = "carina_haptics._force")]
+struct PyForceLoop(Mutex<ForceLoop>);
 
 impl PyForceLoop {
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut ForceLoop) -> T + Send) -> T {
-        py.detach(|| work(&mut self.force.lock().unwrap_or_else(PoisonError::into_inner)))
+        py.detach(|| work(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 }
 
 #[pymethods]
 impl PyForceLoop {
     #[new]
-    #[pyo3(signature = (field, numbers, path_lps, *, udp_port=None, simulated=None, lps_from_device=None))]
+    #[pyo3(signature = (wall, numbers, path_lps, *, udp_port=None, simulated=None, lps_from_device=None))]
     fn new(
-        field: &Bound<'_, PyWallField>,
+        py: Python<'_>,
+        wall: &[u8],
         numbers: LawNumbers,
         path_lps: PyReadonlyArray2<'_, f64>,
         udp_port: Option<u16>,
@@ -62,7 +113,7 @@ impl PyForceLoop {
         lps_from_device: Option<PyReadonlyArray2<'_, f64>>,
     ) -> PyResult<Self> {
         let lps_from_device = lps_from_device
-            .map(|m| arrays::affine("lps_from_device", &m))
+            .map(|m| affine("lps_from_device", &m))
             .transpose()?;
         let options = LoopOptions {
             udp_port,
@@ -75,13 +126,10 @@ impl PyForceLoop {
             lps_from_device,
         };
         let path = points(&path_lps)?;
-        ForceModel::new(field.get().0.clone(), law(numbers)?, path)
+        ForceModel::new(self::wall(py, wall)?, law(numbers)?, path)
             .and_then(|model| ForceLoop::start(model, options))
-            .map(|force| Self {
-                force: Mutex::new(force),
-                left: Mutex::new(Some(LeftThread::new())),
-            })
-            .map_err(IntoPy::into_py)
+            .map(|force| Self(Mutex::new(force)))
+            .map_err(|e| python_error(&e))
     }
 
     #[getter]
@@ -137,32 +185,26 @@ impl PyForceLoop {
 
     fn stop(&self, py: Python<'_>) {
         self.with(py, ForceLoop::stop);
-        self.left
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take();
     }
 }
 
-/// Forces (n, 3) of a hand's samples (n, 9), a millisecond each: no thread, no clock. A row that no hand makes is silence.
+/// Forces (n, 3) of samples (n, 9), a millisecond each, without thread and clock. An invalid row is a missing sample.
 #[pyfunction]
 fn forces_along<'py>(
     py: Python<'py>,
-    field: &Bound<'py, PyWallField>,
+    wall: &[u8],
     numbers: LawNumbers,
     samples: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     if samples.shape()[1] != 9 {
-        return Err(ScopeError::Force {
-            reason: format!(
-                "expected samples of shape (n, 9), found {:?}",
-                samples.shape()
-            ),
-        }
-        .into_py());
+        let reason = format!(
+            "expected samples of shape (n, 9); found {:?}",
+            samples.shape()
+        );
+        return Err(python_error(&ForceError { reason }));
     }
-    let model = ForceModel::new(field.get().0.clone(), law(numbers)?, Vec::new());
-    let mut model = model.map_err(IntoPy::into_py)?;
+    let model = ForceModel::new(self::wall(py, wall)?, law(numbers)?, Vec::new());
+    let mut model = model.map_err(|e| python_error(&e))?;
     let hands: Vec<HandSample> = samples
         .as_array()
         .rows()
@@ -182,13 +224,14 @@ fn forces_along<'py>(
     Ok(Array2::from_shape_fn((forces.len(), 3), |(n, a)| forces[n][a]).into_pyarray(py))
 }
 
-/// The limits that the law is built with: N, N per ms, N per mm.
+/// Limits of the law: N, N per ms, N per mm.
 #[pyfunction]
 fn force_limits() -> (f64, f64, f64) {
     (LIMIT_N, SLEW_N_PER_MS, MAX_STIFFNESS_N_PER_MM)
 }
 
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+#[pymodule]
+fn _force(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyForceLoop>()?;
     module.add_function(wrap_pyfunction!(forces_along, module)?)?;
     module.add_function(wrap_pyfunction!(force_limits, module)?)

@@ -1,4 +1,4 @@
-//! The force law: where the hand is and how fast, to force and torque.
+//! The force law: position and velocity of the hand to force and torque.
 //!
 //! A proxy (Zilles and Salisbury, "A constraint-based god-object method for haptic display", IROS 1995) stays in the lumen
 //! while the hand may be in the wall. Without contact it *is* the hand, so the force is exactly 0; in contact the force
@@ -8,43 +8,40 @@
 use std::sync::Arc;
 
 use carina_grid::{cross, dot, length, unit};
+use carina_scope::WallField;
 
-use crate::ScopeError;
-use crate::axis::{along, sub};
-use crate::body::distance;
-use crate::wall::WallField;
+use crate::ForceError;
+use crate::vector::{Point, along, distance, sub};
 
-type Point = [f64; 3];
-
-/// The force never exceeds this ...
+/// Largest force.
 pub const LIMIT_N: f64 = 3.0;
-/// ... and never changes by more than this in a millisecond.
+/// Largest change of the force in a millisecond.
 pub const SLEW_N_PER_MS: f64 = 0.1;
-/// Walls up to this stiffness are stable with a mass of 50 g and more and damping of 2 N s/m and more (`simulated.rs`).
+/// Largest stiffness that is stable with a mass of at least 50 g and a damping of at least 2 N s/m (`law_tests.rs`).
 pub const MAX_STIFFNESS_N_PER_MM: f64 = 0.6;
-/// Guidance never draws harder than this: a hand can always leave the path.
+/// Largest force of guidance, so that a hand can leave the path.
 const GUIDANCE_LIMIT_N: f64 = 1.0;
 const TORQUE_LIMIT_N_MM: f64 = 60.0;
 const TORQUE_SLEW_N_MM_PER_MS: f64 = 2.0;
 const PROXY_STEP_MM: f64 = 0.4;
 const PROXY_STEPS: usize = 12;
 
-/// The numbers of the law.
+/// Parameters of the force law.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForceLaw {
-    /// Radius of the tip that feels.
+    /// Radius of the tip that touches the wall.
     pub tip_radius_mm: f64,
-    /// From the tip back to the hand: the lever of the torque.
+    /// Distance from the tip back to the hand: the lever of the torque.
     pub grip_mm: f64,
-    /// Of the wall, N per mm.
+    /// Stiffness of the wall, N per mm.
     pub stiffness_n_per_mm: f64,
-    /// Of the wall, against movement into or out of it, N per mm/s.
+    /// Damping of movement across the wall, N per mm/s.
     pub damping_ns_per_mm: f64,
-    /// Tangential force per force across the wall.
+    /// Ratio of the force along the wall to the force across the wall.
     pub friction: f64,
-    /// Towards the path, N per mm; 0 for none.
+    /// Stiffness of the pull towards the path, N per mm; 0 switches guidance off.
     pub guidance_n_per_mm: f64,
-    /// A hand that is silent for longer feels nothing.
+    /// Time without a sample after which the force is released.
     pub watchdog_ms: f64,
 }
 
@@ -63,8 +60,8 @@ impl Default for ForceLaw {
 }
 
 impl ForceLaw {
-    /// Refuses numbers that are none, or that would not be stable.
-    pub fn checked(self) -> Result<Self, ScopeError> {
+    /// Refuses parameters that are not finite or not stable.
+    pub fn checked(self) -> Result<Self, ForceError> {
         for (what, value, low, high) in [
             ("tip radius (mm)", self.tip_radius_mm, 0.5, 3.9),
             ("grip (mm)", self.grip_mm, 0.0, 600.0),
@@ -80,7 +77,7 @@ impl ForceLaw {
             ("watchdog (ms)", self.watchdog_ms, 2.0, 200.0),
         ] {
             if !(low..=high).contains(&value) {
-                return Err(ScopeError::Force {
+                return Err(ForceError {
                     reason: format!("expected a {what} from {low} to {high}, found {value}"),
                 });
             }
@@ -89,19 +86,19 @@ impl ForceLaw {
     }
 }
 
-/// Where the hand is.
+/// Position, velocity and direction of the hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HandSample {
-    /// The tip, LPS mm.
+    /// Position of the tip, LPS mm.
     pub at_lps: Point,
-    /// Its velocity, mm/s.
+    /// Velocity of the tip, mm/s.
     pub velocity_mm_s: Point,
-    /// Where it points, unit length.
+    /// Direction of the tip, unit length.
     pub forward_lps: Point,
 }
 
 impl HandSample {
-    /// False for numbers that no hand makes: NaN, 10 km away, faster than sound.
+    /// Whether the numbers are possible for a hand: finite, within 10 km, slower than sound.
     #[must_use]
     pub fn is_sane(&self) -> bool {
         let within = |v: Point, most: f64| v.iter().all(|c| c.abs() <= most);
@@ -111,22 +108,22 @@ impl HandSample {
     }
 }
 
-/// What the hand feels.
+/// Force and torque on the hand.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct HandForce {
-    /// N.
+    /// Force, N.
     pub force_n: Point,
-    /// About the grip, N mm.
+    /// Torque about the grip, N mm.
     pub torque_n_mm: Point,
-    /// The tip is at the wall.
+    /// Whether the tip touches the wall.
     pub touches: bool,
-    /// The wall would push harder than the limit lets it.
+    /// Whether the force limit reduces the force of the wall.
     pub limited: bool,
-    /// No hand was heard of in time.
+    /// Whether the watchdog found no sample in time.
     pub is_silent: bool,
 }
 
-/// The law at work: it remembers the proxy and the force before. Copies are cheap.
+/// State of the force law: the proxy and the previous force. A clone shares the wall.
 #[derive(Debug, Clone)]
 pub struct ForceModel {
     field: Arc<WallField>,
@@ -138,10 +135,10 @@ pub struct ForceModel {
 }
 
 impl ForceModel {
-    /// A law in a lumen, guided along a path (LPS mm) if it has one.
-    pub fn new(field: Arc<WallField>, law: ForceLaw, path: Vec<Point>) -> Result<Self, ScopeError> {
+    /// Creates the state in a lumen, with guidance along a path (LPS mm) if the path has points.
+    pub fn new(field: Arc<WallField>, law: ForceLaw, path: Vec<Point>) -> Result<Self, ForceError> {
         if path.iter().flatten().any(|v| !v.is_finite()) {
-            return Err(ScopeError::Force {
+            return Err(ForceError {
                 reason: "the path contains coordinates that are not finite".to_owned(),
             });
         }
@@ -155,19 +152,19 @@ impl ForceModel {
         })
     }
 
-    /// The law.
+    /// Parameters of the law.
     #[must_use]
     pub const fn law(&self) -> &ForceLaw {
         &self.law
     }
 
-    /// The lumen.
+    /// Wall of the lumen.
     #[must_use]
     pub const fn field(&self) -> &Arc<WallField> {
         &self.field
     }
 
-    /// The force a millisecond (or less: `dt_ms`) after the last one; `None` is a hand that was not heard of in time.
+    /// Returns the force `dt_ms` (at most 1 ms) after the previous one; `None` means that no sample arrived in time.
     pub fn step(&mut self, hand: Option<&HandSample>, dt_ms: f64) -> HandForce {
         let mut wanted = HandForce::default();
         if let Some(hand) = hand {
@@ -176,7 +173,7 @@ impl ForceModel {
             self.proxy = None;
             wanted.is_silent = true;
         }
-        // Late ticks do not earn a larger change: a hand that was not asked may have let go.
+        // A late tick may not change the force by more: the user may have released the device.
         let dt = dt_ms.clamp(0.0, 1.0);
         let force_n = towards(self.last.force_n, wanted.force_n, SLEW_N_PER_MS * dt);
         let torque_n_mm = towards(
@@ -227,15 +224,15 @@ impl ForceModel {
         }
     }
 
-    /// Moves the proxy after the hand; the wall's normal if it is held.
+    /// Moves the proxy towards the hand; returns the normal of the wall if the wall holds the proxy.
     fn follow(&mut self, hand: Point) -> Option<Point> {
         let r = self.law.tip_radius_mm;
         let field = &self.field;
-        let Some(mut proxy) = self.proxy.or_else(|| field.freed(hand, r)) else {
-            // Nowhere near is room: a hand far outside the lumen feels nothing.
+        let Some(mut proxy) = self.proxy.or_else(|| free_position(field, hand, r)) else {
+            // No free position nearby: a hand far outside the lumen feels no force.
             return None;
         };
-        // The way back is far: the hand was set down elsewhere.
+        // A distance this large means that the user moved the device without a sample.
         if distance(proxy, hand) > 30.0 {
             self.proxy = None;
             return None;
@@ -260,7 +257,7 @@ impl ForceModel {
                 next = along(next, lack, n);
             }
             if field.distance_mm(next) < r - 0.05 {
-                // No room to go on: it stays, held by what is before it.
+                // The proxy has no space ahead and stays; the normal is that of the wall ahead.
                 normal = held.or_else(|| unit(sub(proxy, hand)));
                 break;
             }
@@ -272,17 +269,17 @@ impl ForceModel {
             }
         }
         if let Some(n) = normal {
-            // Friction: the proxy slides only as far as the cone of what it held before lets it.
+            // Friction: the proxy slides only beyond the friction cone.
             let depth = dot(sub(proxy, hand), n).max(0.0);
             let slid = sub(proxy, start);
             let across = along(slid, -dot(slid, n), n);
             let far = length(across);
-            let kept = self.law.friction * depth;
+            let cone_mm = self.law.friction * depth;
             if far > 1e-9 && self.proxy.is_some() {
-                let back = (kept / far).min(1.0);
+                let back = (cone_mm / far).min(1.0);
                 let stuck = along(proxy, -back, across);
-                // The wall may bend away from the tangent.
-                proxy = field.freed(stuck, r).unwrap_or(proxy);
+                // The wall may curve away from the tangent.
+                proxy = free_position(field, stuck, r).unwrap_or(proxy);
             }
         }
         self.proxy = Some(proxy);
@@ -293,7 +290,7 @@ impl ForceModel {
         if self.law.guidance_n_per_mm == 0.0 || self.path.len() < 2 {
             return [0.0; 3];
         }
-        // The hand moves little in a millisecond: the nearest place is near the last one.
+        // The hand moves little in a millisecond, so the nearest point is near the previous one.
         let nearest_in = |range: std::ops::Range<usize>| {
             range
                 .map(|n| (distance(self.path[n], at), n))
@@ -319,16 +316,44 @@ impl ForceModel {
     }
 }
 
+/// Returns the position with at least `clearance_mm` to the wall to which steps away from the wall lead.
+fn free_position(field: &WallField, from_lps: Point, clearance_mm: f64) -> Option<Point> {
+    let mut p = from_lps;
+    for _ in 0..64 {
+        let lack = clearance_mm - field.distance_mm(p);
+        if lack <= 0.0 {
+            return Some(p);
+        }
+        let away = field.away_from_wall(p)?;
+        p = std::array::from_fn(|a| p[a] + lack.max(0.05) * away[a]);
+    }
+    None
+}
+
 fn shortened(v: Point, most: f64) -> Point {
     let long = length(v);
     if long <= most {
         return v;
     }
-    // A hair less, so that rounding does not exceed it.
+    // Slightly less, so that rounding does not exceed the limit.
     v.map(|c| c * (most * (1.0 - 1e-12) / long))
 }
 
 fn towards(from: Point, to: Point, most: f64) -> Point {
     let change = shortened(sub(to, from), most);
     std::array::from_fn(|a| from[a] + change[a])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_tube::tube;
+
+    #[test]
+    fn a_position_in_the_wall_is_moved_into_the_lumen_if_the_tip_fits() {
+        let field = tube();
+        let free = free_position(&field, [9.8, 0.5, 60.0], 2.0).unwrap();
+        assert!(field.distance_mm(free) >= 2.0);
+        assert!(free_position(&field, [9.8, 0.5, 60.0], 9.5).is_none());
+    }
 }

@@ -1,38 +1,38 @@
-//! How the force loop keeps time, in figures.
+//! Timing statistics of the force loop.
 
 use carina_grid::length;
 
-use crate::force::HandForce;
+use crate::law::HandForce;
 
-/// Lateness is counted in bins of 1 us up to here.
+/// Number of histogram bins of 1 us each.
 const LATE_BINS: usize = 5000;
 
-/// How the loop kept time.
+/// Timing statistics since the start of a loop.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopFigures {
-    /// Ticks that were due since the start.
+    /// Number of ticks that were due.
     pub num_ticks: u64,
-    /// Of which not done within their millisecond.
+    /// Number of ticks that were not finished within their millisecond.
     pub num_missed: u64,
-    /// How late ticks began: median, 99th percentile and worst, us.
+    /// Delay of the start of a tick: median, 99th percentile and maximum, us.
     pub late_us: [f64; 3],
-    /// How long ticks took, from begin to end: median, 99th percentile and worst, us.
+    /// Duration of a tick: median, 99th percentile and maximum, us.
     pub work_us: [f64; 3],
-    /// From when a sample was put (or its packet taken) to its force: median, 99th percentile and worst, us.
+    /// Time from a sample (or its packet) to its force: median, 99th percentile and maximum, us.
     pub latency_us: [f64; 3],
-    /// Time of the loop's thread on cores.
+    /// Processor time of the loop's thread.
     pub cpu_s: f64,
     /// Time since the start.
     pub wall_s: f64,
-    /// Samples that were taken.
+    /// Number of accepted samples.
     pub num_samples: u64,
-    /// Packets that were no sane samples.
+    /// Number of refused samples and packets.
     pub num_refused: u64,
-    /// The system lets the loop go before all threads of ordinary programs.
+    /// Whether the loop's thread has real-time priority.
     pub is_real_time: bool,
-    /// The strongest force and the largest change in a tick so far, N.
+    /// Largest force, N.
     pub max_force_n: f64,
-    /// See `max_force_n`.
+    /// Largest change of the force in one tick, N.
     pub max_change_n: f64,
 }
 
@@ -74,17 +74,17 @@ impl Histogram {
     }
 }
 
-/// One tick's part of the figures.
+/// Times of one tick.
 pub(crate) struct TickTimes {
-    /// Ticks that came due up to its end, itself among them.
+    /// Number of ticks that were due by the end of this one, including this one.
     pub(crate) num_due: u64,
     pub(crate) late_us: f64,
     pub(crate) work_us: f64,
-    /// Of the sample that it took.
+    /// Latency of the sample of this tick.
     pub(crate) latency_us: Option<f64>,
 }
 
-/// What is counted from tick to tick.
+/// Histograms and counters of a running loop.
 pub(crate) struct LoopCounts {
     late: Histogram,
     work: Histogram,
@@ -121,7 +121,7 @@ impl LoopCounts {
 
     pub(crate) fn add(&mut self, tick: &TickTimes, felt: &HandForce, last: &HandForce) {
         let figures = &mut self.figures;
-        // Skipped ticks were due as well, and are missed.
+        // Skipped ticks were due and count as missed.
         figures.num_ticks += tick.num_due;
         figures.num_missed += tick.num_due - 1;
         self.late.add(tick.late_us);
@@ -135,7 +135,7 @@ impl LoopCounts {
         figures.max_change_n = figures.max_change_n.max(length(change));
     }
 
-    /// Reads the histograms, which takes some microseconds.
+    /// Returns the statistics; reading the histograms takes some microseconds.
     pub(crate) fn figures(&self) -> LoopFigures {
         LoopFigures {
             late_us: self.late.summary(),

@@ -1,39 +1,38 @@
-//! The binary messages between a device's bridge and the force loop (`packages/carina-haptics/README.md`): fixed size, little-endian.
+//! The binary UDP messages between a device's bridge and the force loop: fixed size, little-endian (table in the guide).
 
-use crate::force::{HandForce, HandSample};
-
-type Point = [f64; 3];
+use crate::law::{HandForce, HandSample};
+use crate::vector::Point;
 
 const MAGIC: [u8; 4] = *b"CARH";
 const VERSION: u8 = 1;
 const KIND_SAMPLE: u8 = 1;
 const KIND_FORCE: u8 = 2;
-/// Bytes of a sample.
+/// Size of a sample in bytes.
 pub const SAMPLE_BYTES: usize = 96;
-/// Bytes of a force.
+/// Size of a force in bytes.
 pub const FORCE_BYTES: usize = 72;
 
-/// A sample as it arrives.
+/// A sample from a bridge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SamplePacket {
-    /// Counts up; sent back with the force.
+    /// Number of the sample; the force has the same number.
     pub number: u32,
-    /// The device's clock, sent back with the force.
+    /// Clock of the device; the force has the same value.
     pub device_us: u64,
-    /// Bit by bit.
+    /// Buttons, one bit each.
     pub buttons: u16,
-    /// The hand, in the device's space.
+    /// The hand, in the space of the device.
     pub hand: HandSample,
 }
 
-/// A force as it is sent.
+/// A force to a bridge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForcePacket {
-    /// Of the sample that it answers.
+    /// Number of the sample that the force answers.
     pub number: u32,
-    /// Of the sample that it answers.
+    /// Clock of the device in the sample that the force answers.
     pub device_us: u64,
-    /// The force, in the device's axes.
+    /// The force, in the axes of the device.
     pub felt: HandForce,
 }
 
@@ -67,7 +66,7 @@ fn is_ours(bytes: &[u8], kind: u8, size: usize) -> bool {
 }
 
 impl SamplePacket {
-    /// As bytes.
+    /// Encodes the message.
     #[must_use]
     pub fn to_bytes(&self) -> [u8; SAMPLE_BYTES] {
         let mut bytes = [0; SAMPLE_BYTES];
@@ -84,7 +83,7 @@ impl SamplePacket {
         bytes
     }
 
-    /// From bytes; `None` for anything that is no sane sample of this version.
+    /// Decodes a sample; returns `None` for bytes that are not a sane sample of this version.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         if !is_ours(bytes, KIND_SAMPLE, SAMPLE_BYTES) {
@@ -105,7 +104,7 @@ impl SamplePacket {
 }
 
 impl ForcePacket {
-    /// As bytes.
+    /// Encodes the message.
     #[must_use]
     pub fn to_bytes(&self) -> [u8; FORCE_BYTES] {
         let mut bytes = [0; FORCE_BYTES];
@@ -118,7 +117,7 @@ impl ForcePacket {
         bytes
     }
 
-    /// From bytes; `None` for anything that is no force of this version.
+    /// Decodes a force; returns `None` for bytes that are not a force of this version.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         if !is_ours(bytes, KIND_FORCE, FORCE_BYTES) {

@@ -1,26 +1,25 @@
-//! A device with mass and a hand with a spring, in place of a real one: for tests and for the benchmark of `packages/carina-haptics`.
+//! A simulated device with mass in a hand with a spring: for tests and for the timing benchmark.
 
-use crate::force::{HandForce, HandSample};
+use crate::law::{HandForce, HandSample};
+use crate::vector::Point;
 
-type Point = [f64; 3];
-
-/// A handle of a mass that a hand holds by a spring and moves.
+/// A handle with mass that a hand moves by a spring.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulatedHand {
-    /// Of the handle, kg.
+    /// Mass of the handle, kg.
     pub mass_kg: f64,
-    /// Of the hand, N per mm.
+    /// Stiffness of the hand, N per mm.
     pub spring_n_per_mm: f64,
-    /// Of hand and device, N per mm/s.
+    /// Damping of hand and device, N per mm/s.
     pub damping_ns_per_mm: f64,
-    /// Where the handle is, LPS mm.
+    /// Position of the handle, LPS mm.
     pub at_lps: Point,
-    /// Its velocity, mm/s.
+    /// Velocity of the handle, mm/s.
     pub velocity_mm_s: Point,
 }
 
 impl SimulatedHand {
-    /// A light device in a soft hand.
+    /// Creates a light device in a soft hand.
     #[must_use]
     pub const fn new(at_lps: Point) -> Self {
         Self {
@@ -32,8 +31,8 @@ impl SimulatedHand {
         }
     }
 
-    /// Moves on by `dt_s` while the hand wants to be at a place and a force is felt. The device holds the force between
-    /// its ticks; the body moves in steps of 1/10 ms.
+    /// Advances by `dt_s` towards `wanted_lps` under a force. The device holds the force between its ticks; the handle
+    /// moves in steps of 1/10 ms.
     pub fn step(&mut self, wanted_lps: Point, felt: &HandForce, dt_s: f64) {
         let num = (dt_s / 1e-4).ceil().max(1.0);
         let dt = dt_s / num;
@@ -49,7 +48,7 @@ impl SimulatedHand {
         }
     }
 
-    /// What the device reports: places in steps of its encoders, velocity from it.
+    /// Returns the sample of the device: the position in steps of its encoder, and the velocity.
     #[must_use]
     pub fn sample(&self, encoder_mm: f64) -> HandSample {
         HandSample {

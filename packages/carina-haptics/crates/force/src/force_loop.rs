@@ -1,8 +1,8 @@
-//! The force law 1,000 times a second on a thread of its own, without the interpreter.
+//! The force law, evaluated 1,000 times a second on its own thread, without the interpreter.
 //!
-//! A hand comes in process (`put`), over binary UDP on loopback, or is a simulated one. Waiting is by the system's clock
-//! to an absolute time, so ticks do not drift; a tick whose work is not done a millisecond after it was due is a missed
-//! deadline (decision 0125).
+//! Samples arrive in process (`put`), over binary UDP on loopback, or from a simulated hand. The thread waits until
+//! absolute times of the system's clock, so that ticks do not drift; a tick that is not finished a millisecond after its
+//! due time is a missed deadline (decision 0125).
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,34 +12,34 @@ use std::time::{Duration, Instant};
 
 use carina_grid::Affine;
 
-use crate::ScopeError;
+use crate::ForceError;
 use crate::device_space::DeviceSpace;
-use crate::force::{ForceModel, HandForce, HandSample};
-use crate::loop_figures::{LoopCounts, LoopFigures, TickTimes};
+use crate::law::{ForceModel, HandForce, HandSample};
 use crate::packet::{FORCE_BYTES, ForcePacket, SAMPLE_BYTES, SamplePacket};
-use crate::simulated::SimulatedHand;
-use crate::ticking;
+use crate::simulated_hand::SimulatedHand;
+use crate::tick_clock;
+use crate::tick_statistics::{LoopCounts, LoopFigures, TickTimes};
 
 const TICK_NS: u64 = 1_000_000;
-/// A bridge that floods the port does not hold up the loop.
+/// Largest number of packets in a tick: a bridge that floods the port does not delay the loop.
 const MOST_PACKETS: usize = 16;
-/// Figures are told so often: their histograms take some microseconds to read.
-const TELL_TICKS: u64 = 50;
+/// Ticks between updates of the figures, whose histograms take some microseconds to read.
+const UPDATE_TICKS: u64 = 50;
 
 struct Shared {
     stop: AtomicBool,
     socket: Option<UdpSocket>,
     device: DeviceSpace,
-    /// The newest sample in process and when it came; taken by the loop.
+    /// Latest sample from `put` and its time, until the loop takes it.
     put: Mutex<Option<(HandSample, Instant)>>,
     felt: Mutex<(HandForce, Option<HandSample>)>,
-    /// As of at most [`TELL_TICKS`] ago.
+    /// Figures of at most [`UPDATE_TICKS`] ticks ago.
     figures: Mutex<LoopFigures>,
     num_refused: AtomicU64,
     started: Instant,
 }
 
-/// What goes on from tick to tick; of the loop's thread alone.
+/// State of the loop from tick to tick; only the loop's thread has it.
 struct Tick {
     model: ForceModel,
     simulated: Option<WanderingHand>,
@@ -48,33 +48,33 @@ struct Tick {
     counts: LoopCounts,
 }
 
-/// What came from the hand since the last tick.
+/// Input since the previous tick.
 #[derive(Default)]
 struct Heard {
     sample: Option<(HandSample, Instant)>,
-    /// Who asked over UDP, and what.
-    asked: Option<(SocketAddr, SamplePacket)>,
+    /// Sender and content of the latest UDP sample.
+    request: Option<(SocketAddr, SamplePacket)>,
 }
 
 fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A hand that moves by itself, for tests and benches.
+/// A simulated hand that moves on a curve, for tests and benchmarks.
 #[derive(Debug, Clone, Copy)]
 pub struct WanderingHand {
-    /// The device and the hand.
+    /// Device and hand.
     pub hand: SimulatedHand,
-    /// It circles round this place ...
+    /// Centre of the curve.
     pub round_lps: [f64; 3],
-    /// ... this far ...
+    /// Radius of the curve.
     pub reach_mm: f64,
-    /// ... so often in a second.
+    /// Turns per second.
     pub turns_hz: f64,
 }
 
 impl WanderingHand {
-    /// Where it is a millisecond later, under the force that it felt.
+    /// Advances by a millisecond under a force and returns the sample.
     fn step(&mut self, felt: &HandForce, now_s: f64) -> HandSample {
         let turn = core::f64::consts::TAU * self.turns_hz * now_s;
         let wanted = [
@@ -87,27 +87,27 @@ impl WanderingHand {
     }
 }
 
-/// The loop. It ends when it is dropped.
+/// The running loop; dropping the value stops the thread.
 pub struct ForceLoop {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
     port: Option<u16>,
 }
 
-/// How a loop is fed.
+/// Sources of samples of a loop.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LoopOptions {
-    /// Listen on this port of 127.0.0.1 (0: any free one).
+    /// UDP port of 127.0.0.1 (0: any free port).
     pub udp_port: Option<u16>,
-    /// A simulated hand in place of a device.
+    /// Simulated hand in place of a device.
     pub simulated: Option<WanderingHand>,
-    /// A device's space: turns, shifts and scales it into LPS; `None` where samples are in LPS.
+    /// Transform from the space of the device to LPS; `None` if samples are in LPS.
     pub lps_from_device: Option<Affine>,
 }
 
 impl ForceLoop {
     /// Starts the loop.
-    pub fn start(model: ForceModel, options: LoopOptions) -> Result<Self, ScopeError> {
+    pub fn start(model: ForceModel, options: LoopOptions) -> Result<Self, ForceError> {
         let device = options.lps_from_device.map(DeviceSpace::new).transpose()?;
         let socket = options.udp_port.map(open_port).transpose()?;
         let port = socket
@@ -135,7 +135,7 @@ impl ForceLoop {
         let thread = std::thread::Builder::new()
             .name("carina-force".to_owned())
             .spawn(move || keep_time(&of_thread, tick))
-            .map_err(|e| ScopeError::Force {
+            .map_err(|e| ForceError {
                 reason: format!("its thread could not be started ({e})"),
             })?;
         Ok(Self {
@@ -145,13 +145,13 @@ impl ForceLoop {
         })
     }
 
-    /// The UDP port that it listens on.
+    /// UDP port of the loop.
     #[must_use]
     pub const fn port(&self) -> Option<u16> {
         self.port
     }
 
-    /// Hands over where the hand is now (LPS); false, and nothing is changed, for numbers that no hand makes.
+    /// Passes a sample (LPS) to the loop; returns false, without a change, if the sample is not sane.
     #[must_use]
     pub fn put(&self, sample: HandSample) -> bool {
         if !sample.is_sane() {
@@ -162,13 +162,13 @@ impl ForceLoop {
         true
     }
 
-    /// The newest force, in LPS, and the sample that it answers.
+    /// Returns the latest force, in LPS, and the sample that the force answers.
     #[must_use]
     pub fn felt(&self) -> (HandForce, Option<HandSample>) {
         *held(&self.shared.felt)
     }
 
-    /// How it keeps time.
+    /// Returns the timing statistics.
     #[must_use]
     pub fn figures(&self) -> LoopFigures {
         let mut figures = held(&self.shared.figures).clone();
@@ -176,11 +176,11 @@ impl ForceLoop {
         figures
     }
 
-    /// Ends the loop and waits for it.
+    /// Stops the loop and waits for its thread.
     pub fn stop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A loop that panicked is over as well.
+            // A thread that panicked has ended as well.
             let _ = thread.join();
         }
         *held(&self.shared.felt) = (HandForce::default(), None);
@@ -193,8 +193,8 @@ impl Drop for ForceLoop {
     }
 }
 
-fn open_port(port: u16) -> Result<UdpSocket, ScopeError> {
-    let refuse = |e: std::io::Error| ScopeError::Force {
+fn open_port(port: u16) -> Result<UdpSocket, ForceError> {
+    let refuse = |e: std::io::Error| ForceError {
         reason: format!("port {port} of 127.0.0.1 could not be opened ({e})"),
     };
     let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).map_err(refuse)?;
@@ -202,30 +202,30 @@ fn open_port(port: u16) -> Result<UdpSocket, ScopeError> {
     Ok(socket)
 }
 
-/// The loop's thread.
+/// Body of the loop's thread.
 fn keep_time(shared: &Shared, mut tick: Tick) {
-    tick.counts.set_real_time(ticking::be_on_time());
-    let start_ns = ticking::now_ns() + TICK_NS;
+    tick.counts.set_real_time(tick_clock::request_priority());
+    let start_ns = tick_clock::now_ns() + TICK_NS;
     let (mut number, mut num_done) = (0_u64, 0_u64);
     while !shared.stop.load(Ordering::Relaxed) {
         let due_ns = start_ns + number * TICK_NS;
-        ticking::sleep_until(due_ns);
-        let began_ns = ticking::now_ns();
-        // A signal woke it.
+        tick_clock::sleep_until(due_ns);
+        let began_ns = tick_clock::now_ns();
+        // A signal ended the wait early.
         if began_ns < due_ns {
             continue;
         }
         number += shared.tick(&mut tick, due_ns, began_ns);
         num_done += 1;
-        if num_done.is_multiple_of(TELL_TICKS) {
-            shared.tell(&tick.counts);
+        if num_done.is_multiple_of(UPDATE_TICKS) {
+            shared.update_figures(&tick.counts);
         }
     }
-    shared.tell(&tick.counts);
+    shared.update_figures(&tick.counts);
 }
 
 impl Shared {
-    /// One tick; says how many were due by its end, itself among them.
+    /// Runs one tick; returns the number of ticks that were due by its end, including this one.
     fn tick(&self, tick: &mut Tick, due_ns: u64, began_ns: u64) -> u64 {
         let began = Instant::now();
         let heard = self.listen(began);
@@ -243,11 +243,11 @@ impl Shared {
             .map(|(sample, _)| sample);
         let last = tick.last;
         tick.last = tick.model.step(fresh.as_ref(), 1.0);
-        // Never waits for a reader: what it misses now it gets a millisecond later.
+        // The loop never waits for a reader, which gets the next force a millisecond later.
         if let Ok(mut out) = self.felt.try_lock() {
             *out = (tick.last, fresh);
         }
-        let done_ns = ticking::now_ns();
+        let done_ns = tick_clock::now_ns();
         let num_due = 1 + done_ns.saturating_sub(due_ns) / TICK_NS;
         let times = TickTimes {
             num_due,
@@ -256,19 +256,19 @@ impl Shared {
             latency_us: heard.sample.map(|(_, at)| at.elapsed().as_secs_f64() * 1e6),
         };
         tick.counts.add(&times, &tick.last, &last);
-        self.answer(heard.asked, &tick.last);
+        self.answer(heard.request, &tick.last);
         num_due
     }
 
-    fn answer(&self, asked: Option<(SocketAddr, SamplePacket)>, felt: &HandForce) {
-        if let Some((socket, (to, packet))) = self.socket.as_ref().zip(asked) {
+    fn answer(&self, request: Option<(SocketAddr, SamplePacket)>, felt: &HandForce) {
+        if let Some((socket, (to, packet))) = self.socket.as_ref().zip(request) {
             let answer = ForcePacket {
                 number: packet.number,
                 device_us: packet.device_us,
                 felt: self.device.to_device(felt),
             };
             let bytes: [u8; FORCE_BYTES] = answer.to_bytes();
-            // A bridge that went away is found by the watchdog.
+            // The watchdog detects a bridge that has ended.
             let _ = socket.send_to(&bytes, to);
         }
     }
@@ -276,21 +276,21 @@ impl Shared {
     fn listen(&self, now: Instant) -> Heard {
         let mut heard = Heard::default();
         if let Some(socket) = &self.socket {
-            // One byte more than a sample, so that a longer packet is told from one.
+            // One byte more than a sample, so that a longer packet is detected.
             let mut bytes = [0; SAMPLE_BYTES + 1];
             for _ in 0..MOST_PACKETS {
                 let Ok((num, from)) = socket.recv_from(&mut bytes) else {
                     break;
                 };
                 match SamplePacket::from_bytes(&bytes[..num]) {
-                    Some(packet) => heard.asked = Some((from, packet)),
+                    Some(packet) => heard.request = Some((from, packet)),
                     None => {
                         self.num_refused.fetch_add(1, Ordering::Relaxed);
                     }
                 }
             }
             heard.sample = heard
-                .asked
+                .request
                 .map(|(_, packet)| (self.device.to_lps(&packet.hand), now));
         }
         if let Ok(mut put) = self.put.try_lock()
@@ -301,10 +301,10 @@ impl Shared {
         heard
     }
 
-    fn tell(&self, counts: &LoopCounts) {
-        if let Ok(mut told) = self.figures.try_lock() {
-            *told = LoopFigures {
-                cpu_s: ticking::cpu_ns_of_this_thread() as f64 * 1e-9,
+    fn update_figures(&self, counts: &LoopCounts) {
+        if let Ok(mut figures) = self.figures.try_lock() {
+            *figures = LoopFigures {
+                cpu_s: tick_clock::cpu_ns_of_this_thread() as f64 * 1e-9,
                 wall_s: self.started.elapsed().as_secs_f64(),
                 ..counts.figures()
             };

@@ -1,13 +1,13 @@
-//! The clock that the force loop waits by, and what it asks the system for.
+//! Clock, waiting and scheduling priority of the force loop's thread.
 
-pub(crate) use system::{be_on_time, cpu_ns_of_this_thread, now_ns, sleep_until};
+pub(crate) use system::{cpu_ns_of_this_thread, now_ns, request_priority, sleep_until};
 
 #[cfg(target_os = "linux")]
 mod system {
-    /// Asks the system to wake this thread when it asked to be woken (wake-ups are otherwise bundled within 50 us), and
-    /// before all threads of ordinary programs; whether the user may have the latter.
-    pub(crate) fn be_on_time() -> bool {
-        // SAFETY: the calls take numbers and a struct that outlives them, and change this thread alone.
+    /// Requests exact wake-ups (otherwise the system groups wake-ups within 50 us) and real-time priority for this
+    /// thread; returns whether the user may have the priority.
+    pub(crate) fn request_priority() -> bool {
+        // SAFETY: the calls take numbers and `param`, which outlives them, and change only this thread.
         unsafe {
             libc::prctl(libc::PR_SET_TIMERSLACK, 1, 0, 0, 0);
             let mut param: libc::sched_param = core::mem::zeroed();
@@ -16,7 +16,7 @@ mod system {
         }
     }
 
-    /// Nanoseconds of the clock that [`sleep_until`] waits by.
+    /// Returns the time of the clock of [`sleep_until`], ns.
     pub(crate) fn now_ns() -> u64 {
         clock_ns(libc::CLOCK_MONOTONIC)
     }
@@ -26,7 +26,7 @@ mod system {
             tv_sec: 0,
             tv_nsec: 0,
         };
-        // SAFETY: the call writes to the struct that it is given.
+        // SAFETY: the call writes to `time`, which outlives the call.
         let failed = unsafe { libc::clock_gettime(clock, &raw mut time) };
         if failed != 0 {
             return 0;
@@ -34,13 +34,13 @@ mod system {
         time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
     }
 
-    /// Waits; at once if the time is over. A signal may end it early.
+    /// Waits until a time of the clock. A signal may end the wait early.
     pub(crate) fn sleep_until(ns: u64) {
         let time = libc::timespec {
             tv_sec: (ns / 1_000_000_000) as libc::time_t,
             tv_nsec: (ns % 1_000_000_000) as libc::c_long,
         };
-        // SAFETY: the call reads a struct that outlives it.
+        // SAFETY: the call reads `time`, which outlives the call.
         unsafe {
             libc::clock_nanosleep(
                 libc::CLOCK_MONOTONIC,
@@ -51,7 +51,7 @@ mod system {
         }
     }
 
-    /// Time that this thread has been on a core.
+    /// Returns the processor time of this thread, ns.
     pub(crate) fn cpu_ns_of_this_thread() -> u64 {
         clock_ns(libc::CLOCK_THREAD_CPUTIME_ID)
     }
@@ -64,7 +64,7 @@ mod system {
 
     static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
-    pub(crate) fn be_on_time() -> bool {
+    pub(crate) fn request_priority() -> bool {
         false
     }
 

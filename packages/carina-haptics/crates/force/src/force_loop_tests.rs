@@ -3,14 +3,14 @@ use std::time::{Duration, Instant};
 
 use carina_grid::{Affine, length};
 
-use crate::drive_tests::field;
-use crate::force::{ForceLaw, ForceModel, HandSample, LIMIT_N, SLEW_N_PER_MS};
 use crate::force_loop::{ForceLoop, LoopOptions, WanderingHand};
+use crate::law::{ForceLaw, ForceModel, HandSample, LIMIT_N, SLEW_N_PER_MS};
 use crate::packet::{ForcePacket, SamplePacket};
-use crate::simulated::SimulatedHand;
+use crate::simulated_hand::SimulatedHand;
+use crate::test_tube::tube;
 
 fn model() -> ForceModel {
-    ForceModel::new(field(), ForceLaw::default(), Vec::new()).unwrap()
+    ForceModel::new(tube(), ForceLaw::default(), Vec::new()).unwrap()
 }
 
 fn sample(number: u32, at: [f64; 3]) -> SamplePacket {

@@ -1,24 +1,24 @@
-//! The space that a force device measures in.
+//! The coordinate space of a force device.
 
 use carina_grid::{Affine, cross, dot, length};
 
-use crate::ScopeError;
-use crate::force::{HandForce, HandSample};
+use crate::ForceError;
+use crate::law::{HandForce, HandSample};
 
-/// A rotation, a shift and one scale.
+/// Transform from the space of a device to LPS: a rotation, a translation and one scale.
 pub(crate) struct DeviceSpace {
     lps_from_device: Affine,
     scale: f64,
 }
 
 impl DeviceSpace {
-    /// Samples are in LPS already.
+    /// The identity: samples are in LPS.
     pub(crate) const LPS: Self = Self {
         lps_from_device: Affine::IDENTITY,
         scale: 1.0,
     };
 
-    pub(crate) fn new(lps_from_device: Affine) -> Result<Self, ScopeError> {
+    pub(crate) fn new(lps_from_device: Affine) -> Result<Self, ForceError> {
         let axes = [0, 1, 2].map(|a| lps_from_device.column(a));
         let scale = length(axes[0]);
         let is_even = axes
@@ -26,16 +26,16 @@ impl DeviceSpace {
             .all(|a| (length(*a) - scale).abs() <= 1e-6 * scale);
         let is_square =
             (0..3).all(|a| dot(axes[a], axes[(a + 1) % 3]).abs() <= 1e-6 * scale * scale);
-        // More than 4 would make every tremor a jump; the felt stiffness grows with the scale.
+        // A larger scale would enlarge every tremor, and the stiffness for the hand grows with the scale.
         if !(is_even && is_square && (0.05..=1.0).contains(&scale)) {
-            return Err(ScopeError::Force {
+            return Err(ForceError {
                 reason: "the device's space may only be rotated, shifted and scaled equally on all axes, by 0.05 to \
                          1 mm in the lumen per mm of hand movement"
                     .to_owned(),
             });
         }
         if dot(cross(axes[0], axes[1]), axes[2]) <= 0.0 {
-            return Err(ScopeError::Force {
+            return Err(ForceError {
                 reason: "the device's space is mirrored: the hand's left would be the scope's right; its three axes \
                          must be right-handed"
                     .to_owned(),
