@@ -117,15 +117,15 @@ def test_a_faster_card_is_taken_after_the_first_pictures_and_they_never_wait():
     rig.run_work()
     assert rig.device.casts.count("gpu") == NUM_PAIRS + 1
     assert rig.fly(scene, 3) == ["gpu"] * 3
-    (verdict,) = rig.backend.verdicts
-    assert (verdict.chosen, verdict.adapter, verdict.shape_zyx) == (True, "Card 9000", (4, 5, 6))
-    assert (round(verdict.gpu_ms, 6), round(verdict.cpu_ms, 6)) == (2.0, 10.0)
+    (measurement,) = rig.backend.measurements
+    assert (measurement.chosen, measurement.adapter, measurement.shape_zyx) == (True, "Card 9000", (4, 5, 6))
+    assert (round(measurement.gpu_ms, 6), round(measurement.cpu_ms, 6)) == (2.0, 10.0)
 
 
 def test_a_slower_card_is_not_taken():
     rig = Rig(StandIn(gpu_ms=9.5), "auto")
     assert set(rig.fly(a_scene())) == {"cpu"}
-    assert "no faster" in rig.backend.verdicts[0].why
+    assert "no faster" in rig.backend.measurements[0].why
     assert rig.caster._resident is None, "its memory is given back"
 
 
@@ -134,7 +134,7 @@ def test_a_card_whose_picture_differs_is_not_taken_however_fast():
     assert "gpu" in Rig(StandIn(gpu_ms=0.1, off=allowed), "auto").fly(a_scene())
     rig = Rig(StandIn(gpu_ms=0.1, off=allowed + 1), "auto")
     assert set(rig.fly(a_scene())) == {"cpu"}
-    assert "differs" in rig.backend.verdicts[0].why
+    assert "differs" in rig.backend.measurements[0].why
 
 
 def test_an_adapter_in_software_is_never_taken_unasked():
@@ -156,7 +156,7 @@ def test_small_or_dark_pictures_decide_nothing():
     assert set(rig.fly(a_scene(), view=small)) == {"cpu"}
     rig.device.light = 10
     assert set(rig.fly(a_scene())) == {"cpu"}
-    assert not rig.backend.verdicts
+    assert not rig.backend.measurements
     rig.device.light = 200
     assert rig.fly(a_scene())[-1] == "gpu"
 
@@ -233,7 +233,7 @@ def test_a_damaged_record_is_measured_again(tmp_path, text):
     assert saved["measured"][0]["chosen"] is True
     saved["carina"] = "0.0.0"
     record.write_text(json.dumps(saved))
-    assert not Backend("auto", record=record).verdicts, "another version's casters"
+    assert not Backend("auto", record=record).measurements, "another version's casters"
 
 
 def test_part_off_counts_pixels_and_not_channels():

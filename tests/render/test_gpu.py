@@ -162,8 +162,8 @@ def test_auto_compares_pictures_of_the_cases_own_transfer_function(airway, adapt
     device._cast, device._start = cast, lambda work: work()
     view = AirwayView(airway.pose, width=120, height=90)
     expected = [renderer.render(view) for _ in range(PICTURES_FIRST)][-1]
-    (verdict,) = renderer._airway._device._backend.verdicts
-    assert "measured" in verdict.why, "their pictures agree"
+    (measurement,) = renderer._airway._device._backend.measurements
+    assert "measured" in measurement.why, "their pictures agree"
     assert {picture.stats.method for _, picture in compared} == {"leap", "gpu-leap"}
     for transfer, picture in compared:
         assert transfer is ENDOSCOPIC

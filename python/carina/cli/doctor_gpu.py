@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from carina.config import Settings
-from carina.render import Adapter, Backend, Verdict, find_adapters
+from carina.render import Adapter, AdapterMeasurement, Backend, find_adapters
 from carina.render.backend import RECORD_NAME
 
 __all__ = ["gpu_facts", "gpu_lines"]
@@ -23,7 +23,7 @@ def gpu_facts(settings: Settings) -> dict[str, Any]:
 
 
 def _adapter_facts(backend: Backend, adapter: Adapter) -> dict[str, Any]:
-    measured = [v for v in backend.verdicts if (v.adapter, v.driver) == (adapter.name, adapter.driver)]
+    measured = [v for v in backend.measurements if (v.adapter, v.driver) == (adapter.name, adapter.driver)]
     chosen, why = _choice(backend, adapter, measured)
     return {
         "name": adapter.name,
@@ -39,7 +39,7 @@ def _adapter_facts(backend: Backend, adapter: Adapter) -> dict[str, Any]:
     }
 
 
-def _choice(backend: Backend, adapter: Adapter, measured: list[Verdict]) -> tuple[bool, str]:
+def _choice(backend: Backend, adapter: Adapter, measured: list[AdapterMeasurement]) -> tuple[bool, str]:
     """Whether airway views come from this adapter, and why."""
     if backend.mode == "cpu":
         return False, "CARINA_BACKEND=cpu"
@@ -57,8 +57,8 @@ def _choice(backend: Backend, adapter: Adapter, measured: list[Verdict]) -> tupl
     return any(v.chosen for v in measured), sizes
 
 
-def _size(verdict: Verdict) -> str:
-    nz, ny, nx = verdict.shape_zyx
+def _size(measurement: AdapterMeasurement) -> str:
+    nz, ny, nx = measurement.shape_zyx
     return f"{nx} x {ny} x {nz}"
 
 

@@ -5,7 +5,7 @@ from typing import Any
 from carina import _core
 from carina._core import CancelToken
 from carina.render.appearance import Appearance, DecorationName
-from carina.render.backend import Adapter, Backend, Verdict, find_adapters
+from carina.render.backend import Adapter, AdapterMeasurement, Backend, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
 from carina.render.pictures import ignored_settings, mark_tip, render_surface, render_view, view_spec
@@ -54,6 +54,7 @@ __all__ = [
     "VIEWS",
     "VIEW_NAMES",
     "Adapter",
+    "AdapterMeasurement",
     "AirwayView",
     "Appearance",
     "Backend",
@@ -90,7 +91,6 @@ __all__ = [
     "TransferFunction",
     "TreeView",
     "TriPlaneView",
-    "Verdict",
     "View",
     "ViewName",
     "ViewRow",

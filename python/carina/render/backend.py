@@ -20,7 +20,7 @@ from carina.disk import read_regular_text, write_whole
 from carina.display import one_line
 from carina.errors import RenderError
 
-__all__ = ["RECORD_NAME", "Adapter", "Backend", "Verdict", "find_adapters"]
+__all__ = ["RECORD_NAME", "Adapter", "AdapterMeasurement", "Backend", "find_adapters"]
 
 log = logging.getLogger(__name__)
 
@@ -62,8 +62,8 @@ def find_adapters() -> tuple[Adapter, ...] | None:
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What came of measuring an adapter beside the CPU, on one size of volume."""
+class AdapterMeasurement:
+    """Times of one adapter and of the CPU for a picture of one size of volume, and which was chosen."""
 
     adapter: str
     driver: str
@@ -120,10 +120,10 @@ class Backend:
         self._lock = threading.Lock()
         self._opened: dict[int, _core.Gpu] = {}
         self._unusable: dict[int, str] = {}
-        self._verdicts: dict[tuple[str, str, tuple[int, int, int]], Verdict] = {}
+        self._measurements: dict[tuple[str, str, tuple[int, int, int]], AdapterMeasurement] = {}
         self._said = False
         if record is not None:
-            self._verdicts = {_key(v): v for v in _read(record)}
+            self._measurements = {_key(v): v for v in _read(record)}
 
     def __repr__(self) -> str:
         return f"Backend({self.mode!r})"
@@ -155,47 +155,47 @@ class Backend:
             log.warning("rendering on the CPU from now on: %s", reason)
 
     @property
-    def verdicts(self) -> tuple[Verdict, ...]:
+    def measurements(self) -> tuple[AdapterMeasurement, ...]:
         """What was measured, here or earlier on this machine."""
-        return tuple(self._verdicts.values())
+        return tuple(self._measurements.values())
 
-    def verdict(self, adapter: Adapter, shape_zyx: tuple[int, int, int]) -> Verdict | None:
+    def measurement(self, adapter: Adapter, shape_zyx: tuple[int, int, int]) -> AdapterMeasurement | None:
         """Return the measurement of an adapter with this driver, on volumes of this size."""
-        return self._verdicts.get((adapter.name, adapter.driver, shape_zyx))
+        return self._measurements.get((adapter.name, adapter.driver, shape_zyx))
 
-    def remember(self, verdict: Verdict) -> None:
+    def remember(self, measurement: AdapterMeasurement) -> None:
         """Keep what was measured."""
         with self._lock:
-            self._verdicts[_key(verdict)] = verdict
-            verdicts = list(self._verdicts.values())
+            self._measurements[_key(measurement)] = measurement
+            measurements = list(self._measurements.values())
         if self._record is not None:
-            _write(self._record, verdicts)
+            _write(self._record, measurements)
 
 
-def _key(verdict: Verdict) -> tuple[str, str, tuple[int, int, int]]:
-    return verdict.adapter, verdict.driver, verdict.shape_zyx
+def _key(measurement: AdapterMeasurement) -> tuple[str, str, tuple[int, int, int]]:
+    return measurement.adapter, measurement.driver, measurement.shape_zyx
 
 
 def _carina() -> str:
     return str(_core.build_info()["version"])
 
 
-def _read(path: Path) -> list[Verdict]:
+def _read(path: Path) -> list[AdapterMeasurement]:
     """Return the recorded measurements; empty where the file is missing or of another Carina."""
     try:
         data = json.loads(read_regular_text(path, max_bytes=1 << 20))
         # Another Carina has other casters on either side.
         if (data["format"], data["version"], data["carina"]) != (FORMAT, VERSION, _carina()):
             return []
-        return [_verdict(item) for item in data["measured"]]
+        return [_measurement(item) for item in data["measured"]]
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return []
 
 
-def _verdict(item: dict[str, Any]) -> Verdict:
+def _measurement(item: dict[str, Any]) -> AdapterMeasurement:
     nz, ny, nx = (int(n) for n in item["shape_zyx"])
     cpu_ms, gpu_ms = (None if item[name] is None else float(item[name]) for name in ("cpu_ms", "gpu_ms"))
-    return Verdict(
+    return AdapterMeasurement(
         adapter=str(item["adapter"]),
         driver=str(item["driver"]),
         shape_zyx=(nz, ny, nx),
@@ -206,9 +206,9 @@ def _verdict(item: dict[str, Any]) -> Verdict:
     )
 
 
-def _write(path: Path, verdicts: list[Verdict]) -> None:
+def _write(path: Path, measurements: list[AdapterMeasurement]) -> None:
     """Replace the record whole; without a place to write to it is only not remembered."""
-    measured = [dataclasses.asdict(v) for v in verdicts]
+    measured = [dataclasses.asdict(v) for v in measurements]
     data = {"format": FORMAT, "version": VERSION, "carina": _carina(), "measured": measured}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

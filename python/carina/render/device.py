@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import RenderError
-from carina.render.backend import MAX_PART_OFF, Adapter, Backend, Verdict, part_off
+from carina.render.backend import MAX_PART_OFF, Adapter, AdapterMeasurement, Backend, part_off
 from carina.render.scene import Scene
 from carina.render.views import AirwayView, Picture
 
@@ -199,7 +199,7 @@ class DeviceCaster:
 
     def _try(self, adapter: Adapter, scene: Scene, view: AirwayView) -> bool:
         """Measure one adapter; False ends the search: it was taken, or this view shows nothing to measure."""
-        known = self._backend.verdict(adapter, scene.values.shape)
+        known = self._backend.measurement(adapter, scene.values.shape)
         if known is not None and not known.chosen:
             return True
         expected = self._cast(scene, view, None)
@@ -225,7 +225,7 @@ class DeviceCaster:
         except RenderError as error:
             chosen, why = False, str(error)
         self._backend.remember(
-            Verdict(adapter.name, adapter.driver, scene.values.shape, chosen, why, cpu_ms, gpu_ms),
+            AdapterMeasurement(adapter.name, adapter.driver, scene.values.shape, chosen, why, cpu_ms, gpu_ms),
         )
         log.info("graphics adapter %s: %s", adapter.name, why)
         if chosen:
