@@ -22,7 +22,7 @@ from carina.server.messages import PictureHeader, PictureLayer, PictureLens, Pic
 from carina.server.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
 from carina.server.presenter import picture_lines
 from carina.server.wire_codec import encode_picture
-from carina.session import LayerLines, Renderer, ShownCase, log_fault
+from carina.session import LayerLines, SessionRenderer, ShownCase, log_fault
 
 __all__ = ["FramePump", "ShownPicture", "encode_jpeg"]
 
@@ -39,7 +39,7 @@ MAX_SHOWN = 64
 class ShownPicture:
     """What an airway picture was made from, to find the wall under a click in it."""
 
-    renderer: Renderer
+    renderer: SessionRenderer
     view: Any
     """In the size that the client asked for: a coarse picture is clicked in as exactly as a fine one."""
     width: int

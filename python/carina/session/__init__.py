@@ -17,7 +17,7 @@ from carina.session.plan_values import PlannedTarget, PlanningInfo, chosen_numbe
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.records import FORGOTTEN_FOR_S, CaseRecord, CaseRecords
-from carina.session.scene import Renderer, ShownCase
+from carina.session.scene import SessionRenderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (
     Changed,
@@ -65,10 +65,10 @@ __all__ = [
     "PlanningInfo",
     "PoseInfo",
     "RecentCase",
-    "Renderer",
     "RendererFactory",
     "Said",
     "Session",
+    "SessionRenderer",
     "ShownCase",
     "Snapshot",
     "StartMarked",

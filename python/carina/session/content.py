@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from carina.case.document import Document
 from carina.session.derived import Attempt, Derived
 from carina.session.jobs import JobRunner
-from carina.session.scene import Renderer
+from carina.session.scene import SessionRenderer
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,7 @@ class ShownContent:
 
     def __init__(
         self,
-        renderer: Renderer,
+        renderer: SessionRenderer,
         transfer: TransferFunction,
         *,
         jobs: JobRunner,

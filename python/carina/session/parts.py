@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from carina.plan import Nodule, Plan, ReachAtlas, Verdict
     from carina.plan.lung_map import LungMap
     from carina.render import TransferFunction
-    from carina.session.scene import Renderer
+    from carina.session.scene import SessionRenderer
     from carina.track import Airways, EditPreview, TreeMeasures
     from carina.volume import Mask, Volume
 
@@ -81,7 +81,7 @@ def _judge_scopes(*arguments: Any, **options: Any) -> tuple[Verdict, ...]:
 class RendererFactory(Protocol):
     """Makes a renderer of a volume: one machine's, or a cluster's."""
 
-    def __call__(self, volume: Volume, transfer: TransferFunction) -> Renderer:
+    def __call__(self, volume: Volume, transfer: TransferFunction) -> SessionRenderer:
         """A renderer that shows the volume with a transfer function."""
 
 

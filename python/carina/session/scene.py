@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from carina.render import CancelToken, Hit, Picture, TransferFunction
     from carina.track import AirwayTree, LumenOutline
 
-__all__ = ["Renderer", "ShownCase"]
+__all__ = ["SessionRenderer", "ShownCase"]
 
 
-class Renderer(Protocol):
-    """What a session asks of a renderer: one machine's or a cluster's."""
+class SessionRenderer(Protocol):
+    """Methods that a session calls on a renderer, which is that of one machine or of a cluster."""
 
     def render(self, view: Any, *, stop: CancelToken | None = None) -> Picture:
         """One picture; safe beside the other methods. It may be given up once ``stop`` is cancelled."""
@@ -59,7 +59,7 @@ class ShownCase:
     """Grows with each case opened."""
     content_number: int
     """Grows when the transfer function or the lumen that the renderer shows has changed."""
-    renderer: Renderer
+    renderer: SessionRenderer
     pose: Pose
     pose_id: int
     pose_s: float
