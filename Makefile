@@ -99,7 +99,7 @@ soak: $(STAMP) $(CLUSTER_STAMP) $(HAPTICS_STAMP) ## what runs for minutes: 20,00
 	cargo test $(ALL_CRATES) -- --include-ignored
 	$(PY) -m pytest -m soak -ra -o faulthandler_timeout=0
 
-check: check-rust check-python check-web ## formatting, lints, types, layers, kernels, lock file, spelling, licences, advisories
+check: check-rust check-python check-web docs ## formatting, lints, types, layers, kernels, lock file, spelling, licences, advisories, documentation
 
 # One profile for all crates: a second one would compile every dependency again, and find nothing else. GPU support is
 # in the wheel alone: linted here, since no other build would notice that it is broken.

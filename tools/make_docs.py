@@ -15,16 +15,18 @@ OUT = ROOT / "build" / "docs"
 
 
 def main() -> int:
-    """Run Sphinx; 1 where a page is not as it should be."""
+    """Run Sphinx; return 1 if a page has a warning."""
     found = sorted((ROOT / ".venv-docs").glob("lib/python3*/site-packages")) + sorted(
         (ROOT / ".venv-docs").glob("Lib/site-packages")
     )
     if not found:
         sys.exit("Sphinx is not installed; run: make docs")
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", str(OUT)]
-    # Behind what Carina itself brings, so that the reference describes the package that is tested.
-    packages = [str(path) for path in sorted(ROOT.glob("packages/*/python"))]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*packages, str(found[0])])}
+    # -E and -a read and write every page again: after a failed run Sphinx skips unchanged pages, and so their warnings.
+    options = ["-W", "--keep-going", "-q", "-E", "-a"]
+    command = [sys.executable, "-m", "sphinx", *options, "-b", "html", "docs", str(OUT)]
+    # Carina's own libraries come before those of Sphinx, so that the reference describes the package that is tested.
+    sources = [ROOT / "python", *sorted(ROOT.glob("packages/*/python"))]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, [*sources, found[0]]))}
     ran = subprocess.run(command, cwd=ROOT, env=environment, check=False)
     if not ran.returncode:
         print(f"docs: {OUT.relative_to(ROOT)}/index.html")
