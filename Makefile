@@ -14,7 +14,7 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt docs bench bench-setup golden lock wheel clean
+.PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -32,6 +32,8 @@ $(STAMP): requirements.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | web/
 	$(UV) pip sync -q --python $(PY) --require-hashes requirements.lock
 	$(UV) pip install -q --python $(PY) --no-deps --reinstall-package carina -e .
 	@touch $@
+
+build: $(STAMP) ## install, compile and build what `carina` needs to run
 
 setup: $(STAMP) ## install dependencies, compile, build the web UI
 

@@ -24,6 +24,7 @@ from carina.cluster import ClusterRenderer, ClusterSettings
 from carina.cluster.host import RendererHost
 from carina.disk import make_folder, write_whole
 from carina.errors import UsageError
+from carina.installation import extra_command
 from carina.phantom import generate_phantom
 from carina.render import AirwayView, Renderer, View
 from carina.scopes import Pose
@@ -84,7 +85,9 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
     can_ray = sys.platform.startswith("linux") and find_spec("ray") is not None
     left_out = [] if can_ray else [name for name in wanted if name not in WITHOUT_RAY]
     if left_out:
-        say(f"left out, since Ray is not installed (pip install 'carina[cluster]'): {', '.join(left_out)}")
+        say(
+            f"left out, since Ray is not installed: {', '.join(left_out)}; install Ray with: {extra_command('cluster')}"
+        )
     make_folder(folder, what="the measurements")
     result: dict[str, Any] = {
         "format": "carina-bench-cluster",

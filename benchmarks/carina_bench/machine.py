@@ -11,6 +11,7 @@ from typing import Any
 
 import carina
 from carina.errors import CarinaError
+from carina.installation import extra_command, rebuild
 from carina.render import build_info
 
 __all__ = ["load_average", "machine_facts", "require_peers", "stolen_s"]
@@ -29,10 +30,10 @@ def require_peers(*names: str) -> None:
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
         verb = "is" if len(missing) == 1 else "are"
-        msg = f"{', '.join(missing)} {verb} not installed; benchmarks need the extra: pip install 'carina[bench]'"
+        msg = f"{', '.join(missing)} {verb} not installed; install the peers with: {extra_command('bench')}"
         raise CarinaError(msg, code="machine.extra")
     if build_info()["profile"] != "release":
-        raise CarinaError("benchmarks refuse a debug build: run `make setup`", code="machine.debug-build")
+        raise CarinaError(f"benchmarks refuse a debug build: {rebuild()}", code="machine.debug-build")
 
 
 def load_average() -> list[float] | None:

@@ -19,7 +19,7 @@ from own_folders import environment_in
 
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
-    reason="needs Linux and Ray: pip install 'carina[cluster]'",
+    reason="needs Linux and Ray (make setup-tests)",
 )
 COMMAND = [sys.executable, "-m", "carina.cli"]
 

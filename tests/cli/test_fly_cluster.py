@@ -27,7 +27,7 @@ from own_folders import environment_in
 av = pytest.importorskip("av", reason="PyAV is not installed")
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
-    reason="needs Linux and Ray: pip install 'carina[cluster]'",
+    reason="needs Linux and Ray (make setup-tests)",
 )
 HOW = ["--size", "64x64", "--rate", "10", "--step-vox", "1", "--json"]
 

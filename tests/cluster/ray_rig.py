@@ -26,7 +26,7 @@ from carina_bench.cluster_sleeping_renderer import position_pixels
 
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
-    reason="needs Linux and Ray: pip install 'carina[cluster]'",
+    reason="needs Linux and Ray (make setup-tests)",
 )
 IP = "127.0.0.2"  # Ray rewrites 127.0.0.1 to the machine's address on the network
 VIEW = AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=512, height=512)

@@ -19,6 +19,7 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 
 FOREIGN = {
     "cluster/node.py": "options of `ray start`, except those that are checked below",
+    "installation.py": "options of pip and uv",
     "server/wire_types.py": "an option of the generator of TypeScript types",
 }
 OF_CT = ("info", "airways", "export", "track", "plan", "render", "isoregion", "fly")

@@ -128,7 +128,7 @@ def test_without_pyav_a_note_states_that_damage_may_stay_unseen(compressed, monk
     assert volume.is_hu
     (note,) = volume.source.notes
     assert (note.code, note.badge) == ("import.not-checked", False)
-    assert "carina[video]" in note.words
+    assert "carina doctor" in note.words
 
 
 def test_checks_that_did_not_start_are_dropped(compressed, monkeypatch):

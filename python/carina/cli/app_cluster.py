@@ -14,7 +14,7 @@ from carina.errors import UsageError
 __all__ = ["cluster"]
 
 cluster = typer.Typer(
-    help="Render each image on several machines (docs/cluster.md). Needs Linux and the extra `cluster`.",
+    help="Render each image on several machines (docs/cluster.md). Needs Linux and Ray (see carina doctor).",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

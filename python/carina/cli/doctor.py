@@ -15,19 +15,21 @@ from carina.cli.console import print_json, show
 from carina.cli.doctor_gpu import gpu_facts, gpu_lines
 from carina.config import Settings, load_settings
 from carina.disk import say_size
+from carina.installation import extra_command, install_command, rebuild
 from carina.render import build_info
 
 __all__ = ["report"]
 
 OPTIONAL = {
-    "pyserial": ("serial pens and handles", "pip install 'carina[devices]'"),
-    "cryptography": ("the phone page", "pip install 'carina[phone]'"),
-    "segno": ("the phone page", "pip install 'carina[phone]'"),
-    "av": ("fly-through videos (carina fly)", "pip install 'carina[video]'"),
-    "vtk": ("the reference renderer in benchmarks", "pip install 'carina[bench]'"),
-    "numba": ("a baseline in benchmarks", "pip install 'carina[bench]'"),
-    "ray": ("rendering on several machines (Linux)", "pip install 'carina[cluster]'"),
-    "scipy": ("the reference distance transform in benchmarks", "pip install 'carina[bench]'"),
+    "pyserial": ("serial pens and handles", "devices"),
+    "cryptography": ("the phone page", "phone"),
+    "segno": ("the phone page", "phone"),
+    "av": ("fly-through videos (carina fly)", "video"),
+    "reportlab": ("reports as PDF", "report"),
+    "vtk": ("the reference renderer in benchmarks", "bench"),
+    "numba": ("a baseline in benchmarks", "bench"),
+    "ray": ("rendering on several machines (Linux)", "cluster"),
+    "scipy": ("the reference distance transform in benchmarks", "bench"),
 }
 NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")
 
@@ -71,11 +73,11 @@ def report(*, as_json: bool) -> int:
     missing = [name for name, version in facts["packages"].items() if version is None]
     cached = None if missing else _cached_cts(settings)
     facts["cached_cts"] = cached
-    problems = [f"{name} is missing; run pip install {name}" for name in missing]
+    problems = [f"{name} is missing; install it with: {install_command(name)}" for name in missing]
     if not web_ui:
-        problems.append("the web UI is not built: run `make setup` in the checkout (needs Node 20 or newer)")
+        problems.append(f"the web UI is not built: {rebuild()}")
     if core["profile"] != "release":
-        problems.append("the compiled module is a debug build: rendering will be slow; run `make setup`")
+        problems.append(f"the compiled module is a debug build, which renders slowly: {rebuild()}")
     facts["problems"] = problems
     if as_json:
         print_json(facts)
@@ -87,9 +89,9 @@ def report(*, as_json: bool) -> int:
     show(f"  web UI: {'built' if web_ui else 'missing'}; browser: {browser or 'none found on PATH'}")
     for name, version in facts["packages"].items():
         show(f"  {name} {version or 'MISSING'}")
-    for name, (use, how) in OPTIONAL.items():
+    for name, (use, extra) in OPTIONAL.items():
         version = facts["optional"][name]
-        show(f"  {name} {version}" if version else f"  {name}: not installed; for {use}: {how}")
+        show(f"  {name} {version}" if version else f"  {name}: not installed; for {use}: {extra_command(extra)}")
     if cached is not None:
         off = "" if cached["on"] else " (cache off)"
         show(f"  cached CTs: {cached['num']}, {say_size(cached['num_bytes'])}{off}")

@@ -65,7 +65,7 @@ def _size(measurement: AdapterMeasurement) -> str:
 def gpu_lines(facts: dict[str, Any]) -> list[str]:
     """The same for a person."""
     if not facts["in_build"]:
-        return ["GPU: not supported by this build (the published wheels support it); rendering on the CPU"]
+        return ["GPU: not supported by this build (a wheel made by make wheel supports it); rendering on the CPU"]
     if not facts["adapters"]:
         return ["GPU: no adapter found; rendering on the CPU"]
     lines = []

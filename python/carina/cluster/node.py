@@ -20,6 +20,7 @@ from pathlib import Path
 
 from carina.disk import make_folder, open_regular, write_whole
 from carina.errors import ClusterError, UsageError
+from carina.installation import extra_command
 
 __all__ = [
     "CONSOLE_ENVIRONMENT",
@@ -35,7 +36,6 @@ __all__ = [
 
 DEFAULT_PORT = 6379
 TOKEN_NAME = "cluster.token"
-HOW_TO_GET = "install it with: pip install 'carina[cluster]'"
 STARTED = "Ray runtime started"
 """What Ray says when a machine has joined."""
 CONSOLE_ENVIRONMENT = {"RAY_gcs_rpc_server_reconnect_timeout_s": str(10 * 365 * 86_400)}
@@ -58,7 +58,8 @@ def check_available() -> None:
         msg = "a cluster needs Linux, the only system on which Ray supports clusters; render on this machine alone"
         raise ClusterError(msg, code="cluster.platform")
     if importlib.util.find_spec("ray") is None:
-        msg = f"rendering on several machines needs Ray, which is not installed; {HOW_TO_GET}"
+        command = extra_command("cluster")
+        msg = f"rendering on several machines needs Ray, which is not installed; install it with: {command}"
         raise ClusterError(msg, code="cluster.missing")
 
 

@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from carina.errors import CarinaError
+from carina.installation import install_command
 
 __all__ = ["Column", "ColumnKind", "Columns", "Tabular", "columns_of"]
 
@@ -89,7 +90,7 @@ def _library(name: str) -> ModuleType:
         if error.name != name:
             raise
         raise CarinaError(
-            f"this conversion needs the package {name}, which is not installed; install it with: pip install {name}. "
-            "to_columns() returns the same table without it",
+            f"this conversion needs the package {name}, which is not installed; to_columns() returns the same table "
+            f"without it. Install {name} with: {install_command(name)}",
             code="table.no-library",
         ) from None

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carina.disk import Draft
 from carina.errors import CarinaError, UsageError
+from carina.installation import extra_command
 
 __all__ = ["VIDEO_SUFFIXES", "VideoWriter", "even_size", "size_notes"]
 
@@ -41,7 +42,7 @@ def _pyav() -> Any:
         import av
     except ImportError:
         raise CarinaError(
-            "videos need PyAV: install Carina with the extra `video` (pip install 'carina[video]')", code="export.video"
+            f"videos need PyAV, which is not installed; install it with: {extra_command('video')}", code="export.video"
         ) from None
     return av
 

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carina.errors import CarinaError
+from carina.installation import extra_command, not_built
 from carina.server.messages_of_devices import PhoneInfo
 from carina.session import Session
 
 if TYPE_CHECKING:
     from carina.phone.page import PhonePage
 
-__all__ = ["MISSING", "PhoneSwitch"]
+__all__ = ["PhoneSwitch"]
 
-MISSING = "the phone page needs two more libraries; install them with: pip install 'carina[phone]'"
 LIBRARIES = ("cryptography", "segno")
 
 
@@ -48,8 +48,10 @@ class PhoneSwitch:
     def problem(self) -> str | None:
         """Why it cannot be opened, in words."""
         if self._web is None or not (self._web / "phone.html").is_file():
-            return "the phone page has not been built: run make setup"
-        return MISSING if any(importlib.util.find_spec(name) is None for name in LIBRARIES) else None
+            return not_built("the phone page")
+        if any(importlib.util.find_spec(name) is None for name in LIBRARIES):
+            return f"the phone page needs two more libraries; install them with: {extra_command('phone')}"
+        return None
 
     def start(self) -> PhoneInfo:
         """Open it, with a new key, certificate and token; the same again changes nothing.
@@ -61,7 +63,7 @@ class PhoneSwitch:
         """
         problem = self.problem
         if problem is not None or self._web is None:
-            raise CarinaError(problem or MISSING, code="phone.missing")
+            raise CarinaError(problem or not_built("the phone page"), code="phone.missing")
         if self._page is None:
             from carina.phone.page import PhonePage
 

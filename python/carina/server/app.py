@@ -79,7 +79,10 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from
         # this navigation, but not from the socket that the page then opens. The files hold nothing of a patient.
         if web is None:
-            words = "The Carina window has not been built. Run <code>make run</code> in the repository, then reload."
+            words = (
+                "The Carina window has not been built. Run <code>make run</code> in the folder of Carina's source, "
+                "then reload."
+            )
             return page("The window has not been built", words, 503)
         return FileResponse(web / "index.html", headers={"cache-control": "no-store"})
 

@@ -22,6 +22,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from carina.errors import CarinaError, ProtocolError, UsageError
+from carina.installation import extra_command, not_built
 from carina.server import messages as wire
 from carina.server.certificate import make_certificate
 from carina.server.conversation import converse
@@ -112,9 +113,9 @@ class WatchPage:
     def problem(self) -> str | None:
         """Why it cannot be opened, in words."""
         if self._web is None:
-            return "the window has not been built: run make setup"
+            return not_built("the window")
         if importlib.util.find_spec("cryptography") is None:
-            return "watching needs another library; install it with: pip install 'carina[phone]'"
+            return f"watching needs another library; install it with: {extra_command('phone')}"
         return None
 
     @property

@@ -59,7 +59,7 @@ def not_checked_note(slices: Sequence[SliceHeader]) -> Note | None:
         return None
     words = (
         "the JPEG 2000 slices were not checked by a second decoder, so that damage of less than about 100 HU may stay "
-        "unseen; install carina[video]"
+        "unseen; carina doctor prints the command that installs the decoder (PyAV)"
     )
     return Note("import.not-checked", words)
 

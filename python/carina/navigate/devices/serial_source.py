@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from carina.errors import CarinaError
+from carina.installation import extra_command
 from carina.navigate.devices.fastrak import RATE_HZ, FastrakStream, setup_commands
 from carina.navigate.devices.scope_handle import HandleStream
 from carina.navigate.devices.source import Listener, Source, StampSpreader
@@ -25,7 +26,7 @@ def _pyserial() -> Any:
         import serial
     except ImportError:
         raise CarinaError(
-            "serial devices need pyserial: install Carina with the extra `devices` (pip install 'carina[devices]')",
+            f"serial devices need pyserial, which is not installed; install it with: {extra_command('devices')}",
             code="devices.extra",
         ) from None
     return serial

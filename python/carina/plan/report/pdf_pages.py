@@ -6,6 +6,7 @@ import importlib.util
 from typing import Literal
 
 from carina.errors import CarinaError
+from carina.installation import extra_command
 from carina.plan.report.blocks import Section
 from carina.plan.report.sheet import PlanSheet
 
@@ -26,8 +27,8 @@ def pdf_pages(sheet: PlanSheet, parts: tuple[Section, ...], *, paper: Paper) -> 
     """
     if importlib.util.find_spec("reportlab") is None:
         raise CarinaError(
-            "a PDF needs the package reportlab, which is not installed; install it with: pip install 'carina[report]'. "
-            "The .html report needs nothing and can be printed to PDF from a browser",
+            "a PDF needs the package reportlab, which is not installed; the .html report needs no package and can be "
+            f"printed to PDF from a browser. Install reportlab with: {extra_command('report')}",
             code="plan.no-pdf",
         )
     # Loaded here: most who plan write no PDF, and it is an extra.
