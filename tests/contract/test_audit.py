@@ -1,4 +1,4 @@
-"""Licences outside the list and real advisories are red; what could not be looked at is said, and is not green."""
+"""Licences outside the list, advisories and checks that did not run fail, unless they are accepted until a day."""
 
 from __future__ import annotations
 
@@ -175,7 +175,48 @@ def test_an_exception_without_a_reason_or_an_end_is_refused(audit, tmp_path):
         '[[advisories]]\nid = "X"\nuntil = 2026-01-01\n',
         '[[advisories]]\nid = "X"\nreason = "y"\n',
         '[[licences.known]]\npackage = "x"\nlicence = "MIT"\n',
+        '[[gaps]]\ncheck = "advisories, npm"\nuntil = 2026-01-01\n',
+        '[[gaps]]\ncheck = "advisories, npm"\nreason = "y"\n',
     ):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(SystemExit, match="needs a reason"):
             audit.read_allowed(path)
+
+
+def test_a_gap_of_an_unknown_check_is_refused(audit, tmp_path):
+    path = tmp_path / "audit.toml"
+    path.write_text('[[gaps]]\ncheck = "advisories"\nreason = "y"\nuntil = 2026-01-01\n', encoding="utf-8")
+    with pytest.raises(SystemExit, match="is no check"):
+        audit.read_allowed(path)
+
+
+def audit_without_tools(audit, allowed, monkeypatch, *, gap_until=None) -> int:
+    """Run the audit on a machine that can read no database; accept the gaps until a day if one is given."""
+    gaps = {} if gap_until is None else {name: audit.Gap("closed network", gap_until) for name in audit.CHECKS}
+    monkeypatch.setattr(audit, "read_allowed", lambda _path: audit.Allowed(allowed.licences, {}, {}, gaps))
+    for check in audit.CHECKS:
+        name = "_".join(reversed(check.lower().split(", ")))
+        result = audit.Result(check, unseen=["no tool"] if check.startswith("advisories") else [])
+        monkeypatch.setattr(audit, name, lambda *_arguments, result=result: result)
+    return audit.main()
+
+
+def test_a_database_that_was_not_read_fails_the_audit(audit, allowed, monkeypatch, capsys):
+    assert audit_without_tools(audit, allowed, monkeypatch) == 1
+    assert capsys.readouterr().out.count("NOT looked at: no tool; make the check possible, or accept the gap") == 3
+
+
+def test_an_accepted_gap_passes_until_its_last_day_and_is_printed_with_its_reason(audit, allowed, monkeypatch, capsys):
+    today = datetime.datetime.now(tz=datetime.UTC).date()
+    assert audit_without_tools(audit, allowed, monkeypatch, gap_until=today) == 0
+    assert capsys.readouterr().out.count(f"accepted until {today}: no tool (closed network)") == 3
+    yesterday = today - datetime.timedelta(days=1)
+    assert audit_without_tools(audit, allowed, monkeypatch, gap_until=yesterday) == 1
+    assert capsys.readouterr().out.count(f"audit.toml accepted this gap until {yesterday}") == 3
+
+
+def test_a_result_with_an_accepted_gap_is_not_called_complete(audit, allowed):
+    result = audit.Result("licences, Python", num_seen=3, unseen=["1 package"])
+    gap = audit.Gap("another system", TODAY)
+    audit.judge_gaps([result], audit.Allowed(allowed.licences, {}, {}, {"licences, Python": gap}), TODAY)
+    assert result.lines()[-1] == "licences, Python: 3 looked at, these good"
