@@ -6,6 +6,9 @@ SHELL := /bin/bash
 UV ?= $(shell command -v uv || echo .uv/bin/uv)
 PY := .venv/bin/python
 STAMP := .venv/.carina-installed
+RUN_STAMP := .venv/.carina-run
+WEB_TOOLS := web/node_modules/.carina-tools
+WEB_LIBRARIES := web/node_modules/.carina-build
 RUST_SOURCES := $(shell find crates build_backend -name '*.rs' -o -name 'Cargo.toml' -o -name '*.py' 2>/dev/null) Cargo.toml Cargo.lock
 WEB_SOURCES := $(shell find web -path web/node_modules -prune -o -type f -print 2>/dev/null)
 CASE ?= phantom
@@ -14,12 +17,22 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
+# No tool chain is downloaded without a question (tools/check_build_tools.sh): maturin would fetch Rust, uv a Python.
+# Rust that a person agreed to is in .rust.
+export MATURIN_NO_INSTALL_RUST := 1
+export UV_PYTHON_DOWNLOADS := never
+export PATH := $(PATH):$(CURDIR)/.rust/bin
+
 .PHONY: help run build setup setup-tests test test-rust test-web test-python test-gpu soak check check-crates check-rust check-python check-web fmt docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
 
-.uv/bin/uv:
+.PHONY: build-tools
+build-tools:
+	@tools/check_build_tools.sh $(STAMP) $(RUN_STAMP)
+
+.uv/bin/uv: | build-tools
 	python3 -m venv .uv
 	.uv/bin/pip install -q --disable-pip-version-check uv
 
@@ -27,17 +40,27 @@ help: ## print this list
 # VIRTUAL_ENV for all of make: pyo3's build would ask that environment's Python, in CI before there is one.)
 # Locked, hashed dependencies first, then Carina itself (compiled, web UI built) in place.
 # The web's libraries before them, so that nobody installs those at the same time.
-$(STAMP): requirements.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | web/node_modules/.package-lock.json $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
+$(STAMP): requirements.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | build-tools $(WEB_TOOLS) $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
 	@test -x $(PY) || $(UV) venv -q .venv
 	$(UV) pip sync -q --python $(PY) --require-hashes requirements.lock
-	$(UV) pip install -q --python $(PY) --no-deps --reinstall-package carina -e .
+	@$(PY) tools/install_package.py $(UV) $(PY)
 	@touch $@
 
-build: $(STAMP) ## install, compile and build what `carina` needs to run
+# What runs, without tools for tests and lints. `install` and not `sync`: optional packages that a person added stay.
+$(RUN_STAMP): requirements-run.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | build-tools $(WEB_LIBRARIES) $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
+	@test -x $(PY) || $(UV) venv -q .venv
+	$(UV) pip install -q --python $(PY) --require-hashes -r requirements-run.lock
+	@$(PY) tools/install_package.py $(UV) $(PY)
+	@touch $@
 
-setup: $(STAMP) ## install dependencies, compile, build the web UI
+# A folder that `make setup` has made complete stays so.
+BUILT := $(if $(wildcard $(STAMP)),$(STAMP),$(RUN_STAMP))
 
-run: $(STAMP) ## build what is missing and open the demo (CASE=patient for the real one)
+build: $(BUILT) ## install, compile and build what runs, without tools for tests and lints
+
+setup: $(STAMP) ## install, compile and build everything that development needs
+
+run: $(BUILT) ## build what is missing and open the demo (CASE=patient for the real one)
 	.venv/bin/carina demo $(CASE)
 
 test: test-rust test-web test-python ## every test that needs no special hardware
@@ -52,11 +75,15 @@ test-rust: export PROPTEST_RNG_SEED ?= 1
 test-rust:
 	cargo test $(ALL_CRATES)
 
-web/node_modules/.package-lock.json: web/package-lock.json
+$(WEB_TOOLS): web/package-lock.json | build-tools
 	cd web && npm ci --no-audit --no-fund
+	@touch $(WEB_TOOLS) $(WEB_LIBRARIES)
+
+$(WEB_LIBRARIES): web/package-lock.json | build-tools
+	cd web && npm ci --omit=dev --no-audit --no-fund
 	@touch $@
 
-test-web: web/node_modules/.package-lock.json
+test-web: $(WEB_TOOLS)
 	cd web && npm test
 
 # Ray is an extra of 76 MB: only who tests downloads it. Elsewhere than on Linux there is nothing in it.
@@ -112,7 +139,7 @@ check-crates:
 	cargo fmt --all --check
 	cargo clippy --profile checked --workspace --all-targets -- -D warnings
 
-check-web: web/node_modules/.package-lock.json
+check-web: $(WEB_TOOLS)
 	cd web && npm run check
 
 check-python: $(STAMP) $(HAPTICS_STAMP)
@@ -128,7 +155,7 @@ check-python: $(STAMP) $(HAPTICS_STAMP)
 	$(PY) tools/audit.py
 	$(PY) tools/lock.py --check --uv $(UV)
 
-fmt: $(STAMP) web/node_modules/.package-lock.json ## format everything
+fmt: $(STAMP) $(WEB_TOOLS) ## format everything
 	cargo fmt --all
 	.venv/bin/ruff check -q --fix . || true
 	.venv/bin/ruff format -q .

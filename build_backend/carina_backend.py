@@ -41,7 +41,7 @@ def build_web() -> None:
     if npm is None:
         sys.exit("carina: building the web UI needs npm (Node 20 or newer); install Node and try again")
     if not (WEB / "node_modules" / ".package-lock.json").exists():
-        subprocess.run([npm, "ci", "--no-audit", "--no-fund"], cwd=WEB, check=True)
+        subprocess.run([npm, "ci", "--omit=dev", "--no-audit", "--no-fund"], cwd=WEB, check=True)
     subprocess.run([npm, "run", "build"], cwd=WEB, check=True)
 
 

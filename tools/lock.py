@@ -1,6 +1,7 @@
 """Export the locks (exact versions and hashes) from pyproject.toml, or check that they are not stale.
 
-``requirements.lock`` is what everybody needs; ``requirements-cluster.lock`` holds Ray and what belongs to it as well,
+``requirements-run.lock`` is what Carina needs to run (``make run``), ``requirements.lock`` what development needs;
+``requirements-cluster.lock`` holds Ray and what belongs to it as well,
 for the tests of the cluster: 76 MB that nobody should download to look at a CT.
 ``requirements-docs.lock`` is what writes the documentation (``make docs``) and nothing else.
 
@@ -18,7 +19,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = "requirements-docs.lock"
+RUN = "requirements-run.lock"
 LOCKS: dict[str, tuple[str, ...]] = {
+    RUN: ("--no-dev",),
     "requirements.lock": (),
     "requirements-cluster.lock": ("--extra", "cluster"),
     DOCS: ("--only-group", "docs"),
@@ -39,6 +42,8 @@ def _fingerprint(name: str) -> str:
         sorted(groups["dev"]),
         sorted(project["optional-dependencies"]["cluster"]),
     ]
+    if name == RUN:
+        relevant = [project["requires-python"], sorted(project["dependencies"])]
     if name == DOCS:
         relevant = [project["requires-python"], sorted(groups["docs"])]
     return hashlib.sha256(repr(relevant).encode()).hexdigest()[:16]
