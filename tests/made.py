@@ -30,6 +30,7 @@ from carina.track.paths.path_grid import PathGrid
 from carina.track.paths.rebuilt import CoreRecipe
 from carina.track.paths.tracker import PathTracker
 from carina.volume import Volume, ct_digest, model
+from run_cleanup import run_name
 
 ROOT = Path(__file__).resolve().parents[1]
 SEARCH = carina.find_airways
@@ -86,7 +87,7 @@ def keep(made: Phantom, folder: Path) -> None:
         if other.is_dir() and other != folder.parent:
             shutil.rmtree(other, ignore_errors=True)
     folder.parent.mkdir(exist_ok=True)
-    draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix="draft-"))
+    draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f"draft-{run_name()}-"))
     np.save(draft / "ct.npy", made.volume.hu_zyx)
     np.save(draft / "lumen.npy", made.lumen_zyx)
     if made.upper_airway_zyx is not None:
@@ -116,7 +117,7 @@ def made_value(name: str, make: Callable[[], Any]) -> Any:
                 folder.mkdir(exist_ok=True)
                 for old in folder.glob(f"{name}, *.pickle"):
                     old.unlink()
-                draft = path.with_suffix(".draft")
+                draft = path.with_suffix(f".draft-{run_name()}")
                 draft.write_bytes(pickle.dumps(make()))
                 draft.rename(path)
             return pickle.loads(path.read_bytes())

@@ -78,7 +78,7 @@ def alive(tree: dict[int, str]) -> list[str]:
 def running_head(renderers: int) -> Iterator[Head]:
     """A head with renderers; ended, with all it has started. ``left`` then says who had to be ended here."""
     # Not pytest's own folder: Ray puts sockets in it, whose paths must be short.
-    folder = Path(tempfile.mkdtemp(prefix="carina-ray-"))
+    folder = Path(tempfile.mkdtemp(prefix="ray-"))
     token = make_token(folder / "token")
     node = Node(
         token,

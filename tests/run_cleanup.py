@@ -1,0 +1,123 @@
+"""Cleanup at the end of a test run: no process and no temporary file stays, also after Ctrl-C.
+
+The process that the user started gives the run a temporary folder, which all its processes inherit as ``TMPDIR``, and
+whose name marks them (``CARINA_TEST_RUN``). At the end it kills every marked process, then deletes the folder. pytest's
+own ``tmp_path`` folders, which pytest keeps for three runs, are deleted after an interrupt alone.
+
+Processes are found in ``/proc``; elsewhere than on Linux only the folder is deleted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import FrameType
+
+import pytest
+
+MARK = "CARINA_TEST_RUN"
+WITHIN_S = 10.0
+"""Time for killed processes to disappear."""
+
+
+def marked_processes(folder: str) -> dict[int, str]:
+    """Return process ID and command line of the other processes of a run."""
+    mark, found = f"{MARK}={folder}\0".encode(), {}
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if int(process.name) != os.getpid() and mark in (process / "environ").read_bytes() + b"\0":
+                command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+                found[int(process.name)] = command or process.name
+    return found
+
+
+def kill_marked(folder: str) -> list[str]:
+    """Kill every other process of a run, and return the command lines; wait until all have ended."""
+    killed: dict[int, str] = {}
+    end = time.monotonic() + WITHIN_S
+    while (left := marked_processes(folder)) and time.monotonic() < end:
+        for number in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        killed |= left
+        time.sleep(0.05)
+    return list(killed.values())
+
+
+def remove_kept_folder(kept: Path) -> None:
+    """Delete the ``tmp_path`` folders of a run, and pytest's folders above that are empty then."""
+    newest = kept.parent / "pytest-current"
+    if newest.is_symlink() and newest.resolve() == kept.resolve():
+        newest.unlink()
+    shutil.rmtree(kept, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        kept.parent.rmdir()
+
+
+def run_name() -> str:
+    """Return the name of this run, by which files outside its temporary folder are marked as drafts."""
+    return Path(os.environ.get(MARK, "no-run")).name
+
+
+def remove_drafts(cache: Path, run: str) -> None:
+    """Delete the unfinished files and folders of a run in the cache of phantoms."""
+    for draft in list(cache.glob(f"*/*draft-{run}*")):
+        shutil.rmtree(draft, ignore_errors=True)
+        draft.unlink(missing_ok=True)
+
+
+class Interrupts:
+    """Counter of SIGINT; pytest's own hook is not called if the user interrupts twice."""
+
+    def __init__(self) -> None:
+        self.num = 0
+        is_main = threading.current_thread() is threading.main_thread()
+        # A thread cannot set signals; a shell starts background processes with SIGINT ignored.
+        if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self._count)
+
+    def _count(self, number: int, frame: FrameType | None) -> None:
+        self.num += 1
+        signal.default_int_handler(number, frame)
+
+    def ignore(self) -> None:
+        """Ignore further interrupts, so that none stops the cleanup."""
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def clean_up(config: pytest.Config, folder: str, interrupts: Interrupts) -> None:
+    """Kill the processes of a run and delete its files."""
+    interrupts.ignore()
+    killed = kill_marked(folder)
+    shutil.rmtree(folder, ignore_errors=True)
+    remove_drafts(config.rootpath / ".pytest_cache" / "d" / "made", Path(folder).name)
+    if interrupts.num and config.option.basetemp is None:
+        # xdist reads the same attribute; there is no public one.
+        remove_kept_folder(config._tmp_path_factory.getbasetemp())
+    for command in [] if interrupts.num else killed:
+        print(f"left running by the tests, killed: {command[:160]}", file=sys.stderr)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Give the run its folder; workers of xdist inherit the folder of the run.
+
+    Cleanups run in reverse order: this one, which is added last, still finds pytest's own folders.
+    """
+    if hasattr(config, "workerinput"):
+        return
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
+    # A short name: Ray puts sockets below it, and the address of a socket has at most 107 bytes.
+    folder = tempfile.mkdtemp(prefix="ct-")
+    os.environ["TMPDIR"] = os.environ[MARK] = folder
+    tempfile.tempdir = None
+    interrupts = Interrupts()
+    config.add_cleanup(lambda: clean_up(config, folder, interrupts))
