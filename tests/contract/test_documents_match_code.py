@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import re
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,11 @@ from carina.version import WIRE_VERSION
 
 CONTRACTS = (ROOT / "docs" / "contracts.md").read_text(encoding="utf-8")
 PROTOCOL = (ROOT / "protocol" / "README.md").read_text(encoding="utf-8")
+# CHANGELOG.md and the decisions state the versions of their time.
+ALL_DOCUMENTS = [
+    *documents(),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "web/README.md", "benchmarks/README.md")),
+]
 
 
 def subclasses(base: type[CarinaError]) -> set[type[CarinaError]]:
@@ -26,10 +34,30 @@ def test_the_page_of_the_wire_names_the_wire_version() -> None:
     assert PROTOCOL.splitlines()[0].endswith(f"(version {WIRE_VERSION})")
 
 
-def test_the_contract_names_the_schema_of_the_case_file() -> None:
-    found = re.search(r"\(`NAME\.carina`, schema (\d+)", CONTRACTS)
-    assert found is not None
-    assert int(found.group(1)) == SCHEMA
+@pytest.mark.parametrize("document", ALL_DOCUMENTS, ids=lambda path: f"{path.parent.name}-{path.name}")
+def test_a_document_that_states_the_wire_version_states_that_of_the_code(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    assert {int(one) for one in re.findall(r"[Ww]ire version (\d+)", text)} <= {WIRE_VERSION}
+    if document.parent.name == "protocol":
+        history = [int(one) for one in re.findall(r"version (\d+)", text)]
+        assert max(history) == WIRE_VERSION
+
+
+@pytest.mark.parametrize("document", ALL_DOCUMENTS, ids=lambda path: f"{path.parent.name}-{path.name}")
+def test_the_newest_schema_of_case_files_in_a_document_is_that_of_the_code(document: Path) -> None:
+    stated = [int(one) for one in re.findall(r"\bschema (\d+)\b", document.read_text(encoding="utf-8"))]
+    describes = document.name in {"case-file.md", "contracts.md", "conventions.md"}
+    assert stated or not describes
+    assert not stated or max(stated) == SCHEMA
+
+
+def test_the_pages_about_the_cluster_name_the_versions_of_ray_that_are_locked() -> None:
+    [locked] = re.findall(
+        r"^ray(?:\[[^]]*\])?==([\d.]+)", (ROOT / "requirements-cluster.lock").read_text(), re.MULTILINE
+    )
+    stated = re.findall(r'rayVersion: "([\d.]+)"|\bRay (\d+\.\d+)', (ROOT / "docs" / "cluster.md").read_text())
+    assert len(stated) > 1
+    assert {whole or f"{part}.{locked.rpartition('.')[2]}" for whole, part in stated} == {locked}
 
 
 def test_the_contract_lists_the_exit_codes_of_all_errors() -> None:
@@ -38,16 +66,66 @@ def test_the_contract_lists_the_exit_codes_of_all_errors() -> None:
     assert raised | {0} <= table
 
 
-@pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
+@cache
+def format_versions() -> dict[str, int]:
+    """Return the newest version of each JSON format that the package writes.
+
+    A module names both (``FORMAT``, ``VERSION``), or writes them into a dictionary.
+    """
+    found: dict[str, int] = {}
+    for path in sorted((ROOT / "python" / "carina").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        constants = {name: value for node in tree.body for name, value in assigned(node)}
+        pairs = [(constants.get("FORMAT"), constants.get("VERSION"))]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Dict):
+                entries = {key.value: value for key, value in zip(node.keys, node.values, strict=True) if is_text(key)}
+                pairs.append(tuple(value_of(entries.get(name), constants) for name in ("format", "version")))
+        for name, version in pairs:
+            if isinstance(name, str) and isinstance(version, int):
+                found[name] = max(version, found.get(name, 0))
+    return found
+
+
+def is_text(node: ast.expr | None) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+
+
+def assigned(node: ast.stmt) -> Iterator[tuple[str, object]]:
+    """Yield names and constants of an assignment: ``A = 1`` or ``A, B = "x", 1``."""
+    if isinstance(node, ast.Assign) and len(node.targets) == 1:
+        target, value = node.targets[0], node.value
+        names = target.elts if isinstance(target, ast.Tuple) else [target]
+        values = value.elts if isinstance(value, ast.Tuple) else [value]
+        for name, one in zip(names, values, strict=False):
+            if isinstance(name, ast.Name) and isinstance(one, ast.Constant):
+                yield name.id, one.value
+
+
+def value_of(node: ast.expr | None, constants: dict[str, object]) -> object:
+    match node:
+        case ast.Constant(value=value):
+            return value
+        case ast.Name(id=name):
+            return constants.get(name)
+    return None
+
+
+def test_the_formats_of_the_package_are_found() -> None:
+    found = format_versions()
+    assert {"carina-tree", "carina-transfer", "carina-keys", "carina-recording", "carina-plan", "carina-pose"} <= set(
+        found
+    )
+
+
+@pytest.mark.parametrize("document", ALL_DOCUMENTS, ids=lambda path: f"{path.parent.name}-{path.name}")
 def test_format_versions_in_a_document_are_those_of_the_code(document: Path) -> None:
-    stated = re.findall(r"`(carina-[a-z-]+)` (?:version )?(\d+)", document.read_text(encoding="utf-8"))
-    source = all_source()
-    newest = {name: str(max(int(version) for other, version in stated if other == name)) for name, _ in stated}
-    for name, version in newest.items():
-        pairs = re.findall(rf"FORMAT = '{name}'\s+VERSION = (\d+)|'{name}', (\d+)", source)
-        known = {one for pair in pairs for one in pair if one}
-        if known:
-            assert version in known, f"{name} {version}"
+    text = document.read_text(encoding="utf-8")
+    stated = re.findall(r"`(carina-[a-z-]+)` (?:version )?(\d+)", text)
+    stated += re.findall(r'"format": "(carina-[a-z-]+)", "version": (\d+)', text)
+    newest = {name: max(int(version) for other, version in stated if other == name) for name, _ in stated}
+    found = format_versions()
+    assert newest == {name: found.get(name) for name in newest}
 
 
 def test_the_page_of_the_wire_names_every_close_code() -> None:
