@@ -17,7 +17,7 @@ from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 
-__all__ = ["EXTRAS", "extra_command", "install_command", "not_built", "rebuild"]
+__all__ = ["EXTRAS", "carina_command", "extra_command", "install_command", "not_built", "rebuild"]
 
 EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -65,6 +65,21 @@ def install_command(*requirements: str) -> str:
         return _shell_line([uv, "pip", "install", "--python", python, *requirements])
     pip = _shell_line([python, "-m", "pip", "install", *requirements])
     return f"{_shell_line([python, '-m', 'ensurepip'])} && {pip}"
+
+
+def carina_command(*arguments: str) -> str:
+    """Return a command of Carina; with the path of the program if the shell does not find this ``carina`` by its name.
+
+    Examples
+    --------
+    >>> carina_command("case", "migrate").endswith("carina case migrate")
+    True
+    """
+    found = shutil.which("carina")
+    folder = Path(sys.executable).parent
+    own = shutil.which("carina", path=str(folder))
+    by_name = own is None or (found is not None and Path(found).samefile(own))
+    return _shell_line(["carina" if by_name or own is None else own, *arguments])
 
 
 def extra_command(extra: str) -> str:

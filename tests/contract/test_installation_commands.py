@@ -10,9 +10,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import typer
 
 from carina import installation
-from carina.installation import EXTRAS, extra_command, install_command, not_built, rebuild
+from carina.cli.app import app
+from carina.installation import EXTRAS, carina_command, extra_command, install_command, not_built, rebuild
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = {
@@ -131,3 +133,32 @@ def test_an_installed_wheel_is_installed_again_from_its_origin(monkeypatch, reco
     monkeypatch.setattr(installation.metadata, "distribution", lambda _name: Distribution())
     assert expected in rebuild()
     assert "install carina" not in rebuild()
+
+
+def test_a_command_of_carina_has_its_path_unless_the_shell_finds_it(monkeypatch, tmp_path) -> None:
+    own, other = tmp_path / "own", tmp_path / "other"
+    for folder in (own, other):
+        folder.mkdir()
+        (folder / "carina").write_text("#!/bin/sh\n")
+        (folder / "carina").chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(own / "python"))
+    monkeypatch.setenv("PATH", str(own))
+    assert carina_command("case", "migrate") == "carina case migrate"
+    for path in (str(other), str(tmp_path)):
+        monkeypatch.setenv("PATH", path)
+        assert shlex.split(carina_command("case", "migrate")) == [str(own / "carina"), "case", "migrate"]
+
+
+def test_commands_of_carina_in_messages_exist() -> None:
+    """A verb of `carina`, and of `carina case` and `carina cluster`."""
+    commands = typer.main.get_command(app)
+    wrong = []
+    for path in message_files():
+        if path.suffix in {".py", ".ts", ".tsx", ".rs"}:
+            for words in re.findall(r"`carina ([a-z]+(?: [a-z]+)?)", path.read_text(encoding="utf-8")):
+                verb, _, below = words.partition(" ")
+                found = commands.commands.get(verb)
+                group = getattr(found, "commands", None)
+                if found is None or (group is not None and below and below not in group):
+                    wrong.append(f"{path.relative_to(ROOT)}: carina {words}")
+    assert not wrong

@@ -48,6 +48,7 @@ from carina.case.writing import CaseWriter
 from carina.disk import Placement, ScratchFolder, disk_trouble, drafted, write_whole
 from carina.disk.placing import move_to_new_name
 from carina.display import one_line
+from carina.installation import carina_command
 from carina.navigate import Recording
 from carina.volume import Volume
 
@@ -193,9 +194,10 @@ class CaseFile:
                 check_whole(connection, place)
             if standing == "older":
                 if not read_only:
+                    command = carina_command("case", "migrate")
                     raise refused(
                         place,
-                        "an older version of Carina saved it; migrate it with `carina case migrate`",
+                        f"an older version of Carina saved it; migrate it with `{command}`",
                         code="case.older",
                     )
                 if scratch is None:

@@ -12,6 +12,7 @@ from typing import Final
 from carina.case import CaseFile
 from carina.disk.locks import try_lock
 from carina.errors import CarinaError
+from carina.installation import carina_command
 from carina.session.records import FILE, LOCK, RECORD, CaseRecord, CaseRecords, is_damaged_record, write_record
 
 __all__ = ["ASIDE", "repair_records"]
@@ -67,9 +68,10 @@ def _repaired(records: CaseRecords, folder: Path) -> str | None:
     aside = records.folder / ASIDE
     aside.mkdir(mode=0o700, exist_ok=True)
     moved = _move(folder, aside, folder.name, "")
+    command = carina_command("case", "rescue")
     return (
         f"The record of the saved case {folder.name} and its case file are damaged. Its files were moved to the folder "
-        f"{ASIDE}/{moved.name} of the stored cases; nothing was deleted. Use `carina case rescue` on {FILE} there to "
+        f"{ASIDE}/{moved.name} of the stored cases; nothing was deleted. Use `{command}` on {FILE} there to "
         "recover its intact parts."
     )
 
