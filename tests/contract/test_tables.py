@@ -98,7 +98,9 @@ def test_without_the_library_the_message_says_how_to_install_it(
     library: str, method: str, tables: dict[str, Tabular], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(CarinaError, match=f"not installed; install it with: pip install {library}") as refused:
+    with pytest.raises(
+        CarinaError, match=f"which is not installed; .*Install {library} with: .* {library}$"
+    ) as refused:
         getattr(tables["tree"], method)()
     assert refused.value.code == "table.no-library"
 
