@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
 from carina.track import AirwayTree, Branch, find_airways, measure_tree
-from carina.track.measures.diameter import branch_diameter, narrowest_diameter, with_scatter
+from carina.track.measures.diameter import branch_diameter, narrowest_diameter, passage_of, with_scatter
 from carina.track.measures.forks import angle_deg, directions
 from carina.track.measures.summary import ReferenceDiameter, Stenosis, diameter_by_neighbours, stenosis_of, summed_up
 from carina.volume.model import Volume
@@ -118,13 +118,53 @@ def test_a_route_is_as_narrow_as_its_narrowest_branch_before_its_end(measured):
     tip = tree.tips()[0]
     ids = [branch.id for branch in tree.lineage(tip.id)]
     found = measures.narrowest_of_route(ids)
-    assert found.mm == min(measures.of(i).summary.min_mm for i in ids if measures.of(i).summary.min_mm is not None)
+    passages = [measures.passage(i) for i in ids]
+    assert found.mm == min(float(one.diameter_mm.min()) for one in passages if len(one.diameter_mm))
     assert found.branch_id in ids
-    assert found.error_mm == measures.of(found.branch_id).summary.min_error_mm
+    lower = min(float((one.diameter_mm - one.error_mm).min()) for one in passages if len(one.diameter_mm))
+    assert found.mm - found.error_mm == pytest.approx(lower), "the error covers what may be narrower elsewhere"
     assert measures.narrowest_of_route([]) is None
     before_all = measures.narrowest_of_route([ids[0]], until_mm=-1.0)
     assert before_all is None
-    assert measures.narrowest_of_route(ids[:1]).mm == measures.of(ids[0]).narrowest().mm
+    assert measures.narrowest_of_route(ids[:1]).mm >= found.mm
+
+
+def test_sections_at_the_end_of_a_branch_count_by_their_narrow_side_and_those_at_its_start_do_not():
+    at = 0.7 * np.arange(40)
+    equal, least, error = np.full(40, 4.0), np.full(40, 4.0), np.full(40, 0.1)
+    at_junction = (at < 4.0) | (at > 24.0)
+    equal[at < 4.0], least[at < 4.0] = 7.0, 1.0
+    equal[at > 24.0], least[at > 24.0] = 6.0, 3.5
+
+    def narrowest(*, has_fork):
+        return passage_of(
+            1,
+            at,
+            (equal, error),
+            (least, error),
+            is_measured=np.ones(40, bool),
+            at_junction=at_junction,
+            has_fork=has_fork,
+        ).diameter_mm.min()
+
+    assert narrowest(has_fork=True) == pytest.approx(3.5)
+    assert narrowest(has_fork=False) == pytest.approx(4.0)
+
+
+def test_a_branch_with_sections_at_forks_alone_has_an_error_that_covers_both_of_their_figures():
+    at = 0.7 * np.arange(5)
+    equal, least, error = np.full(5, 6.0), np.full(5, 4.0), np.full(5, 0.1)
+    found = passage_of(
+        1,
+        at,
+        (equal, error),
+        (least, error),
+        is_measured=np.ones(5, bool),
+        at_junction=np.ones(5, bool),
+        has_fork=False,
+    )
+    assert found.diameter_mm == pytest.approx(5.0)
+    assert (found.diameter_mm - found.error_mm <= 4.0).all() and (found.diameter_mm + found.error_mm >= 6.0).all()
 
 
 @given(
