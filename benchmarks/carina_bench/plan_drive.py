@@ -20,8 +20,9 @@ import carina
 from carina.plan import place_at_start, replay_moves, search_drive
 from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
+from carina.plan.route_width import DEVIATIONS_90, EXCESS_SIGMA_MM, RouteWidth
 from carina.plan.routes import PlannedRoute
-from carina.plan.verdict_checks import BEND_SIGMA_DEG, EXCESS_SIGMA_MM, ROOM_SHARE, bend_check, diameter_check
+from carina.plan.verdict_checks import BEND_SIGMA_DEG, bend_check, diameter_check
 from carina.plan.verdict_lever import lever_check
 from carina.scopes import FIT_MARGIN_MM, ScopePreset, WallField, scope_preset
 from carina.track import AirwayTree, Branch, wall_field
@@ -32,6 +33,8 @@ Points = NDArray[np.float64]
 
 SPACING_MM = 0.8
 """Of the CT that the widths are taken from."""
+ROOM_SHARE = 0.2
+"""Standard deviation of a route's narrowest diameter, of the spacing."""
 WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
 STEP_MM = 0.4
 """Of the wall's samples, as `carina.wall_field` has them."""
@@ -91,7 +94,8 @@ def _line(turned: Points) -> Points:
 def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
     place = (float(tip[0]), float(tip[1]), float(tip[2]))
     leg = LastLeg(place, place, place, 0.0, 0.0, 0.0, (), 0.0, 0.0, None, None, None, 1.0, reaches=True)
-    return PlannedRoute(branch_id, "", along_mm, None, (0.0, 0.0, -1.0), 1.0, True, leg, {}, 1.0, ())
+    width = RouteWidth(1.0, 0.1, along_mm)
+    return PlannedRoute(branch_id, "", along_mm, None, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
 
 
 def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
@@ -110,7 +114,8 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
     tree, field, points = _tube(0.5 * room_mm, bend_deg, bend_radius_mm, forks=kind == "fork")
     way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
     if kind == "diameter":
-        told = diameter_check(way, scope, SPACING_MM, errors=True).share
+        error_mm = DEVIATIONS_90 * ROOM_SHARE * SPACING_MM
+        told = diameter_check(RouteWidth(room_mm, error_mm, 50.0), scope, errors=True).share
         true_room_mm = room_mm + rng.normal(0.0, ROOM_SHARE * SPACING_MM)
         driven = replace(scope, tip_mm=scope.tip_mm + FIT_MARGIN_MM + rng.normal(0.0, EXCESS_SIGMA_MM))
         radius_mm = 0.5 * true_room_mm

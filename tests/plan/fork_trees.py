@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carina.plan import PlannedRoute
 from carina.plan.last_leg import LastLeg
+from carina.plan.route_width import RouteWidth
 from carina.track import AirwayTree, Branch
 
 Points = NDArray[np.float64]
@@ -117,4 +118,5 @@ def route_in(tree: AirwayTree, branch_id: int, *, share: float = 0.6, carina: bo
     ahead = unit(branch.points[index] - branch.points[index - 1] + 1e-12)
     forward = (float(ahead[0]), float(ahead[1]), float(ahead[2]))
     name = branch.name or f"branch {branch.id}"
-    return PlannedRoute(branch.id, name, along, from_carina, forward, 2.0, True, leg, {}, 1.0, ())
+    width = RouteWidth(2.0, 0.1, along)
+    return PlannedRoute(branch.id, name, along, from_carina, forward, width, "fits", leg, {}, 1.0, ())

@@ -51,7 +51,7 @@ def plan() -> Plan:
 @cache
 def verdicts() -> tuple[Verdict, ...]:
     scopes = [scope_preset(name) for name in ("thin", "ultrathin", "ion")]
-    return judge_scopes(airways().tree, plan(), wall(), scopes=scopes, spacing_mm=1.1)
+    return judge_scopes(airways().tree, plan(), wall(), scopes=scopes)
 
 
 def turns(found: Airways, planned: Plan, *, ridge_mm: float | None = 9.0) -> TurnList:

@@ -24,6 +24,7 @@ from carina.plan.drive_search import condense_drive, place_at_start, search_driv
 from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
 from carina.plan.places import Ways
+from carina.plan.route_width import RouteWidth
 from carina.plan.routes import PlannedRoute
 from carina.plan.score import bending_mm
 from carina.plan.verdict_checks import bend_check, length_check
@@ -50,7 +51,8 @@ def chest_way(branch_id: int) -> DriveWay:
     n = int(narrow[0]) - 1 if len(narrow) else len(at) - 1
     place = (float(points[n][0]), float(points[n][1]), float(points[n][2]))
     leg = LastLeg(place, place, place, 0.0, 0.0, 0.0, (), 0.0, 0.0, None, None, None, 1.0, reaches=True)
-    planned = PlannedRoute(branch_id, "", float(at[n]), None, (0.0, 0.0, -1.0), 3.0, True, leg, {}, 1.0, ())
+    width = RouteWidth(3.0, 0.1, 50.0)
+    planned = PlannedRoute(branch_id, "", float(at[n]), None, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
     return DriveWay(tree, planned, wall)
 
 

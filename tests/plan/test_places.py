@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from exact_measures import exact_measures
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nodules import ellipsoid
@@ -39,7 +40,9 @@ def bent(bend_deg: float, radius_mm: float, *, straight_mm: float = 80.0) -> Air
 @given(bend_deg=st.floats(5.0, 150.0), radius_mm=st.floats(8.0, 16.0))
 def test_the_bend_of_one_circle_is_its_angle(bend_deg: float, radius_mm: float) -> None:
     tree = bent(bend_deg, radius_mm)
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    places = Places(
+        tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
+    )
     asked = places.asks(len(places.points) - 1, SECTION_MM)
     # The circle is shorter than the section, so that the section's ends lie on the straights.
     assert math.radians(bend_deg) * radius_mm < SECTION_MM - 8.0
@@ -50,7 +53,9 @@ def test_the_bend_of_one_circle_is_its_angle(bend_deg: float, radius_mm: float) 
 
 def test_a_sharper_bend_is_never_told_to_be_easier_farther_on() -> None:
     tree = bent(110.0, 12.0)
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    places = Places(
+        tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
+    )
     bends = [places.asks(n, SECTION_MM).bend_deg.value for n in range(len(places.points))]
     assert bends == sorted(bends)
 
@@ -60,12 +65,14 @@ def test_the_narrowest_place_is_where_the_lumen_is_narrow() -> None:
     radius = tree.branches[1].radius.copy()
     radius[40:44] = 1.4
     narrowed = dataclasses.replace(tree.branches[1], radius=radius)
-    places = Places(AirwayTree((tree.root, narrowed)), ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]))
+    tree = AirwayTree((tree.root, narrowed))
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), narrowed.points[-1]), measures=exact_measures(tree))
     asked = places.asks(len(places.points) - 1, SECTION_MM)
-    assert asked.room_mm.value == pytest.approx(2.8)
-    assert asked.room_mm.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
+    # Shorter than a diameter, and beyond the error of a section.
+    assert asked.width.mm == pytest.approx(2.9) and asked.width.lower_mm < 2.8
+    assert asked.width.at_mm == pytest.approx(30.0 + 0.5 * 41.5, abs=1.1)
     before = places.asks(len(tree.root.points) + 20, SECTION_MM)
-    assert before.room_mm.value == pytest.approx(6.0)
+    assert before.width.mm == pytest.approx(6.0)
 
 
 @settings(deadline=None, max_examples=10)
@@ -74,7 +81,9 @@ def test_places_beside_one_lie_on_the_centreline_and_are_no_wider_than_its_point
     tree = bent(70.0, 12.0)
     radius = np.interp(np.arange(len(tree.branches[1].points)), [0, 400], [3.0, 0.5])
     tree = AirwayTree((tree.root, dataclasses.replace(tree.branches[1], radius=radius)))
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    places = Places(
+        tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
+    )
     own = places.branch == 1
     along, points = places.along_mm[own], places.points[own]
     at_mm = min(at_mm, float(along[-1]))
@@ -88,10 +97,10 @@ def test_places_beside_one_lie_on_the_centreline_and_are_no_wider_than_its_point
         step = points[after] - before
         assert found.points[n] == pytest.approx(before + (mm - along[max(after - 1, 0)]) / 0.5 * step, abs=0.05)
         assert np.linalg.norm(np.cross(found.points[n] - before, step)) < 1e-9
-        assert found.narrowest_mm[n] == places.narrowest_mm[own][after]
+        assert found.width[n].mm == places.width[own][after].mm
         assert np.linalg.norm(found.forward[n]) == pytest.approx(1.0)
     asked = found.asks(0, SECTION_MM)
-    assert asked.room_mm.at_mm <= found.along_mm[0]
+    assert asked.width.at_mm <= found.along_mm[0]
     assert asked.bend_deg.value <= places.asks(len(places.points) - 1, SECTION_MM).bend_deg.value
     assert len(places.beside([]).points) == 0
 
@@ -100,12 +109,14 @@ def test_places_beside_one_lie_on_the_centreline_and_are_no_wider_than_its_point
 @given(tip_mm=st.floats(3.0, 7.0), more_mm=st.floats(0.01, 2.0))
 def test_a_thicker_scope_is_never_likelier_to_get_there(tip_mm: float, more_mm: float) -> None:
     tree = bent(90.0, 14.0)
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    places = Places(
+        tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
+    )
     asked = places.asks(len(places.points) - 1, SECTION_MM)
     thin, thick = (
-        Judge(
-            dataclasses.replace(scope_preset("thin"), tip_mm=mm, tube_mm=None), 3.0, ScoreWeights(), 15.0, 1.0
-        ).outlook(asked)
+        Judge(dataclasses.replace(scope_preset("thin"), tip_mm=mm, tube_mm=None), 3.0, ScoreWeights(), 15.0).outlook(
+            asked
+        )
         for mm in (tip_mm, tip_mm + more_mm)
     )
     assert thin[1] >= thick[1] and RANK[thin[0]] <= RANK[thick[0]]
@@ -128,8 +139,10 @@ def test_the_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: flo
     )
     assert bending_mm(scope) == SECTION_MM
     tree = bent(90.0, 14.0)
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
-    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(
+    places = Places(
+        tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
+    )
+    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(
         places.asks(len(places.points) - 1, bending_mm(scope))
     )
     assert found == outlook and (limits == ()) == (outlook == "reaches")
@@ -137,9 +150,11 @@ def test_the_outlook_is_the_worst_of_width_and_bend(tip_mm: float, most_deg: flo
 
 def test_of_a_scope_whose_flexion_is_not_known_nothing_sure_is_said() -> None:
     tree = bent(90.0, 14.0)
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]))
+    places = Places(
+        tree, ellipsoid((3.0, 3.0, 3.0), tree.branches[1].points[-1]), measures=exact_measures(tree, error_mm=0.28)
+    )
     scope = dataclasses.replace(scope_preset("thin"), flexion_deg=None)
-    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(places.asks(100, bending_mm(scope)))
+    found, _, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(places.asks(100, bending_mm(scope)))
     assert found == "may reach" and limits[0].startswith("it is not known how far")
 
 
@@ -149,10 +164,10 @@ def test_of_a_scope_whose_flexion_is_not_known_nothing_sure_is_said() -> None:
 def test_a_tool_that_only_just_gets_to_the_edge_may_reach_it(to_target_mm: float, outlook: str) -> None:
     tree = bent(20.0, 14.0)
     end = tree.branches[1].points[-1]
-    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), end))
+    places = Places(tree, ellipsoid((3.0, 3.0, 3.0), end), measures=exact_measures(tree, error_mm=0.28))
     at = (float(end[0]), float(end[1]), float(end[2]))
     leg = LastLeg(at, at, at, to_target_mm, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
     scope = dataclasses.replace(scope_preset("thin"), tip_mm=4.0, tube_mm=None)
-    found, chance, limits = Judge(scope, 3.0, ScoreWeights(), 15.0, 1.0).outlook(places.asks(100, SECTION_MM), leg)
+    found, chance, limits = Judge(scope, 3.0, ScoreWeights(), 15.0).outlook(places.asks(100, SECTION_MM), leg)
     assert found == outlook and (limits == ()) == (outlook == "reaches")
     assert chance == pytest.approx(0.5 * math.erfc((to_target_mm - 15.0) / 0.5 / math.sqrt(2.0)), abs=0.01)

@@ -32,7 +32,7 @@ from carina.plan.places import Places
 from carina.plan.routes import standing_apart
 from carina.plan.score import RANK, Judge, bending_mm, order
 from carina.scopes import ScopePreset, WallField, scope_preset
-from carina.track import Airways
+from carina.track import Airways, measure_tree
 from carina.volume import Volume
 from made import made_airways, made_phantom
 
@@ -122,8 +122,9 @@ def test_no_place_between_two_points_of_the_first_routes_branch_scores_better() 
     first, nodule = found.routes[0], found.nodule
     around = surroundings(made_phantom(**CHEST).volume, np.array(nodule.centre_lps), 50.0, nodule, wall())
     scene = NeedleScene(nodule, wall(), around, found.tool, NeedleErrors())
-    judge = Judge(found.scope, 3.0, ScoreWeights(), found.tool.reach_mm, 1.1)
-    places = Places(airways.tree, nodule, wall())
+    judge = Judge(found.scope, 3.0, ScoreWeights(), found.tool.reach_mm)
+    measures = measure_tree(made_phantom(**CHEST).volume, airways)
+    places = Places(airways.tree, nodule, wall(), measures=measures, spacing_mm=1.1)
     finer = places.beside((first.branch_id, first.along_mm + mm) for mm in np.arange(-8.0, 8.0, 0.6))
     scores = []
     for n, (point, forward) in enumerate(zip(finer.points, finer.forward, strict=True)):
@@ -134,7 +135,7 @@ def test_no_place_between_two_points_of_the_first_routes_branch_scores_better() 
         outlook, chance, _ = judge.outlook(asked, leg)
         assert RANK[outlook] >= RANK[first.outlook]
         if outlook == first.outlook:
-            score = judge.score(judge.parts(leg, asked.room_mm.value, nodule))
+            score = judge.score(judge.parts(leg, asked.width.mm, nodule))
             scores.append(score * (chance if outlook == "may reach" else 1.0))
     assert len(scores) > 5
     lines = [(airways.tree.branch(route.branch_id).points, np.array(route.leg.tip_lps)) for route in found.routes]
@@ -183,7 +184,7 @@ def test_what_the_scope_cannot_do_is_told_with_its_figures() -> None:
     wide = plan().routes[0]
     assert wide.outlook == "does not reach" and not wide.fits
     assert re.search(
-        r"the narrowest place, \d+ mm along the route, lets \d\.\d \u00b1 0\.4 mm pass; .* needs 4\.6 mm",
+        r"the narrowest place, \d+ mm along the route, is \d\.\d \u00b1 \d\.\d mm wide; .* needs 4\.6 mm",
         wide.limits[0],
     )
 

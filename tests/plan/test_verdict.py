@@ -17,6 +17,7 @@ from carina.errors import CancelledError, UsageError
 from carina.plan import Plan, Verdict, judge_scope, judge_scopes, tool, verdict_lever
 from carina.plan.drive_way import DriveWay
 from carina.plan.last_leg import LastLeg
+from carina.plan.route_width import RouteWidth
 from carina.plan.routes import PlannedRoute
 from carina.plan.verdict_checks import bend_check
 from carina.plan.verdict_lever import lever_check
@@ -67,7 +68,7 @@ def tube(bend_deg: float, bend_radius_mm: float = 20.0) -> tuple[AirwayTree, Wal
     return AirwayTree((trunk, rest)), field, points
 
 
-def plan_in(points: np.ndarray, park: int = -8) -> Plan:
+def plan_in(points: np.ndarray, park: int = -8, error_mm: float = 0.2) -> Plan:
     """A plan by hand: the nodule lies straight ahead of where the scope stands."""
     tip = points[park]
     ahead = points[-1] - points[-3]
@@ -76,7 +77,8 @@ def plan_in(points: np.ndarray, park: int = -8) -> Plan:
     along = float(np.linalg.norm(np.diff(points[: len(points) + park + 1], axis=0), axis=1).sum())
     place = (float(tip[0]), float(tip[1]), float(tip[2]))
     leg = LastLeg(place, nodule.centre_lps, place, 8.0, 6.0, 0.0, (), 8.0, 8.0, None, None, None, 1.0, reaches=True)
-    route = PlannedRoute(1, "branch 1", along, None, (0.0, 0.0, -1.0), 2 * RADIUS_MM, True, leg, {}, 1.0, ())
+    width = RouteWidth(2 * RADIUS_MM, error_mm, 0.5 * along)
+    route = PlannedRoute(1, "branch 1", along, None, (0.0, 0.0, -1.0), width, "fits", leg, {}, 1.0, ())
     return Plan(nodule, scope_preset("thin"), tool("needle-21g"), "none", None, None, 15.0, (route,), None)
 
 
@@ -119,7 +121,7 @@ def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> No
     plan = plan_in(points)
 
     def shares(name: str, presets: list[ScopePreset]) -> list[float]:
-        return [check(judged(tree, plan, field, one, spacing_mm=0.8), name).share for one in presets]
+        return [check(judged(tree, plan, field, one), name).share for one in presets]
 
     wider = shares("diameter", [dataclasses.replace(scope(), tip_mm=tip) for tip in (2.5, 3.2, 3.6, 4.0, 5.0)])
     assert wider == sorted(wider, reverse=True) and wider[0] > 0.99 and wider[-1] < 0.01
@@ -137,14 +139,14 @@ def test_a_wider_tip_a_stiffer_bend_and_a_shorter_scope_are_never_better() -> No
 def test_between_yes_and_no_lies_perhaps_as_wide_as_the_errors() -> None:
     tree, field, points = tube(30.0, 80.0)
     fits = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4)
-    coarse = judged(tree, plan_in(points), field, fits, spacing_mm=2.0)
+    coarse = judged(tree, plan_in(points, error_mm=0.7), field, fits)
     assert check(coarse, "diameter").answer == "perhaps" and check(coarse, "diameter").share == pytest.approx(0.5)
     assert coarse.outcome == "may reach" and coarse.words.startswith("may reach: needs 4.0 mm; the narrowest place")
 
 
 def test_a_scope_that_fits_and_bends_reaches_and_points_at_what_lies_ahead() -> None:
     tree, field, points = tube(60.0)
-    found = judge_scope(tree, plan_in(points), field, scope(), spacing_mm=0.6)
+    found = judge_scope(tree, plan_in(points), field, scope())
     assert found.outcome == "reaches", found.words
     assert found.words == "reaches the standing place and can point at the target" and found.would is None
     assert found.reached_mm == pytest.approx(plan_in(points).routes[0].along_mm, abs=1.5)
@@ -162,7 +164,7 @@ def test_a_bend_that_figures_leave_open_is_settled_by_drives_with_less_lever(mon
     way = DriveWay(tree, plan.routes[0], field)
     figures = bend_check(way, near, errors=True)
     assert figures.answer == "perhaps" and 0.5 < figures.share < 0.7
-    found = judge_scope(tree, plan, field, near, spacing_mm=0.6)
+    found = judge_scope(tree, plan, field, near)
     told = check(found, "bend")
     assert (told.answer, told.share) == ("yes", 0.95) and found.driven is not None
     assert told.words == f"{figures.words}; with 13 degrees less flexion, the drive still arrives"
@@ -187,14 +189,14 @@ def test_a_bend_that_figures_leave_open_is_settled_by_drives_with_less_lever(mon
 def test_what_is_unknown_cannot_be_said() -> None:
     tree, field, points = tube(60.0)
     robot = dataclasses.replace(scope_preset("ion"), tip_mm=3.0)
-    found = judge_scope(tree, plan_in(points), field, robot, spacing_mm=0.6)
+    found = judge_scope(tree, plan_in(points), field, robot)
     assert found.outcome == "cannot say" and "is not known" in found.words
     assert found.hold is None and found.would.startswith("could reach only if ")
 
 
 def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
     tree, field, points = tube(60.0)
-    found = judge_scope(tree, plan_in(points), field, scope(channel_mm=1.7), spacing_mm=0.6)
+    found = judge_scope(tree, plan_in(points), field, scope(channel_mm=1.7))
     assert found.outcome == "does not reach"
     assert found.words.endswith("21 G has a diameter of 1.8 mm; the working channel has 1.7 mm")
     assert found.would == "would reach if a thinner tool were used"
@@ -204,7 +206,7 @@ def test_a_tool_that_does_not_pass_the_channel_is_said() -> None:
 def test_what_may_not_fit_is_not_promised_to_reach_with_another_tool() -> None:
     tree, field, points = tube(30.0, 80.0)
     tight = dataclasses.replace(scope(), tip_mm=2 * RADIUS_MM - 0.4, channel_mm=1.2)
-    found = judged(tree, plan_in(points), field, tight, spacing_mm=2.0)
+    found = judged(tree, plan_in(points), field, tight)
     assert found.outcome == "does not reach" and found.would == "might reach if a thinner tool were used"
     assert all(one.words.startswith("if it fits: ") for one in found.checks[4:] if one.answer == "perhaps")
 
@@ -214,14 +216,14 @@ def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
     told: list[Verdict] = []
     presets = [scope(name="fits"), scope(name="wide", title="wide")]
     presets[1] = dataclasses.replace(presets[1], tip_mm=3.6, tube_mm=5.0)
-    found = judge_scopes(tree, plan_in(points), field, scopes=presets, spacing_mm=0.6, found=told.append)
+    found = judge_scopes(tree, plan_in(points), field, scopes=presets, found=told.append)
     assert [one.scope.name for one in found] == ["fits", "wide"]
     assert [one.scope.name for one in told] == ["wide", "fits"]
     assert told[0].driven is None and told[0].words.startswith("stops at ")
     assert told[0].would == "could reach only if the airway were wider or the scope thinner"
     # Nothing is known of where an instrument stops whose bending section is unknown.
     unknown = dataclasses.replace(presets[1], flexion_deg=None, bending_mm=None)
-    (told_of,) = judge_scopes(tree, plan_in(points), field, scopes=[unknown], spacing_mm=0.6)
+    (told_of,) = judge_scopes(tree, plan_in(points), field, scopes=[unknown])
     assert told_of.outcome == "does not reach" and told_of.words.startswith("does not reach: needs ")
     assert told[1].outcome == "reaches"
 
@@ -230,7 +232,7 @@ def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancell
     tree, wall, plan = reported.airways().tree, reported.wall(), reported.plan()
     told: list[float] = []
     found = judge_scopes(
-        tree, plan, wall, spacing_mm=1.1, effort=4000.0, progress=lambda _what, share: told.append(share)
+        tree, plan, wall, effort=4000.0, progress=lambda _what, share: told.append(share)
     )
     assert [one.scope for one in found] == list(scope_presets())
     assert told == sorted(told) and told[-1] == 1.0
@@ -249,5 +251,3 @@ def test_a_plan_without_a_route_and_a_bad_spacing_are_refused() -> None:
     plan = plan_in(points)
     with pytest.raises(UsageError, match="the plan has no route to judge"):
         judge_scope(tree, dataclasses.replace(plan, routes=()), field, scope())
-    with pytest.raises(UsageError, match="spacing_mm: expected above 0 up to 20; found 0"):
-        judge_scope(tree, plan, field, scope(), spacing_mm=0.0)

@@ -9,6 +9,7 @@ from nodules import ellipsoid
 
 from carina.plan import Plan, tool
 from carina.plan.last_leg import Crossed, LastLeg
+from carina.plan.route_width import RouteWidth
 from carina.plan.routes import PlannedRoute
 from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch
@@ -93,8 +94,8 @@ def _route(
         along_mm=100.0,
         from_carina_mm=43.0,
         forward=(float(unit[0]), float(unit[1]), float(unit[2])),
-        narrowest_mm=4.1,
-        fits=False,
+        width=RouteWidth(4.1, 0.3, 80.0),
+        fit="does not fit",
         leg=leg,
         parts={},
         score=0.7,

@@ -124,7 +124,7 @@ def report(
             library = list(scope_presets())
             # One's own, from a file, is not in the library.
             scopes = library if plan.scope in library else [plan.scope, *library]
-        verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes, spacing_mm=max(source.volume.spacing_mm))
+        verdicts = judge_scopes(airways.tree, plan, wall, scopes=scopes)
     for verdict in verdicts:
         say(f"{verdict.scope.title} on route 1: {verdict.words}")
     if peer is not None:
@@ -185,6 +185,8 @@ def lines(plan: Plan) -> list[str]:
     for number, route in enumerate(plan.routes, 1):
         said.append(f"route {number}: {_route_words(plan, route)}")
         said += [f"route {number}: ! {doubt}" for doubt in route.doubts]
+        if route.width.why is not None:
+            said.append(f"route {number}: ! {route.width.why}")
     if plan.why is not None:
         said.append(plan.why)
     else:
@@ -198,11 +200,12 @@ def _route_words(plan: Plan, route: PlannedRoute) -> str:
     leg = route.leg
     past_mm = plan.past_carina_mm(route)
     place = "" if past_mm is None else f", {past_mm:.0f} mm beyond the carina"
-    fits = "" if route.fits else f" ({plan.scope.title} needs {plan.scope.fit_mm:.1f} mm)"
+    needs = f" ({plan.scope.title} needs {plan.scope.fit_mm:.1f} mm)"
+    fits = {"fits": "", "may fit": f"{needs}, may fit", "does not fit": f"{needs}, does not fit"}[route.fit]
     vessel = "no vessel seen nearby" if leg.vessel_mm is None else f"nearest vessel {leg.vessel_mm:.1f} mm away"
     moved = "" if leg.hit_share_moved is None else f", {100 * leg.hit_share_moved:.0f} % if the target has moved"
     return (
-        f"{route.branch_name}{place}; narrowest {route.narrowest_mm:.1f} mm{fits}; needle path "
+        f"{route.branch_name}{place}; narrowest {route.width.words}{fits}; needle path "
         f"{leg.to_target_mm:.1f} mm to the target at {leg.angle_deg:.0f} degrees to the airway, "
         f"{leg.in_target_mm:.1f} mm within it; {vessel}; expected hits {100 * leg.hit_share:.0f} %{moved}; "
         f"score {route.score:.2f}"

@@ -191,9 +191,12 @@ def _route_words(route: PlannedRoute, plan: Plan) -> str:
     past_mm = plan.past_carina_mm(route)
     if past_mm is not None:
         said.append(f"scope tip {past_mm:.0f} mm beyond the main carina")
-    said.append(f"the largest ball that passes on the way has {route.narrowest_mm:.1f} mm")
+    said.append(f"narrowest diameter of the way {route.width.words}")
+    if route.width.why is not None:
+        said.append(route.width.why)
     if not route.fits:
-        said.append(f"too narrow for {plan.scope.title}, which needs {plan.scope.fit_mm:.1f} mm")
+        doubt = "too narrow" if route.fit == "does not fit" else "within its error too narrow"
+        said.append(f"{doubt} for {plan.scope.title}, which needs {plan.scope.fit_mm:.1f} mm")
     said.append(
         f"{plan.tool.title}: {leg.to_target_mm:.1f} mm from the tip to the target, {leg.angle_deg:.0f} degrees to the "
         f"airway, {leg.in_target_mm:.1f} mm in the target"

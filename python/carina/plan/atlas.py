@@ -15,12 +15,13 @@ from carina.display.progress import ProgressChoice, progress_function, share_fun
 from carina.errors import CancelledError, UsageError, check_type
 from carina.plan.lobes import lung_grid
 from carina.plan.places import Ways
+from carina.plan.route_width import matches_tree
 from carina.plan.score import RANK, Judge, Outlook, ScoreWeights, bending_mm
 from carina.plan.surroundings import lung_box
 from carina.plan.tools import DEFAULT_TOOL, Tool
 from carina.plan.tools import tool as tool_named
 from carina.scopes import ScopePreset, WallField, scope_preset
-from carina.track import Airways, wall_field
+from carina.track import Airways, TreeMeasures, measure_tree, wall_field
 from carina.volume import Volume
 
 __all__ = ["NOT", "REACHES", "ReachAtlas", "reach_atlas"]
@@ -107,6 +108,7 @@ def reach_atlas(
     scope: ScopePreset | str = "thin",
     tool: Tool | str = DEFAULT_TOOL,
     wall: WallField | None = None,
+    measures: TreeMeasures | None = None,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> ReachAtlas:
@@ -123,6 +125,8 @@ def reach_atlas(
         Instruments or their names in the libraries.
     wall
         The airways' wall where it is at hand; else it is made.
+    measures
+        The airways' measures where they are at hand; else they are made (`plan_route`).
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -161,8 +165,10 @@ def reach_atlas(
     matrix = np.array(box.lps_from_ijk, dtype=np.float64)
     matrix[:3, :3] *= STEP_MM / box.step_mm
     say(0.4)
-    ways = Ways(airways.tree, wall)
-    judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm, max(volume.spacing_mm))
+    if measures is None or not matches_tree(measures, airways.tree):
+        measures = measure_tree(volume, airways, cancel=cancel)
+    ways = Ways(airways.tree, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
+    judge = Judge(preset, 0.0, ScoreWeights(), used.reach_mm)
     section_mm = bending_mm(preset)
     reach = np.zeros(lung.shape, dtype=np.uint8)
     tip_mm: dict[int, float] = {branch.id: 0.0 for branch in airways.tree.branches}

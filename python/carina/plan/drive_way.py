@@ -43,6 +43,7 @@ class DriveWay:
         route: Route = tree.route_to(planned.branch_id)
         tip = np.array(planned.leg.tip_lps)
         self.wall = wall
+        self.width = planned.width
         self.points, self.cumulative_mm = route.points_lps, route.cumulative_mm
         self.park_mm = float(self.cumulative_mm[int(np.argmin(np.linalg.norm(self.points - tip, axis=1)))])
         self.aim = np.array(planned.leg.aim_lps)
@@ -70,7 +71,7 @@ class DriveWay:
     def wall_room_mm(self) -> float:
         """Diameter of the largest ball that passes to where the scope stands, in the wall that a drive is held in.
 
-        It may differ from `room_mm`, which was measured on the CT: the wall is a mesh, and ends where the airway does.
+        It may differ from `width`, which was measured in the CT: the wall is a mesh of the lumen found.
         """
         on_the_way = (self._fine_mm >= CUT_MM) & (self._fine_mm <= self.park_mm)
         return 2.0 * float(self._fine_room_mm[on_the_way].min()) if on_the_way.any() else math.inf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.plan.nodule import Nodule
-from carina.plan.room import rooms_mm
+from carina.plan.route_width import widths_on_the_way
 from carina.plan.score import Demands, Worst
 from carina.plan.tools import Tool
 from carina.scopes import WallField
-from carina.track import AirwayTree, Branch, branch_side_and_lobe
+from carina.track import AirwayTree, Branch, TreeMeasures, branch_side_and_lobe
 
 __all__ = ["BronchusSign", "NearestPlace", "Places", "Ways", "branch_doubts", "branch_title"]
 
@@ -38,7 +38,7 @@ SMOOTH_MM = 4.0
 """Half the way over which a direction of the route is taken."""
 BEND_STEP_MM = 1.0
 
-_COLUMNS = ("points", "forward", "branch", "along_mm", "narrowest_mm", "narrowest_at_mm", "radius")
+_COLUMNS = ("points", "forward", "branch", "along_mm", "width", "radius")
 
 
 @one_line
@@ -69,13 +69,31 @@ class NearestPlace:
 
 
 class Ways:
-    """All points of a tree's branches, and what the way to each asks of a scope."""
+    """All points of a tree's branches, and what the way to each asks of a scope.
 
-    def __init__(self, tree: AirwayTree, wall: WallField | None = None) -> None:
+    Parameters
+    ----------
+    tree, wall
+        The airways, and their wall.
+    measures
+        Of this tree; None takes the largest ball as the diameter everywhere.
+    spacing_mm
+        The coarsest of the CT.
+    """
+
+    def __init__(
+        self,
+        tree: AirwayTree,
+        wall: WallField | None = None,
+        *,
+        measures: TreeMeasures | None = None,
+        spacing_mm: float = 1.0,
+    ) -> None:
         self._tree = tree
         branches = [branch for branch in tree.branches if len(branch.points) > 1]
         self._row = {branch.id: branch for branch in tree.branches}
-        along, narrowest, narrowest_at = _on_the_way(tree, wall)
+        along = _along(tree)
+        widths = widths_on_the_way(tree, wall, measures, spacing_mm)
         self._bends: dict[int, tuple[Points, Points, Points]] = {}
         self._doubts: dict[int, tuple[str, ...]] = {}
 
@@ -86,8 +104,8 @@ class Ways:
         self.forward: Points = joined([_tangents(b.points) for b in branches], 3)
         self.branch: NDArray[Any] = joined([np.full(len(b.points), b.id) for b in branches])
         self.along_mm: Points = joined([along[b.id] for b in branches])
-        self.narrowest_mm: Points = joined([narrowest[b.id] for b in branches])
-        self.narrowest_at_mm: Points = joined([narrowest_at[b.id] for b in branches])
+        self.width: NDArray[np.object_] = joined([widths[b.id] for b in branches])
+        """(n,) of `RouteWidth`."""
         self.radius: Points = joined([b.wall_distance for b in branches])
 
     def of_branch(self, n: int) -> Branch:
@@ -107,8 +125,7 @@ class Ways:
             row = int(np.searchsorted(at, float(self.along_mm[n]) + 1e-6, side="right")) - 1
             if row >= 0:
                 bend = Worst(float(worst[row]), float(where[row]))
-        room = Worst(float(self.narrowest_mm[n]), float(self.narrowest_at_mm[n]))
-        return Demands(room, bend, self._doubts[branch.id], self._trust(branch))
+        return Demands(self.width[n], bend, self._doubts[branch.id], self._trust(branch))
 
     def _trust(self, branch: Branch) -> float:
         lineage = self._tree.lineage(branch.id)
@@ -122,8 +139,16 @@ class Ways:
 class Places(Ways):
     """The same against one nodule."""
 
-    def __init__(self, tree: AirwayTree, nodule: Nodule, wall: WallField | None = None) -> None:
-        super().__init__(tree, wall)
+    def __init__(
+        self,
+        tree: AirwayTree,
+        nodule: Nodule,
+        wall: WallField | None = None,
+        *,
+        measures: TreeMeasures | None = None,
+        spacing_mm: float = 1.0,
+    ) -> None:
+        super().__init__(tree, wall, measures=measures, spacing_mm=spacing_mm)
         self.nodule = nodule
         self.distance: Points = np.linalg.norm(self.points - np.array(nodule.centre_lps), axis=1)
 
@@ -178,8 +203,12 @@ class Places(Ways):
             of["forward"].append(forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9))
             of["branch"].append(self.branch[after])
             of["along_mm"].append(mm)
-            of["narrowest_mm"].append(self.narrowest_mm[after])
-            of["narrowest_at_mm"].append(np.minimum(self.narrowest_at_mm[after], mm))
+            widths = np.empty(len(mm), dtype=object)
+            widths[:] = [
+                replace(width, at_mm=min(width.at_mm, float(here)))
+                for width, here in zip(self.width[after], mm, strict=True)
+            ]
+            of["width"].append(widths)
             of["radius"].append(np.minimum(self.radius[before], self.radius[after]))
         for name, parts in of.items():
             setattr(finer, name, np.concatenate(parts) if parts else getattr(self, name)[:0])
@@ -256,31 +285,14 @@ def branch_title(branch: Branch) -> str:
     return branch.name or f"branch {branch.id}"
 
 
-def _on_the_way(
-    tree: AirwayTree, wall: WallField | None
-) -> tuple[dict[int, Points], dict[int, Points], dict[int, Points]]:
-    """For the points of each branch the way from the root, the diameter of the ball that gets there, and where the way
-    is as narrow as that; mm."""
+def _along(tree: AirwayTree) -> dict[int, Points]:
+    """Return for the points of each branch the way from the root, mm."""
     along: dict[int, Points] = {}
-    narrowest: dict[int, Points] = {}
-    narrowest_at: dict[int, Points] = {}
     # Parents come first.
     for branch in tree.branches:
         own = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-        room = rooms_mm(branch, wall)
-        if branch.parent is None:
-            # Where the trachea begins, the CT may end.
-            room = np.full(len(own), float(np.median(room)))
-            before, before_at = np.inf, 0.0
-        else:
-            own = own + along[branch.parent][-1]
-            before, before_at = float(narrowest[branch.parent][-1]), float(narrowest_at[branch.parent][-1])
-        least = np.minimum(np.minimum.accumulate(room), before)
-        is_new = room <= least
-        at = np.where(is_new, own, 0.0)
-        narrowest_at[branch.id] = np.where(least < before, np.maximum.accumulate(at), before_at)
-        along[branch.id], narrowest[branch.id] = own, least
-    return along, narrowest, narrowest_at
+        along[branch.id] = own if branch.parent is None else own + along[branch.parent][-1]
+    return along
 
 
 def _bends(lineage: tuple[Branch, ...] | list[Branch], section_mm: float) -> tuple[Points, Points, Points]:

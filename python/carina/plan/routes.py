@@ -38,13 +38,14 @@ from carina.plan.main_carina import ridge_beyond_axes_mm
 from carina.plan.needle import NeedleErrors
 from carina.plan.nodule import Nodule, grow_nodule
 from carina.plan.places import BronchusSign, NearestPlace, Places, branch_title
+from carina.plan.route_width import Fit, RouteWidth, matches_tree
 from carina.plan.score import Judge, Outlook, ScoreWeights, bending_mm, order
 from carina.plan.surroundings import surroundings
 from carina.plan.target import PlanTarget
 from carina.plan.tools import DEFAULT_TOOL, Tool, tools
 from carina.plan.tools import tool as tool_named
 from carina.scopes import ScopeHold, ScopePreset, WallField, scope_preset
-from carina.track import Airways, wall_field
+from carina.track import Airways, TreeMeasures, measure_tree, wall_field
 from carina.volume import Volume
 
 __all__ = [
@@ -87,10 +88,10 @@ class PlannedRoute:
     """The same from the main carina; None where the tree shows none on the way."""
     forward: tuple[float, float, float]
     """The airway's direction there."""
-    narrowest_mm: float
-    """Diameter of the largest ball that passes on the way."""
-    fits: bool
-    """The scope with its margin is no larger than that."""
+    width: RouteWidth
+    """The narrowest diameter of the way, with its error."""
+    fit: Fit
+    """Whether the scope with its margin fits, fits if the errors are in its favour, or does not fit."""
     leg: LastLeg
     parts: dict[str, float]
     """Of the score, each 0 to 1 (`ScoreWeights`)."""
@@ -118,6 +119,16 @@ class PlannedRoute:
         """The same for the same place and aim, whatever its rank: "17-204.5", "17-204.5-2" for the second aim."""
         return f"{self.branch_id}-{self.along_mm:.1f}" + (f"-{self.aim + 1}" if self.aim else "")
 
+    @property
+    def narrowest_mm(self) -> float:
+        """The narrowest diameter of the way, without its error."""
+        return self.width.mm
+
+    @property
+    def fits(self) -> bool:
+        """Whether the scope with its margin fits, whatever the errors."""
+        return self.fit == "fits"
+
     def to_json(self) -> dict[str, Any]:
         """Plain JSON types."""
         return {
@@ -133,7 +144,8 @@ class PlannedRoute:
                 "flexion_rad": None if self.hold is None else self.hold.flexion_rad,
             },
             "forward": list(self.forward),
-            "narrowest_mm": self.narrowest_mm,
+            **self.width.to_json(),
+            "fit": self.fit,
             "fits": self.fits,
             "bend_deg": self.bend_deg,
             "outlook": self.outlook,
@@ -285,6 +297,7 @@ class Plan(Tabular):
     errors=instance(NeedleErrors, "create a carina.plan.NeedleErrors", optional=True),
     weights=instance(ScoreWeights, "create a carina.plan.ScoreWeights", optional=True),
     wall=instance(WallField, "make one with carina.wall_field", optional=True),
+    measures=instance(TreeMeasures, "get them from carina.measure_tree", optional=True),
     cancel=function,
 )
 def plan_route(
@@ -300,6 +313,7 @@ def plan_route(
     errors: NeedleErrors | None = None,
     weights: ScoreWeights | None = None,
     wall: WallField | None = None,
+    measures: TreeMeasures | None = None,
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Plan:
@@ -325,6 +339,9 @@ def plan_route(
         Of the needle, and of the score.
     wall
         The airways' wall where it is at hand (`carina.wall_field`); else it is made.
+    measures
+        The airways' measures where they are at hand (`carina.measure_tree`). Without them, and where they are of
+        another tree or by an earlier method, the airways are measured.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -376,8 +393,10 @@ def plan_route(
     say(0.1)
     wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
     say(0.5)
-    places = Places(airways.tree, nodule, wall)
-    judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm, max(volume.spacing_mm))
+    if measures is None or not matches_tree(measures, airways.tree):
+        measures = measure_tree(volume, airways, cancel=cancel)
+    places = Places(airways.tree, nodule, wall, measures=measures, spacing_mm=max(volume.spacing_mm))
+    judge = Judge(preset, vessel_margin_mm, weights or ScoreWeights(), used.reach_mm)
     moved = places.moved_mm() if moved_mm is None else moved_mm
     sign, sign_branch, sign_lps = places.bronchus_sign()
     nearest = places.nearest()
@@ -495,7 +514,7 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
     """Return the judged route to a place with its last leg."""
     branch = places.of_branch(n)
     asked = places.asks(n, bending_mm(judge.scope))
-    parts = judge.parts(leg, asked.room_mm.value, places.nodule)
+    parts = judge.parts(leg, asked.width.mm, places.nodule)
     outlook, chance, limits = judge.outlook(asked, leg)
     carina_mm = places.carina_mm(branch)
     forward = places.forward[n]
@@ -505,8 +524,8 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
         along_mm=float(places.along_mm[n]),
         from_carina_mm=None if carina_mm is None else float(places.along_mm[n]) - carina_mm,
         forward=(float(forward[0]), float(forward[1]), float(forward[2])),
-        narrowest_mm=asked.room_mm.value,
-        fits=asked.room_mm.value >= judge.scope.fit_mm,
+        width=asked.width,
+        fit=asked.width.fit(judge.scope),
         leg=leg,
         parts=parts,
         score=judge.score(parts),

@@ -13,6 +13,7 @@ from carina.display import one_line
 from carina.errors import UsageError
 from carina.plan.last_leg import LastLeg
 from carina.plan.nodule import Nodule
+from carina.plan.route_width import RouteWidth
 from carina.scopes import ScopePreset
 
 __all__ = ["Demands", "Judge", "Outlook", "ScoreWeights", "Worst"]
@@ -24,10 +25,6 @@ DEEP_MM = 8.0
 """So much of a needle's way in the target is enough for a sample."""
 SURE = 0.9
 """Told *reaches* from this chance up, *does not reach* at what is left below its rest."""
-EXCESS_SIGMA_MM = 0.15
-"""Of a scope's true size: ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the deviation is our estimate)."""
-ROOM_SHARE = 0.2
-"""Standard deviation of a lumen's width, of the CT's coarsest spacing (k)."""
 BEND_SIGMA_DEG = 8.0
 """Of the angle that a route asks of the bending section (k)."""
 DEPTH_SIGMA_MM = 0.5
@@ -78,8 +75,8 @@ class Worst:
 class Demands:
     """What the way to a place asks of a scope."""
 
-    room_mm: Worst
-    """The narrowest place: diameter of the largest ball that passes."""
+    width: RouteWidth
+    """The narrowest place."""
     bend_deg: Worst
     """The sharpest turn over the length of rigid tip and bending section; where that ends."""
     doubts: tuple[str, ...]
@@ -96,8 +93,6 @@ class Judge:
     weights: ScoreWeights
     reach_mm: float
     """How far the tool works beyond the scope's tip."""
-    spacing_mm: float
-    """The CT's coarsest: how sure a lumen's width is."""
 
     def parts(self, leg: LastLeg, narrowest_mm: float, nodule: Nodule) -> dict[str, float]:
         """Of the score, each 0 to 1 (`ScoreWeights`)."""
@@ -123,7 +118,7 @@ class Judge:
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust
         limits = []
-        asked = [self._room(way), self._bend(way)]
+        asked: list[tuple[float | None, str]] = [self._room(way), self._bend(way)]
         if leg is not None:
             asked.append(self._depth(leg))
         for share, words in asked:
@@ -147,13 +142,9 @@ class Judge:
         return _share(spare / DEPTH_SIGMA_MM), f"the tool reaches no more than {spare:.1f} mm beyond the target's edge"
 
     def _room(self, way: Demands) -> tuple[float, str]:
-        needs = self.scope.fit_mm
-        sigma = math.hypot(ROOM_SHARE * self.spacing_mm, EXCESS_SIGMA_MM)
-        words = (
-            f"the narrowest place, {way.room_mm.at_mm:.0f} mm along the route, lets {way.room_mm.value:.1f} \u00b1 "
-            f"{1.645 * sigma:.1f} mm pass; {self.scope.title} needs {needs:.1f} mm"
-        )
-        return _share((way.room_mm.value - needs) / sigma), words
+        needs = f"{self.scope.title} needs {self.scope.fit_mm:.1f} mm"
+        words = [way.width.place_words, needs, *([] if way.width.why is None else [way.width.why])]
+        return way.width.chance(self.scope), "; ".join(words)
 
     def _bend(self, way: Demands) -> tuple[float | None, str]:
         if self.scope.flexion_deg is None or self.scope.bending_mm is None:

@@ -124,7 +124,6 @@ def judge_scopes(
     *,
     route: PlannedRoute | None = None,
     scopes: Iterable[ScopePreset] | None = None,
-    spacing_mm: float = 1.0,
     entry_mm: float | None = None,
     errors: bool = True,
     effort: float = EFFORT,
@@ -142,8 +141,6 @@ def judge_scopes(
         One of the plan's; the first unless told.
     scopes
         The whole library unless told.
-    spacing_mm
-        Coarsest spacing of the CT: how sure a lumen's width is.
     entry_mm
         From nose or mouth to where the tree begins; None leaves the length of the instrument open.
     errors
@@ -170,7 +167,6 @@ def judge_scopes(
         plan,
         wall,
         route=route,
-        spacing_mm=spacing_mm,
         entry_mm=entry_mm,
         errors=errors,
         effort=effort,
@@ -225,7 +221,6 @@ def judge_scope(
     scope: ScopePreset,
     *,
     route: PlannedRoute | None = None,
-    spacing_mm: float = 1.0,
     entry_mm: float | None = None,
     errors: bool = True,
     effort: float = EFFORT,
@@ -237,7 +232,6 @@ def judge_scope(
         plan,
         wall,
         route=route,
-        spacing_mm=spacing_mm,
         entry_mm=entry_mm,
         errors=errors,
         effort=effort,
@@ -278,7 +272,6 @@ class _Bench:
         wall: WallField,
         *,
         route: PlannedRoute | None,
-        spacing_mm: float,
         entry_mm: float | None,
         errors: bool,
         effort: float,
@@ -286,11 +279,9 @@ class _Bench:
     ) -> None:
         if route is None and not plan.routes:
             raise UsageError("the plan has no route to judge", code="plan.no-route")
-        if not (math.isfinite(spacing_mm) and 0.0 < spacing_mm <= 20.0):
-            raise UsageError(f"spacing_mm: expected above 0 up to 20; found {spacing_mm}", code="plan.range")
         self._way = DriveWay(tree, plan.routes[0] if route is None else route, wall)
         self._plan, self._wall = plan, wall
-        self._spacing_mm, self._entry_mm, self._errors = spacing_mm, entry_mm, errors
+        self._entry_mm, self._errors = entry_mm, errors
         self._effort, self._cancel = effort, cancel
         self.stopped = False
 
@@ -302,7 +293,7 @@ class _Bench:
     def figures(self, scope: ScopePreset) -> _Figures:
         """What needs no drive."""
         checks = (
-            diameter_check(self._way, scope, self._spacing_mm, errors=self._errors),
+            diameter_check(self._way.width, scope, errors=self._errors),
             bend_check(self._way, scope, errors=self._errors),
             length_check(self._way, scope, self._entry_mm),
             channel_check(scope, self._plan.tool),
@@ -331,8 +322,11 @@ class _Bench:
         """The verdict of figures and a drive."""
         checks = drive.checks
         if figures.driven_as is not scope:
+            doubt = "if it fits"
+            if figures.checks[0].answer == "yes":
+                doubt = "driven as a thinner scope, because the wall found is narrower than the measured diameter"
             checks = tuple(
-                replace(one, answer="perhaps", words=f"if it fits: {one.words}") if one.answer == "yes" else one
+                replace(one, answer="perhaps", words=f"{doubt}: {one.words}") if one.answer == "yes" else one
                 for one in checks
             )
         route = None if drive.route is None else replace(drive.route, scope_name=scope.name)

@@ -13,6 +13,7 @@ import numpy as np
 
 from carina.display import one_line
 from carina.plan.drive_way import DriveWay
+from carina.plan.route_width import RouteWidth
 from carina.plan.tools import Tool
 from carina.scopes import FIT_MARGIN_MM, ScopePreset
 
@@ -22,10 +23,6 @@ Answer = Literal["yes", "perhaps", "no", "unknown"]
 
 SURE = 0.9
 """Told *yes* from this share of the errors up, *no* at what is left below its rest."""
-EXCESS_SIGMA_MM = 0.15
-"""Of the margin: ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the standard deviation is our estimate)."""
-ROOM_SHARE = 0.2
-"""Standard deviation of a lumen's width, of the CT's coarsest spacing (k)."""
 BEND_SIGMA_DEG = 8.0
 """Of the angle that a route asks of the bending section (k)."""
 LONGEST_ENTRY_MM = 250.0
@@ -46,17 +43,18 @@ class Check:
     """What it rests on: figures of the instrument with ``s`` or ``k``, and what was measured."""
 
 
-def diameter_check(way: DriveWay, scope: ScopePreset, spacing_mm: float, *, errors: bool) -> Check:
-    """Whether it is thinner than the narrowest place on the way."""
-    n = int(np.argmin(way.room_mm))
-    room, where = float(way.room_mm[n]), float(way.room_at_mm[n])
-    needs = scope.fit_mm if errors else max(scope.tip_mm, scope.tube_mm or 0.0)
-    sigma = math.hypot(ROOM_SHARE * spacing_mm, EXCESS_SIGMA_MM) if errors else 0.0
-    share = passes(room - needs, sigma)
-    more = f" \u00b1 {1.645 * sigma:.1f}" if sigma > 0.0 else ""
-    words = f"needs {needs:.1f} mm; the narrowest place, {where:.0f} mm along the route, lets {room:.1f}{more} mm pass"
-    margin = f", and {FIT_MARGIN_MM:g} mm measured excess (s)" if errors else ""
-    basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; lumen from the CT"
+def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Check:
+    """Return whether a scope is thinner than the narrowest place of a route."""
+    if errors:
+        needs, share = scope.fit_mm, width.chance(scope)
+        place, margin = width.place_words, f", and {FIT_MARGIN_MM:g} mm measured excess (s)"
+    else:
+        needs, margin = max(scope.tip_mm, scope.tube_mm or 0.0), ""
+        share = passes(width.mm - needs, 0.0)
+        place = f"the narrowest place, {width.at_mm:.0f} mm along the route, is {width.mm:.1f} mm wide"
+    words = f"needs {needs:.1f} mm; {place}" + ("" if width.why is None else f"; {width.why}")
+    lumen = "diameter from sections of the CT" if width.source == "sections" else "largest ball in the lumen found"
+    basis = f"tip {scope.tip_mm:g} mm ({_basis(scope)}){margin}; {lumen}"
     return Check("diameter", answer_of(share), share, words, basis)
 
 

@@ -38,6 +38,15 @@ class RouteOffer(FrozenValue, frozen=True):
     branch_name: Words
     from_carina_mm: float | None
     narrowest_mm: float
+    """The narrowest diameter of the way."""
+    narrowest_error_mm: float
+    """Half of an interval meant to hold the truth in 90 of 100 cases."""
+    narrowest_by: Literal["sections", "ball"]
+    """``ball`` where the diameter rests on a stretch that could not be measured."""
+    narrowest_why: Words | None
+    """Why a stretch could not be measured, and where."""
+    fit: Literal["fits", "may fit", "does not fit"]
+    """Whether the planned scope fits; *may fit* if the errors are in its favour."""
     outlook: Words
     """What diameter, bend and doubts say of the planned scope, before its drive is simulated."""
     limits: tuple[Words, ...]

@@ -275,7 +275,7 @@ def new_case(
     history = History(document) if kept is None else kept.history()
     measured = MeasuredAirways(() if kept is None else kept.measures)
     transfer = history.current.transfer
-    planning = CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan"))
+    planning = CasePlanning(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "plan"), measured=measured)
     planning.lungs = CaseLungs(
         volume, parts, jobs=jobs, lock=lock, wall=planning.wall_of, changed=partial(changed, "lungs", "views")
     )

@@ -114,7 +114,7 @@ class Parts:
     plan_route: Callable[..., Plan] = _plan_route
     """``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
     judge_scopes: Callable[..., tuple[Verdict, ...]] = _judge_scopes
-    """``judge_scopes(tree, plan, wall, route=, scopes=, spacing_mm=, entry_mm=, found=, progress=, cancel=)``."""
+    """``judge_scopes(tree, plan, wall, route=, scopes=, entry_mm=, found=, progress=, cancel=)``."""
     map_lungs: Callable[..., LungMap] = _map_lungs
     """``map_lungs(volume, airways, wall, progress=, found=)``."""
     reach_atlas: Callable[..., ReachAtlas] = _reach_atlas

@@ -15,8 +15,9 @@ from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
 from carina.session.derived import Attempt, Cached, Derived, Standing, identical
 from carina.session.jobs import JobRunner
+from carina.session.measured import MeasuredAirways
 from carina.session.parts import Parts
-from carina.track import Mesh, mask_mesh
+from carina.track import Mesh, TreeMeasures, mask_mesh
 
 if TYPE_CHECKING:
     from carina.plan import Nodule, Plan, TurnList, Verdict
@@ -58,6 +59,8 @@ class MadePlans:
 
     airways: Airways
     wall: Any
+    measures: TreeMeasures | None
+    """None where the case measures nothing; then each plan does."""
     plans: tuple[TargetPlan, ...]
 
     def of(self, task: PlanTask) -> TargetPlan | None:
@@ -116,6 +119,8 @@ class CasePlanning:
         As for every derived value (`carina.session.derived`).
     changed
         Told when a plan or a verdict is news.
+    measured
+        What airways of the history measured: the same measures that the window shows.
     """
 
     lungs: CaseLungs
@@ -129,8 +134,10 @@ class CasePlanning:
         jobs: JobRunner,
         lock: AbstractContextManager[Any],
         changed: Callable[[], None],
+        measured: MeasuredAirways | None = None,
     ) -> None:
         self._volume = volume
+        self._measured = measured
         self._parts = parts
         self._lock = lock
         self._changed = changed
@@ -260,6 +267,7 @@ class CasePlanning:
         if wall is None:
             attempt.progress("measuring the airway wall", None)
             wall = self._parts.wall_field(self._volume, airways, cancel=attempt.cancel)
+        measures = self._measures_of(airways, attempt)
         plans: list[TargetPlan] = []
         for n, task in enumerate(tasks):
             known = None if before is None or before.airways is not airways else before.of(task)
@@ -283,6 +291,7 @@ class CasePlanning:
                     moved_mm=options.moved_mm,
                     aims=aims,
                     wall=wall,
+                    measures=measures,
                     progress=say,
                     cancel=attempt.cancel,
                 )
@@ -291,7 +300,21 @@ class CasePlanning:
                 raise
             except CarinaError as trouble:
                 plans.append(TargetPlan(task, None, str(trouble)))
-        return MadePlans(airways, wall, tuple(plans))
+        return MadePlans(airways, wall, measures, tuple(plans))
+
+    def _measures_of(self, airways: Airways, attempt: Attempt[MadePlans]) -> TreeMeasures | None:
+        """Return what airways measure: as the case has it, as the plans before had it, or measured now."""
+        before = attempt.before
+        if before is not None and before.airways is airways:
+            return before.measures
+        with self._lock:
+            known = None if self._measured is None else self._measured.of(airways)
+        if isinstance(known, TreeMeasures) and not any(one.is_by_earlier_method for one in known.branches):
+            return known
+        if self._parts.measure_tree is None:
+            return None
+        attempt.progress("measuring the airways", None)
+        return self._parts.measure_tree(self._volume, airways, cancel=attempt.cancel)
 
     def _make_verdicts(self, inputs: VerdictInputs, attempt: Attempt[tuple[Verdict, ...]]) -> tuple[Verdict, ...]:
         plan, number, wall, options = inputs
@@ -315,7 +338,6 @@ class CasePlanning:
             wall,
             route=plan.routes[number - 1],
             scopes=presets,
-            spacing_mm=float(max(self._volume.spacing_mm)),
             entry_mm=options.entry_mm,
             found=tell,
             progress=attempt.progress,

@@ -9,6 +9,7 @@ import type {
   ScopeVerdict,
   TargetPlan,
 } from "../wire/messages";
+import { withError } from "./branch-words";
 import { fixed, mm } from "./format";
 import { asVec3, sub, type Vec3 } from "./vec";
 
@@ -34,9 +35,16 @@ export const ROUTE_ROWS: readonly { title: string; words: string; of: (route: Ro
     of: (route) => (route.from_carina_mm === null ? "\u2013" : mm(route.from_carina_mm, 0)),
   },
   {
-    title: "Fits up to",
-    words: "Diameter of the largest ball that passes along the whole way; it decides whether a scope fits",
-    of: (route) => mm(route.narrowest_mm),
+    title: "Narrowest",
+    words:
+      "Narrowest diameter of the whole way, with half of its 90\u202f% interval; by ball: a part of the way could not be measured",
+    of: (route) =>
+      `${withError(route.narrowest_mm, route.narrowest_error_mm) ?? ""}${route.narrowest_by === "ball" ? " (by ball)" : ""}`,
+  },
+  {
+    title: "Scope",
+    words: "Whether the planned scope fits; may fit: only if the errors are in its favour",
+    of: (route) => route.fit,
   },
   {
     title: "Needle",

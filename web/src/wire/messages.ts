@@ -1501,6 +1501,10 @@ export interface RouteOffer {
   readonly branch_name: string;
   readonly from_carina_mm: number | null;
   readonly narrowest_mm: number;
+  readonly narrowest_error_mm: number;
+  readonly narrowest_by: "ball" | "sections";
+  readonly narrowest_why: string | null;
+  readonly fit: "does not fit" | "fits" | "may fit";
   readonly outlook: string;
   readonly limits: readonly string[];
   readonly needle: NeedleLine;

@@ -49,8 +49,9 @@ def uncertain(
     found += _of_airways(airways, route)
     if verdicts:
         found.append(
-            "The probabilities of the instruments follow from assumed errors of lumen width, instrument and needle; "
-            "they have not been compared with procedures."
+            "The probabilities of the instruments follow from the error of the narrowest diameter, which was compared "
+            "with painted CTs, and from assumed errors of instrument and needle; they have not been compared with "
+            "procedures."
         )
     if turns is None and route is not None:
         found.append("Clock hours and control moves were not calculated for this report.")

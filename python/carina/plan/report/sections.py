@@ -164,7 +164,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
             told.append(Facts(place))
         return [Section("route", "No route", tuple(told))]
     leg = route.leg
-    fits = f"{route.narrowest_mm:.1f} mm; {plan.scope.title} needs {plan.scope.fit_mm:.1f} mm"
+    fits = f"{route.width.words}; {plan.scope.title} needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
     vessel = "none seen nearby" if leg.vessel_mm is None else f"{leg.vessel_mm:.1f} mm from the needle's line"
     beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
@@ -172,7 +172,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
         ("Tip of the scope", f"in {route.branch_name}"),
         *((("Aim", f"{route.aim + 1} of {len(plan.aims)} in this target"),) if len(plan.aims) > 1 else ()),
         ("Beyond the main carina", carina_words(sheet.carina_mm(route))),
-        ("Largest ball that passes", fits),
+        ("Narrowest diameter", f"{fits}: {route.fit}"),
         ("Sharpest bend", f"{route.bend_deg:.0f}\u00b0 over the scope's rigid tip and bending section"),
         ("Tool", plan.tool.title),
         ("To the target's edge", f"{leg.to_target_mm:.1f} mm, of which {leg.outside_mm:.1f} mm outside the lumen"),
@@ -191,10 +191,10 @@ def _route(sheet: PlanSheet) -> list[Section]:
         text = "; ".join(route.limits)
         blocks.append(Words(f"{text[0].upper()}{text[1:]}. See the instruments below.", "warning"))
     elif not route.fits:
-        text = (
-            f"The largest ball that passes on the way has {fits}: this scope may not pass. See the instruments below."
-        )
+        text = f"The narrowest diameter of the way is {fits}: this scope may not pass. See the instruments below."
         blocks.append(Words(text, "warning"))
+    if route.width.why is not None and not any(route.width.why in limit for limit in route.limits):
+        blocks.append(Words(f"{route.width.why[0].upper()}{route.width.why[1:]}.", "warning"))
     if leg.mediastinum_mm > MEDIASTINUM_MM:
         text = (
             f"The needle crosses {leg.mediastinum_mm:.0f} mm of mediastinum or chest wall, whose vessels the CT does "
@@ -376,8 +376,8 @@ _COMPARED = (
     ("Tip of the scope in", lambda _, r: r.branch_name),
     ("Beyond the carina", lambda s, r: carina_words(s.carina_mm(r))),
     (
-        "Largest ball that passes",
-        lambda s, r: f"{r.narrowest_mm:.1f} mm" + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f})"),
+        "Narrowest diameter",
+        lambda s, r: r.width.words + ("" if r.fits else f" (needs {s.plan.scope.fit_mm:.1f}: {r.fit})"),
     ),
     (
         "By figures, this scope",

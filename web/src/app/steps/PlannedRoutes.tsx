@@ -14,6 +14,8 @@ import type { PlanSuffix } from "../workstation";
 export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPlan }) {
   const plans = useApp((state) => state.plans);
   const chosen = plan.chosen === null ? null : (plan.routes[plan.chosen - 1] ?? null);
+  const why = chosen?.narrowest_why ?? null;
+  const unmeasured = why === null || chosen?.limits.some((limit) => limit.includes(why)) ? null : why;
   return (
     <div className="planned" data-testid="planned">
       <p>
@@ -35,6 +37,11 @@ export function PlannedRoutes({ target, plan }: { target: Target; plan: TargetPl
           <Icon name="warning" /> {sentence(limit)}
         </p>
       ))}
+      {unmeasured === null ? null : (
+        <p className="warning-text" data-testid="route-unmeasured">
+          <Icon name="warning" /> {sentence(unmeasured)}
+        </p>
+      )}
       {chosen === null ? null : (
         <p className="quiet">
           Needle through{" "}

@@ -1,0 +1,182 @@
+"""The narrowest diameter of a route: what it rests on, its error, and what follows for scopes."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+
+import numpy as np
+import pytest
+from exact_measures import exact_measures
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carina.errors import UsageError
+from carina.plan.route_width import RouteWidth, ball_error_mm, matches_tree, widths_on_the_way
+from carina.plan.verdict_checks import diameter_check
+from carina.scopes import scope_preset
+from carina.track import AirwayTree, Branch
+
+SPACING_MM = 1.5
+
+
+def straight(*kinds: str, radius_mm: float = 3.0, step_mm: float = 0.7, num: int = 60) -> AirwayTree:
+    """A trachea and branches below it in a line, 42 mm each, all as wide."""
+    branches = []
+    for n, kind in enumerate(("tracked", *kinds)):
+        points = np.zeros((num, 3))
+        points[:, 2] = -step_mm * ((num - 1) * n + np.arange(num))
+        children = (n + 1,) if n < len(kinds) else ()
+        name = "Trachea" if n == 0 else None
+        radius = np.full(num, radius_mm)
+        branches.append(Branch(n, n - 1 if n else None, children, n, name, kind, points, radius))
+    return AirwayTree(tuple(branches))
+
+
+def end_of(tree: AirwayTree, **options) -> RouteWidth:
+    measures = exact_measures(tree, **options)
+    return widths_on_the_way(tree, None, measures, SPACING_MM)[tree.branches[-1].id][-1]
+
+
+def test_a_measured_route_has_the_diameter_of_its_sections_and_not_of_the_lumen_found() -> None:
+    tree = straight("tracked", radius_mm=1.1)
+    found = end_of(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 3.4)})
+    assert found.mm == pytest.approx(3.4) and found.source == "sections" and found.why is None
+    assert 0.1 <= found.error_mm < 0.2
+    by_ball = widths_on_the_way(tree, None, None, SPACING_MM)[1][-1]
+    assert by_ball.mm == pytest.approx(2.2) and by_ball.source == "ball"
+
+
+@pytest.mark.parametrize("num_noisy", [40, 160, 640])
+def test_many_noisy_sections_bias_the_narrowest_diameter_half_as_much_as_a_minimum_and_within_its_error(
+    num_noisy: int,
+) -> None:
+    noise_mm, found, single, inside = 0.2, [], [], []
+    for seed in range(20):
+        tree = straight("tracked", num=num_noisy)
+        noisy = 4.0 + noise_mm * np.random.default_rng(seed).standard_normal(num_noisy)
+        width = end_of(tree, widths_mm={0: np.full(num_noisy, 14.0), 1: noisy}, error_mm=1.96 * noise_mm)
+        inside.append(abs(width.mm - 4.0) <= width.error_mm)
+        found.append(4.0 - width.mm)
+        single.append(4.0 - noisy.min())
+    assert np.mean(inside) >= 0.85
+    assert np.mean(found) <= 0.65 * np.mean(single)
+
+
+@settings(deadline=None, max_examples=30)
+@given(at=st.integers(5, 50), num=st.integers(2, 8), narrow_mm=st.floats(1.0, 3.0))
+def test_a_narrowing_shorter_than_a_diameter_is_never_passed_over(at: int, num: int, narrow_mm: float) -> None:
+    tree = straight("tracked")
+    widths = np.full(60, 6.0)
+    widths[at : at + num] = narrow_mm
+    found = end_of(tree, widths_mm={1: widths}, error_mm=0.2)
+    assert found.lower_mm <= narrow_mm <= found.mm + found.error_mm
+    assert found.mm <= narrow_mm + 0.21, "two sections agree"
+    thick = dataclasses.replace(scope_preset("thin"), tip_mm=narrow_mm + 0.7, tube_mm=None)
+    assert found.fit(thick) == "does not fit"
+
+
+def test_one_narrow_section_widens_the_error_and_leaves_the_diameter() -> None:
+    tree = straight("tracked")
+    widths = np.full(60, 6.0)
+    widths[30] = 3.0
+    found = end_of(tree, widths_mm={1: widths})
+    assert found.mm == pytest.approx(6.0) and found.lower_mm <= 3.0
+
+
+def test_a_slit_lets_no_more_pass_than_its_narrow_side() -> None:
+    tree = straight("tracked")
+    found = end_of(tree, flat=0.5, error_mm=0.2)
+    assert found.mm == pytest.approx(3.2) and found.lower_mm <= 3.0
+    round_one = end_of(tree, flat=0.98, error_mm=0.2)
+    assert round_one.mm == pytest.approx(6.0), "within the error it is round"
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("manual", "was drawn by hand"), ("bridge", "is a bridge")])
+def test_a_branch_that_the_ct_does_not_show_falls_back_to_the_ball_and_says_so(kind: str, reason: str) -> None:
+    tree = straight("tracked", kind)
+    found = end_of(tree)
+    assert found.source == "ball" and reason in found.why and "branch 2" in found.why
+    assert found.lower_mm <= 6.0 - ball_error_mm(6.0, SPACING_MM) + 1e-9
+    before = widths_on_the_way(tree, None, exact_measures(tree), SPACING_MM)[1][-1]
+    assert before.source == "sections" and before.error_mm < found.error_mm
+
+
+def test_the_last_sections_that_could_not_be_measured_never_make_a_route_surer() -> None:
+    tree = straight("tracked")
+    whole = end_of(tree)
+    part = end_of(tree, missing={1: slice(45, 60)})
+    assert part.source == "ball" and "has no section that can be measured" in part.why
+    assert part.lower_mm < whole.lower_mm
+    for tip_mm in (2.0, 4.0, 5.0, 5.5):
+        scope = dataclasses.replace(scope_preset("thin"), tip_mm=tip_mm, tube_mm=None)
+        assert part.chance(scope) <= whole.chance(scope)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    widths=st.lists(st.floats(2.0, 12.0), min_size=3, max_size=5),
+    errors=st.floats(0.05, 0.6),
+    drawn=st.integers(0, 4),
+)
+def test_the_way_never_gets_wider_and_its_lower_end_covers_every_place(
+    widths: list[float], errors: float, drawn: int
+) -> None:
+    kinds = ["manual" if n == drawn else "tracked" for n in range(len(widths))]
+    tree = straight(*kinds)
+    measured = {n + 1: np.full(60, mm) for n, mm in enumerate(widths)}
+    found = widths_on_the_way(tree, None, exact_measures(tree, error_mm=errors, widths_mm=measured), SPACING_MM)
+    way = [one for branch in tree.branches for one in found[branch.id]]
+    for before, after in itertools.pairwise(way):
+        assert after.mm <= before.mm and after.lower_mm <= before.lower_mm + 1e-9
+        assert after.at_mm >= before.at_mm or after.mm == before.mm
+    own = [mm for n, mm in enumerate(widths) if n != drawn]
+    assert way[-1].mm <= min(own) + 1e-9 and way[-1].lower_mm <= min(own) - errors + 1e-9
+
+
+@settings(deadline=None, max_examples=50)
+@given(mm=st.floats(1.0, 9.0), error_mm=st.floats(0.0, 3.0), tip_mm=st.floats(2.0, 7.0), more_mm=st.floats(0.0, 2.0))
+def test_a_scope_fits_only_where_the_interval_allows_it(
+    mm: float, error_mm: float, tip_mm: float, more_mm: float
+) -> None:
+    width = RouteWidth(mm, error_mm, 50.0)
+    thin, thick = (
+        dataclasses.replace(scope_preset("thin"), tip_mm=tip, tube_mm=None) for tip in (tip_mm, tip_mm + more_mm)
+    )
+    assert width.chance(thin) >= width.chance(thick)
+    if width.fit(thin) == "fits":
+        # 9 chances of 10 on one side are 1.28 of the 1.645 deviations of the interval.
+        assert mm - 0.779 * error_mm >= thin.fit_mm - 1e-9
+    if width.fit(thin) == "does not fit":
+        assert mm < thin.fit_mm
+    check = diameter_check(width, thin, errors=True)
+    assert (check.answer, check.share) == (
+        {"fits": "yes", "may fit": "perhaps", "does not fit": "no"}[width.fit(thin)],
+        width.chance(thin),
+    )
+    assert f"{mm:.1f} \u00b1 {error_mm:.1f} mm wide" in check.words
+
+
+def test_measures_of_another_tree_or_by_an_earlier_method_are_not_used() -> None:
+    tree = straight("tracked")
+    assert matches_tree(exact_measures(tree), tree)
+    assert not matches_tree(exact_measures(tree, method=1), tree)
+    assert not matches_tree(exact_measures(straight("tracked", "tracked")), tree)
+    assert not matches_tree(exact_measures(straight("tracked", num=50)), tree)
+
+
+def test_a_width_is_plain_json_and_refuses_what_is_no_width() -> None:
+    width = RouteWidth(3.2, 0.4, 91.0, "ball", "branch 7 was drawn by hand 91 mm along the route")
+    assert json.loads(json.dumps(width.to_json())) == {
+        "narrowest_mm": 3.2,
+        "narrowest_error_mm": 0.4,
+        "narrowest_at_mm": 91.0,
+        "narrowest_by": "ball",
+        "narrowest_why": "branch 7 was drawn by hand 91 mm along the route",
+    }
+    assert width.words == "3.2 \u00b1 0.4 mm by the largest ball"
+    with pytest.raises(UsageError):
+        RouteWidth(-1.0, 0.4, 91.0)
+    with pytest.raises(UsageError):
+        RouteWidth(3.0, float("nan"), 91.0)
