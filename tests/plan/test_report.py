@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 from reported import airways, clip, plan, sheet, still, turns, verdicts, volume, wall, with_drawn_branch
 
+from carina.cli.plan import lines
 from carina.errors import CancelledError, CarinaError, UsageError
+from carina.export.plan_content import drawn_plans
 from carina.plan import ScoreWeights
 from carina.plan.last_leg import Crossed, NearVessel
 from carina.plan.report import make_sheet, write_report
@@ -24,6 +26,8 @@ from carina.plan.report.blocks import Block, Bullets, Facts, Figure, Figures, Gr
 from carina.plan.report.drawing import Label
 from carina.plan.report.sections import sections
 from carina.plan.target_edits import BRUSHED
+from carina.server.plan_words import _route
+from carina.track import measure_tree
 
 SAFETY = (
     "Not a medical device.",
@@ -70,6 +74,30 @@ def test_the_json_is_that_of_carina_plan_and_what_only_the_report_tells(tmp_path
     assert own["route"] == 1 and own["patient"] is None
     assert own["provenance"]["made_on"] == "2026-11-25" and own["provenance"]["spacing_mm"] == pytest.approx([1.1] * 3)
     assert own["place"]["lobe"] == "RML"
+
+
+def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
+    route = plan().routes[0]
+    branches = [branch.id for branch in airways().tree.lineage(route.branch_id)]
+    inside = route.along_mm - sum(airways().tree.branch(n).length_mm for n in branches[:-1])
+    measures = measure_tree(volume(), airways())
+    at = measures.of(branches[-1]).at_mm
+    # Between two points the way is as narrow as to the farther one.
+    measured = measures.narrowest_of_route(branches, until_mm=float(at[at >= inside - 1e-6][0]) + 1e-6)
+    assert route.width.source == "sections"
+    assert (route.width.mm, route.width.error_mm) == pytest.approx((measured.mm, measured.error_mm))
+    told = f"{route.width.mm:.1f} \u00b1 {route.width.error_mm:.1f} mm"
+    stored = plan().to_json()["routes"][0]
+    assert (stored["narrowest_mm"], stored["narrowest_error_mm"]) == (route.width.mm, route.width.error_mm)
+    assert f"narrowest {told}" in lines(plan())[1]
+    assert any(told in text for text in everything())
+    assert told in drawn_plans(plan(), airways().tree)[0].routes[0].words
+    offer = _route(plan(), route)
+    assert (offer.narrowest_mm, offer.narrowest_error_mm) == (route.width.mm, route.width.error_mm)
+    for verdict in verdicts():
+        check = next(one for one in verdict.checks if one.name == "diameter")
+        assert told in check.words and check.share == route.width.chance(verdict.scope)
+    assert (offer.fit == "fits") == stored["fits"] == (route.width.chance(plan().scope) >= 0.9)
 
 
 def test_the_page_loads_nothing_and_allows_only_what_is_in_it(tmp_path) -> None:
