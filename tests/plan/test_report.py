@@ -81,9 +81,7 @@ def test_all_outputs_state_the_same_narrowest_diameter_of_a_route() -> None:
     branches = [branch.id for branch in airways().tree.lineage(route.branch_id)]
     inside = route.along_mm - sum(airways().tree.branch(n).length_mm for n in branches[:-1])
     measures = measure_tree(volume(), airways())
-    at = measures.of(branches[-1]).at_mm
-    # Between two points the way is as narrow as to the farther one.
-    measured = measures.narrowest_of_route(branches, until_mm=float(at[at >= inside - 1e-6][0]) + 1e-6)
+    measured = measures.narrowest_of_route(branches, until_mm=inside)
     assert route.width.source == "sections"
     assert (route.width.mm, route.width.error_mm) == pytest.approx((measured.mm, measured.error_mm))
     told = f"{route.width.mm:.1f} \u00b1 {route.width.error_mm:.1f} mm"

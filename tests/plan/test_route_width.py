@@ -77,6 +77,20 @@ def test_a_narrowing_shorter_than_a_diameter_is_never_passed_over(at: int, num: 
     assert found.fit(thick) == "does not fit"
 
 
+def test_a_place_where_a_branch_begins_is_as_narrow_as_its_first_section_that_counts() -> None:
+    tree = straight("tracked")
+    measures = exact_measures(tree, widths_mm={0: np.full(60, 14.0), 1: np.full(60, 3.0)})
+    at_junction = np.arange(60) < 20
+    begins = dataclasses.replace(measures.branches[1], at_junction=at_junction)
+    measures = dataclasses.replace(measures, branches=(measures.branches[0], begins))
+    found = widths_on_the_way(tree, None, measures, SPACING_MM)
+    assert found[0][-1].mm == pytest.approx(14.0)
+    for n in (1, 5, 19, 20, 40):
+        assert found[1][n].mm == pytest.approx(3.0), "sections across the parent's lumen do not make it wide"
+        until = float(measures.branches[1].at_mm[n])
+        assert measures.narrowest_of_route([0, 1], until_mm=until).mm == pytest.approx(3.0)
+
+
 def test_one_narrow_section_widens_the_error_and_leaves_the_diameter() -> None:
     tree = straight("tracked")
     widths = np.full(60, 6.0)

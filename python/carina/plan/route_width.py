@@ -186,14 +186,17 @@ def _places(
 
 
 def _cumulated(places: _Places, along: Points, before: RouteWidth | None) -> Widths:
-    """Return the narrowest of the places up to each point of a centreline and of the way before."""
+    """Return the narrowest of the places up to each point of a centreline and of the way before.
+
+    A point without a place of its own has the next one, too: where a branch leaves its parent its own sections begin
+    some way along it, and a scope that stands there is in the branch already.
+    """
     widths = np.empty(len(along), dtype=object)
     now, used = before, 0
     for n, mm in enumerate(along):
-        while used < len(places.at_mm) and (places.at_mm[used] <= mm + 1e-6 or now is None):
+        while used < len(places.at_mm) and (used == 0 or places.at_mm[used - 1] < mm - 1e-6):
             now = _narrower(now, _width(places, used))
             used += 1
-        # A trachea without a place up to here has its first one.
         widths[n] = now
     return widths
 

@@ -74,8 +74,11 @@ class Passage:
     """Points of the centreline without a section: drawn parts, bridges, the end of the CT, walls that do not show."""
 
     def until(self, mm: float) -> Passage:
-        """Return the part up to a place along the branch."""
-        own = self.at_mm <= mm
+        """Return the part up to a place along the branch, and the next section where the place has none of its own.
+
+        Where a branch leaves its parent its own sections begin some way along it.
+        """
+        own = np.concatenate([[True], self.at_mm < mm - 1e-6])[: len(self.at_mm)]
         return Passage(self.branch_id, self.at_mm[own], self.diameter_mm[own], self.error_mm[own], self.unmeasured)
 
 
