@@ -231,9 +231,7 @@ def test_what_figures_rule_out_is_told_first_and_where_it_stops() -> None:
 def test_the_whole_library_is_judged_in_a_chest_with_progress_and_can_be_cancelled() -> None:
     tree, wall, plan = reported.airways().tree, reported.wall(), reported.plan()
     told: list[float] = []
-    found = judge_scopes(
-        tree, plan, wall, effort=4000.0, progress=lambda _what, share: told.append(share)
-    )
+    found = judge_scopes(tree, plan, wall, effort=4000.0, progress=lambda _what, share: told.append(share))
     assert [one.scope for one in found] == list(scope_presets())
     assert told == sorted(told) and told[-1] == 1.0
     for one in found:
