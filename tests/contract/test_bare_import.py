@@ -9,7 +9,9 @@ from pathlib import Path
 import carina
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTED = sorted(page.stem for page in (ROOT / "docs" / "api").glob("*.md"))
+PAGES = {page.stem for page in (ROOT / "docs" / "api").glob("*.md")}
+# Packages that depend on Carina are documented beside it, and are no part of it.
+DOCUMENTED = sorted(PAGES - {path.name for path in ROOT.glob("packages/*/python/*")})
 
 
 def printed(code: str) -> str:
