@@ -3,6 +3,7 @@
 use carina_grid::{Affine, Grid, VolumeView, length};
 
 use crate::find::extension::{EXTENDED, Extension, ExtensionLimits, extend};
+use crate::find::extension_levels::Divided;
 use carina_leastcost::Unwatched;
 
 const LIMITS: ExtensionLimits = ExtensionLimits {
@@ -127,7 +128,15 @@ fn a_short_stretch_without_wall_is_crossed_and_a_long_one_ends_the_way() {
 }
 
 #[test]
-fn a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tube_lies_beyond_it() {
+fn in_divided_slices_a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tube_lies_beyond_it() {
+    let limits = ExtensionLimits {
+        divided: Some(Divided {
+            axis: 2,
+            slice_mm: 3.0,
+            least_odds: 99.0,
+        }),
+        ..LIMITS
+    };
     let over = |long_mm: f64| {
         let mut chest = drawn(10.0, 10.0, 62.0, |_| 1.0);
         let spacing = chest.grid.spacing_mm();
@@ -140,7 +149,8 @@ fn a_way_ends_at_a_long_stretch_of_enclosed_lung_even_if_a_tube_lies_beyond_it()
                 chest.values[at] = if off < 2.2 { -860 } else { -100 };
             }
         }
-        extended(&mut chest);
+        let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
+        extend(view, &mut chest.lumen, &limits, &Unwatched).unwrap();
         farthest_mm(&chest)
     };
     let short = over(3.0);

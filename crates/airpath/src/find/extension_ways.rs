@@ -31,8 +31,8 @@ const CLEAR_MM: f64 = 6.0;
 const AROUND_MM: f64 = 8.0;
 /// What a voxel may give a path, in thresholds: one bright wall must not pay for a long way without.
 const MOST_GAIN: f64 = 3.0;
-/// A way ends where it has lost so much of what it gained before, thresholds times mm: what looks like an airway farther on
-/// is none of this way (docs/decisions/0112).
+/// In divided slices a way ends where it has lost so much of what it gained before, thresholds times mm: what looks like an
+/// airway farther on is none of this way (docs/decisions/0112).
 const MOST_LOSS_MM: f64 = 12.0;
 
 /// A kept path, as places in the list of reached voxels.
@@ -256,7 +256,7 @@ impl<'a> Search<'a> {
             });
             gain += step * by_darkness.max(by_odds);
             sum += step * rise.min(MOST_GAIN * threshold);
-            if best.0 - gain > MOST_LOSS_MM {
+            if limits.divided.is_some() && best.0 - gain > MOST_LOSS_MM {
                 break;
             }
             if gain > best.0 {

@@ -14,6 +14,8 @@ REACH_MM = 30.0
 """Padding is searched for so far from the trachea."""
 BLOCK_KJI = (3, 5, 5)
 """The smallest block of one value that is padding; noise makes no such block."""
+LEAST_MM3 = 60_000.0
+"""Padding near the trachea is larger than a wide trachea, in which a scanner may have cut off the values of air."""
 MOST_EQUAL = 0.25
 """If more neighbours in the lower trachea have the same value, the air has no noise: padding looks like it."""
 
@@ -63,8 +65,11 @@ def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray
         return None
     if _share_of_equal_neighbours(volume, voxels[len(voxels) // 2 :]) > MOST_EQUAL:
         return None
+    padding = _spread(has_one_value, BLOCK_KJI, 0)
+    if padding.sum() * abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) < LEAST_MM3:
+        return None
     mask = np.zeros(volume.shape_zyx, dtype=np.bool_)
-    mask[box] = _spread(has_one_value, BLOCK_KJI, 0)
+    mask[box] = padding
     mask[box] = _spread(mask[box], (3, 3, 3), 1)
     return mask
 
