@@ -164,7 +164,7 @@ def _route(sheet: PlanSheet) -> list[Section]:
             told.append(Facts(place))
         return [Section("route", "No route", tuple(told))]
     leg = route.leg
-    fits = f"{route.width.words}; {plan.scope.title} needs {plan.scope.fit_mm:.1f} mm"
+    fits = f"{route.width.words}; the scope needs {plan.scope.fit_mm:.1f} mm"
     least = f"{leg.in_target_mm:.0f} mm as aimed, at least {leg.least_in_target_mm:.0f} mm within the needle's errors"
     vessel = "none seen nearby" if leg.vessel_mm is None else f"{leg.vessel_mm:.1f} mm from the needle's line"
     beyond = "more than 10 mm" if leg.beyond_mm is None else f"{leg.beyond_mm:.0f} mm"
