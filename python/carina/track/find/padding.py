@@ -45,7 +45,7 @@ def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray
     >>> from carina.volume.model import Volume
     >>> values = np.random.default_rng(1).normal(-1000.0, 20.0, (20, 20, 20)).astype(np.int16)
     >>> values[12:] = -1000
-    >>> padding = padding_near(Volume(values, np.eye(4)), [(10, 10, 15), (10, 10, 5), (10, 10, 2)])
+    >>> padding = padding_near(Volume(values, np.diag([3.0, 3.0, 3.0, 1.0])), [(10, 10, 15), (10, 10, 5), (10, 10, 2)])
     >>> int(padding.any(axis=(1, 2)).argmax())
     11
     """
