@@ -29,6 +29,35 @@ pub struct ExtensionLimits {
     pub divided: Option<Divided>,
 }
 
+impl ExtensionLimits {
+    /// Share of the lung at which the search is given up.
+    fn most_reached_at_all(&self) -> f64 {
+        if self.divided.is_some() {
+            self.most_reached.max(MOST_REACHED_DIVIDED)
+        } else {
+            self.most_reached
+        }
+    }
+
+    /// Least probability of a way if the search reached `num_reached` voxels.
+    pub(crate) fn least_probability(&self, levels: Levels, num_reached: usize) -> f64 {
+        let usual = levels.most_reached as f64 * self.most_reached / self.most_reached_at_all();
+        if num_reached as f64 > usual {
+            self.least_probability.max(SURE_PROBABILITY)
+        } else {
+            self.least_probability
+        }
+    }
+
+    /// Whether a way of this probability may be open on one side.
+    ///
+    /// Thick slices blur the wall above and below an airway more than the wall beside it. In divided slices a missing
+    /// wall is therefore no proof of a groove between a vessel and an airway.
+    pub(crate) fn may_be_open(&self, probability: f64) -> bool {
+        self.divided.is_some() && probability >= SURE_PROBABILITY
+    }
+}
+
 /// How ways are judged where thick slices were divided.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Divided {
@@ -72,9 +101,17 @@ const LEAST_DROP: f64 = 0.4;
 /// A gap's voxels are at least this share as enclosed.
 const GAP_SHARE: f64 = 0.3;
 
-/// Lung voxels looked at for the calibration, and how many it needs.
+/// Number of lung voxels that the calibration uses at most, and needs at least.
 const NUM_SAMPLES: usize = 20_000;
 const MIN_SAMPLES: usize = 2_000;
+/// Strides of the sample, largest first. They are primes, so that they have no factor in common with rows and slices.
+const STRIDES: [usize; 6] = [1009, 499, 251, 127, 61, 31];
+/// In divided slices the search is given up only once it has reached more than this share of the lung, because
+/// interpolation joins the values of neighbouring slices (docs/decisions/0112).
+const MOST_REACHED_DIVIDED: f64 = 0.04;
+/// Least probability of a way in divided slices without the usual evidence: if the search reached more of the lung than
+/// [`ExtensionLimits::most_reached`], or if the way has no wall on one side.
+const SURE_PROBABILITY: f64 = 0.8;
 
 /// How enclosed voxels must be.
 #[derive(Debug, Clone, Copy)]
@@ -97,8 +134,7 @@ impl Levels {
     ) -> Self {
         let (low, high) = limits.lung;
         let is_lung = |at: usize| lumen[at] == 0 && (low..=high).contains(&smooth[at]);
-        // A stride without a factor in common with rows and slices walks through all of the volume evenly.
-        let stride = 1009;
+        let stride = sample_stride(smooth.len());
         let sample: Vec<usize> = (0..smooth.len())
             .step_by(stride)
             .filter(|at| is_lung(*at))
@@ -124,11 +160,33 @@ impl Levels {
             most_reached: if sample.len() < MIN_SAMPLES {
                 usize::MAX
             } else {
-                (limits.most_reached * sample.len() as f64 * stride as f64) as usize
+                (limits.most_reached_at_all() * sample.len() as f64 * stride as f64) as usize
             },
             followed: followed.ceil() as i16,
             kept: share(KEPT_SHARE).max(1.2 * followed),
             gap: (GAP_SHARE * followed) as i16,
         }
+    }
+}
+
+/// Return the largest stride that gives more voxels than the calibration uses.
+fn sample_stride(num_voxels: usize) -> usize {
+    let is_enough = |stride: &&usize| num_voxels / **stride >= NUM_SAMPLES;
+    *STRIDES
+        .iter()
+        .find(is_enough)
+        .unwrap_or(&STRIDES[STRIDES.len() - 1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_small_volume_is_sampled_more_densely() {
+        assert_eq!(sample_stride(80_000_000), 1009);
+        assert_eq!(sample_stride(20_180_000), 1009);
+        assert_eq!(sample_stride(5_100_000), 251);
+        assert_eq!(sample_stride(1000), 31);
     }
 }

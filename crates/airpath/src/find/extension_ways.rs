@@ -282,7 +282,7 @@ impl<'a> Search<'a> {
         let is_airway = is_long
             && probability >= limits.least_probability
             && sum_at_best >= self.levels.kept * length_mm
-            && self.is_round(way);
+            && (limits.may_be_open(probability) || self.is_round(way));
         is_airway.then(|| Path {
             nodes: way.to_vec(),
             radius_mm: sections[..num]
