@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 from plugged_chest import CHEST
-from secretions_chest import with_secretions
 
 import carina
 from carina.track import AirwayTree, Branch, Bridge, find_absent
 from carina.track.find.airway_ends import find_uncertain
 from carina.track.tree.uncertain import filled_place
+from carina_bench.filled_bronchi import with_secretions
 from made import made_airways, made_phantom
 from made import patient as the_patient
 
@@ -38,7 +38,7 @@ def filled(airways):
 def test_a_bronchus_with_a_level_of_fluid_or_a_plug_is_told_with_its_calibre_from_wall_to_wall(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
-    assert np.linalg.norm(np.array(place.lps) - made.middle_lps) < 5.0
+    assert np.linalg.norm(np.array(place.lps) - made.axis_lps[len(made.axis_lps) // 2]) < 5.0
     assert place.calibre_mm == pytest.approx(made.calibre_mm, abs=max(0.15 * made.calibre_mm, VOXEL_MM))
     assert abs(place.calibre_mm - made.calibre_mm) <= 2.0 * place.calibre_error_mm
     assert place.width_mm == pytest.approx(made.air_mm, abs=VOXEL_MM)
@@ -52,7 +52,7 @@ def test_a_bronchus_with_a_level_of_fluid_or_a_plug_is_told_with_its_calibre_fro
 def test_the_bridge_that_is_offered_brings_back_what_lies_beyond(name, share):
     made, airways = wet(name, share)
     (place,) = filled(airways)
-    assert np.linalg.norm(np.array(place.beyond_lps) - made.end_lps) < 6.0
+    assert np.linalg.norm(np.array(place.beyond_lps) - made.axis_lps[-1]) < 6.0
     assert "there is an airway beyond it" in place.reason
     whole = made_airways(**CHEST)
     assert len(airways.tree) <= len(whole.tree) - 6, "nothing was added by itself"

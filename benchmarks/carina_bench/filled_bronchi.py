@@ -1,4 +1,4 @@
-"""The phantom chest with secretions in one of its bronchi: a fluid level, or a plug, over a known stretch."""
+"""Phantoms with fluid or mucus in one of their bronchi: a fluid level, or a plug, over a known stretch."""
 
 from __future__ import annotations
 
@@ -7,36 +7,54 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.phantom import Phantom
 from carina.volume import Volume
+
+__all__ = ["Secretions", "with_secretions"]
 
 FLUID_HU = 15.0
 AIR_HU = -1000.0
+WALL_HU = 150
+"""Voxels at the border of lumen and wall become no brighter than this."""
 FINE = 4
-"""Cells along each edge of a voxel: a level is not where voxels end."""
+"""Cells along each edge of a voxel: a fluid level need not lie on the border of a voxel."""
+STEP_MM = 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Secretions:
-    """A volume, and what is true of it."""
+    """A volume with fluid in a bronchus, and the truth about the fluid."""
 
     volume: Volume
-    start_lps: NDArray[np.float64]
-    """On the axis, where the fluid begins."""
-    middle_lps: NDArray[np.float64]
-    end_lps: NDArray[np.float64]
+    axis_lps: NDArray[np.float64]
+    """(n, 3) axis of the bronchus from the first to the last place with fluid, LPS mm."""
     calibre_mm: float
-    """Inner wall to inner wall, in the middle of the stretch."""
+    """Diameter from inner wall to inner wall in the middle of the stretch."""
     air_mm: float
-    """Of the circle with the area of the air above the fluid there."""
+    """Diameter of the circle with the area of the air above the fluid there."""
 
 
-def with_secretions(phantom, name: str, *, share: float, from_mm: float, length_mm: float) -> Secretions:
-    """The phantom with fluid in a branch of its truth: the lowest (posterior) ``share`` of each section's height."""
+def with_secretions(phantom: Phantom, name: str, *, share: float, from_mm: float, length_mm: float) -> Secretions:
+    """Fill the lowest (posterior) ``share`` of the height of each section of a named bronchus.
+
+    Parameters
+    ----------
+    phantom
+        Its truth names the bronchus.
+    name
+        Name of the bronchus, such as ``RB6``.
+    share
+        Share of the height of a section that is filled, above 0 and at most 1; 1 is a plug.
+    from_mm, length_mm
+        Start of the fluid on the axis of the bronchus, from its origin, and length of the stretch. It must end within
+        the bronchus.
+    """
     branch = next(one for one in phantom.truth["branches"] if one["name"] == name)
     points, radius = np.array(branch["points"]), np.array(branch["radius"])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    assert along[-1] > from_mm + length_mm, "the stretch ends within the branch"
-    at = np.arange(from_mm, from_mm + length_mm, 0.1)
+    if along[-1] <= from_mm + length_mm:
+        raise ValueError(f"{name} is {along[-1]:.1f} mm long: fluid to {from_mm + length_mm:.1f} mm does not fit")
+    at = np.arange(from_mm, from_mm + length_mm, STEP_MM)
     axis = np.stack([np.interp(at, along, points[:, n]) for n in range(3)], axis=1)
     radii = np.interp(at, along, radius)
     volume = phantom.volume
@@ -71,9 +89,10 @@ def with_secretions(phantom, name: str, *, share: float, from_mm: float, length_
         num_x, num_y = high[0] - low[0] + 1, high[1] - low[1] + 1
         part = wet.reshape(num_x, FINE, num_y, FINE, FINE).mean(axis=(1, 3, 4)).T
         values[k, low[1] : high[1] + 1, low[0] : high[0] + 1] += part * (FLUID_HU - AIR_HU)
-    filled = Volume(np.round(np.minimum(values, np.maximum(volume.hu_zyx, 150))).astype(np.int16), volume.lps_from_ijk)
-    middle = len(axis) // 2
-    # The segment of a circle above its chord.
+    brightest = np.maximum(volume.hu_zyx, WALL_HU)
+    filled = Volume(np.round(np.minimum(values, brightest)).astype(np.int16), volume.lps_from_ijk)
+    # The air is the segment of a circle above its chord.
     angle = 2.0 * np.arccos(1.0 - 2.0 * (1.0 - share))
+    middle = len(axis) // 2
     air_mm = 2.0 * float(radii[middle]) * float(np.sqrt((angle - np.sin(angle)) / (2.0 * np.pi)))
-    return Secretions(filled, axis[0], axis[middle], axis[-1], 2.0 * float(radii[middle]), air_mm)
+    return Secretions(filled, axis, 2.0 * float(radii[middle]), air_mm)
