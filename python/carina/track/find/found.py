@@ -108,6 +108,7 @@ class Airways:
     """
 
     def __post_init__(self) -> None:
+        """Check the types and ranges of the fields."""
         check_fields(
             self,
             lumen_zyx=mask_array(),
@@ -127,9 +128,11 @@ class Airways:
         )
 
     def __copy__(self) -> Airways:
+        """Return a shallow copy, which shares the arrays."""
         return replace(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor and the values from which a pickle restores the airways; masks are compressed."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         # If the lumen is the tracker's own array (same grid), it is not stored twice.
         is_same = self.lumen_zyx is self.tracker.lumen_zyx
@@ -139,6 +142,7 @@ class Airways:
         return _airways_of, (values,)
 
     def __repr__(self) -> str:
+        """Return one line with the tree, the root, the threshold and the number of edits."""
         edited = f", {len(self.edits)} edits" if self.edits else ""
         return f"Airways({self.tree!r}, root_lps={as_words(self.root_lps)}, threshold={self.threshold:g}{edited})"
 

@@ -23,8 +23,9 @@ LEAST_MM3 = 15.0
 LEAST_VOXELS = 8
 LEAST_LONG_MM = 6.0
 MOST_MM3 = 60_000.0
-"""Largest island: all airways beyond a main bronchus are smaller; stomach, air outside the body and large bullae
-larger.
+"""Largest island.
+
+All airways beyond a main bronchus are smaller; the stomach, air outside the body and large bullae are larger.
 """
 MOST_ISLANDS = 80
 MOST_ENDS = 12

@@ -27,6 +27,7 @@ class KeptForVolume(Generic[Found]):
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return an empty cache: the value is not pickled."""
         # The cached value is large, so it is not pickled but computed again when needed.
         return KeptForVolume, ()
 

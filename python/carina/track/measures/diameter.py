@@ -75,9 +75,7 @@ class Passage:
     error_mm: Floats
     """Half (n,) of an interval that is to contain the true value in 90 of 100 cases."""
     unmeasured: NDArray[np.intp]
-    """Indices of centreline points without a section: drawn parts, bridges, the end of the CT, or walls that are not
-    visible.
-    """
+    """Indices of centreline points without a section: drawn parts, bridges, the end of the CT, invisible walls."""
 
     def until(self, mm: float) -> Passage:
         """Return the part up to a point along the branch, and the next section if this part has no section.

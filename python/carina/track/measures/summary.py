@@ -90,7 +90,7 @@ class ReferenceDiameter:
 @one_line
 @dataclass(frozen=True, slots=True)
 class BranchSummary:
-    """Summary of a branch, from its sections away from forks and from the volume's faces; values are None without any."""
+    """Summary of a branch, from its sections away from forks and from the volume's faces; None without any."""
 
     length_mm: float = 0.0
     angle_deg: float | None = None
@@ -191,7 +191,7 @@ def summed_up(
 
 
 def _slope(at: Floats, values: Floats) -> float | None:
-    """Return the median of the slopes between all pairs (Theil 1950, Sen 1968); None over less than 5 mm or 5 sections."""
+    """Return the median slope of all pairs (Theil 1950, Sen 1968); None over less than 5 mm or 5 sections."""
     if len(at) < 5 or at[-1] - at[0] < 5.0:
         return None
     one, other = np.triu_indices(len(at), k=1)

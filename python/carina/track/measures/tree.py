@@ -116,8 +116,9 @@ class BranchMeasures(Tabular):
     at_junction: NDArray[np.bool_]
     """Flags (n,): whether the section cuts through a fork; such sections are left out of the summary."""
     at_edge: NDArray[np.bool_]
-    """Flags (n,): whether rays left the volume before they met a wall. Such sections are incomplete and left out of the
-    summary.
+    """Flags (n,): whether rays left the volume before they met a wall.
+
+    Such sections are incomplete and left out of the summary.
     """
     area_error_mm2: Floats
     equivalent_error_mm: Floats
@@ -525,9 +526,7 @@ def _go_on(cancel: Cancel | None) -> None:
 
 
 def _key(branch: Branch, tree: AirwayTree) -> bytes:
-    """Return the cache key of a branch's sections: its ID, kind and points, and for a single point the end of its
-    parent.
-    """
+    """Return the cache key of a branch's sections: its ID, kind and points, and its parent's end for a single point."""
     before = b""
     if len(branch.points) == 1 and branch.parent is not None:
         before = tree.branch(branch.parent).points[-2:].tobytes()
@@ -579,9 +578,7 @@ def _cast(
 
 
 def _noise_in_trunk(volume: Volume, trunk: Branch, scale: AirScale) -> float:
-    """Return the standard deviation of the values well inside the trunk, from the median deviation: mucus has no
-    effect.
-    """
+    """Return the standard deviation of values well inside the trunk, from the median deviation (robust to mucus)."""
     rest = []
     shape = np.array(volume.shape_zyx[::-1])
     for point, radius in zip(trunk.points, trunk.radius, strict=True):

@@ -191,6 +191,7 @@ class Grammar:
     index: dict[str, int] = field(repr=False, default_factory=dict)
 
     def __len__(self) -> int:
+        """Return the number of states."""
         return len(self.names)
 
 

@@ -116,6 +116,7 @@ class FieldPaths:
         )
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of open and settled voxels."""
         return f"FieldPaths(num_open={self._core.num_open}, num_settled={self._core.num_settled})"
 
     @property

@@ -92,9 +92,11 @@ class PathGrid:
         return parts if is_possible and cls(ct, parts).shape_zyx == shape_zyx else None
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor and its arguments for a pickle; the interpolated volume is not pickled."""
         return PathGrid, (self.ct, self.parts)
 
     def __repr__(self) -> str:
+        """Return one line with the number of parts and the shape."""
         return f"PathGrid(parts={self.parts}, shape_zyx={self.shape_zyx})"
 
     @property

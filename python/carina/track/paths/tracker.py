@@ -127,11 +127,13 @@ class PathTracker:
         self._air_scale: AirScale | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor and the values from which a pickle restores the tracker."""
         values = {"grid": self.grid, "recipe": self._recipe, "root_ijk": self.root_ijk}
         nodes = None if self._follows else self._nodes
         return _tracker_of, (values, PackedMask.of(self.lumen_zyx), self._branches, nodes)
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of nodes and settled nodes."""
         core = self._made_core
         if core is None:
             return "PathTracker(not built yet)"
@@ -166,7 +168,7 @@ class PathTracker:
 
     @property
     def volume(self) -> Volume:
-        """CT on the grid in which the paths run; if the grid is finer than that of the CT, interpolated at first use."""
+        """CT on the grid in which the paths run; a grid that is finer than that of the CT is interpolated at first use."""
         return self.grid.volume
 
     @property

@@ -29,6 +29,7 @@ class Mesh:
     """Vertex indices (m, 3) of the triangles, counterclockwise seen from outside."""
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of vertices and triangles."""
         return f"Mesh({len(self.vertices_lps)} vertices, {len(self.triangles)} triangles)"
 
     @property

@@ -36,6 +36,7 @@ class LumenOutline:
         self._surface: _core.LumenSurface | None = None
 
     def __repr__(self) -> str:
+        """Return one line with the volume."""
         return f"LumenOutline({self._volume!r})"
 
     @property
@@ -109,6 +110,7 @@ class MaskOutline:
         self._surface = _core.LumenSurface(values, _matrix(lps_from_ijk), mask, levels=None)
 
     def __repr__(self) -> str:
+        """Return one line with the size of the mask."""
         nz, ny, nx = self._shape
         return f"MaskOutline({nx} x {ny} x {nz} voxels)"
 
