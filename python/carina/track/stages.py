@@ -28,7 +28,7 @@ class Stages:
         what
             Name of the stage, for the user.
         fraction
-            Completed share of the whole search, 0..1; None if unknown.
+            Completed share, 0..1; None if unknown.
 
         Raises
         ------

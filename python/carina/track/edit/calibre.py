@@ -18,7 +18,10 @@ Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 """First and last voxel (i, j, k) of a box."""
 
 REACH_RADII = 3.5
-"""Reach of a section: 2.5 median distances to the wall, each of which depends on the nearest wall."""
+"""Distance from a branch, in largest distances to its wall, within which a change affects its sections.
+
+A section extends over 2.5 median distances to the wall, and each of these depends on the nearest wall.
+"""
 REACH_VOXELS = 6.0
 
 

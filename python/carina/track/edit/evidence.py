@@ -57,7 +57,9 @@ MIN_RUNS = 12
 BEST_RUNS = 0.9
 LEAST_RISE_HU = 15.0
 NOISE_SHARE, FAR_SHARE = 1.25, 2.0
-"""Least rises to a wall, independent of the comparison: nearby as a multiple of the noise, far as a multiple of that.
+"""Least rises to a wall, whatever the comparison shows.
+
+NOISE_SHARE times the noise for near walls; FAR_SHARE times the near rise for far walls.
 """
 PLAIN_HU = -850.0
 ENCLOSED, DARK_SHARE = 0.98, 0.1

@@ -37,7 +37,7 @@ LEAST_WALLS = 0.6
 Fewer than one in 100 paths to removed branches has less.
 """
 DROP, DROP_HU, MOST_DROP = -2.0, 100.0, 3.0
-"""A path whose value rises and falls has probably crossed a wall."""
+"""Penalty for a value that rises and falls along a path, which has then probably crossed a wall."""
 WIDER, AS_WIDE, MOST_WIDER = -1.6, 0.8, 1.0
 """Penalty for a path that is wider than its parent.
 

@@ -33,7 +33,7 @@ class FoldedAirways:
     """Airways to which the edits were applied; they also define the wall levels."""
 
     def __repr__(self) -> str:
-        """Return one line with the base."""
+        """Return one line that shows ``base``."""
         return f"{type(self).__name__}(base={self.base!r})"
 
     def unfold(self) -> Airways:

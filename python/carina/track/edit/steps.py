@@ -131,8 +131,6 @@ class EditSteps:
             case _:
                 raise UsageError(f"expected an edit of a tree; found {edit!r}")
 
-    # ------------------------------------------------------------ the edits
-
     def _add(self, lps: Point, *, even_without_evidence: bool) -> None:
         plan = planned_way(self.lumen, self._tree, self.draft, self._evidence(), lps)
         if plan.doubtful.any() and not even_without_evidence:
@@ -380,8 +378,6 @@ class EditSteps:
             points = self._ended(self.lumen.core.smooth(points, step_mm=STEP_MM, keep_end=True), points)
         self.draft.change(branch.id, points=points, radius=self._radius(points))
 
-    # ------------------------------------------------------------ the lumen
-
     def _change_lumen(self, added: Voxels, removed: Voxels) -> None:
         """Change the lumen, and update the radii of the centrelines near the change."""
         before = self.lumen
@@ -507,8 +503,6 @@ class EditSteps:
             chain = np.concatenate([path[:-1], branch.points[-1:]])
         points = self._ended(self.lumen.core.smooth(chain, step_mm=STEP_MM, keep_end=True), chain)
         return points if self._all_inside(points) else None
-
-    # ------------------------------------------------------------ paths and the tree
 
     def _node(self, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
         return lumen_node(self.lumen, voxel, reach_mm)

@@ -111,7 +111,7 @@ class Across:
         size = rays.shape[1]
         last = size - 1 - np.argmax(tissue[:, ::-1], axis=1)
         reach = max(round(BORDER_MM / self.step_mm), 1)
-        # A border is only recognized if the ray continues far enough beyond it.
+        # A border is only recognised if the ray continues far enough beyond it.
         seen = tissue.any(axis=1) & (last + reach < size)
         at = np.minimum(last, size - 2)
         place = np.arange(len(rays))

@@ -25,7 +25,7 @@ FINE_VOX = 3.0
 NEAR_LEAK_MM = 10.0
 # Largest distance between the end of the lumen and the filling at which it ends.
 AT_END_MM = 4.0
-# The last part of a branch runs into its blind end: its calibre is measured before that part.
+# The calibre is measured from CALIBRE_MM to BLUNT_MM before the tip: the last part runs into the blind end.
 BLUNT_MM = 2.0
 CALIBRE_MM = 8.0
 

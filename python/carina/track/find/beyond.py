@@ -42,12 +42,14 @@ LEAST_ODDS = 0.3
 # kernel leaves none. Noise makes edges seem steeper and so accounts for a share of the depth.
 SHARP_HU = 4.0
 NOISE_SHARE = 0.15
-# A path must be enclosed by walls this many times as high as a rim of that depth.
+# With a sharp kernel, a wall must rise by at least this multiple of the undershoot.
 SHARP_BAR = 1.5
-# Factors on the wall height that the lung requires, for repeated searches after a leak.
+# Factors on how enclosed by walls a path must be, relative to the lung of the CT; the search is repeated with the next
+# factor after a leak.
 BARS = (1.0, 2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
-# Intact searches reach 0.02 to 0.4 % of the lung and follow at most 0.35 m (eight CTs).
+# Limits of a search that does not leak: share of the lung that it reaches (intact searches: 0.02 to 0.4 %) and length
+# that it follows (at most 0.35 m in eight CTs).
 MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
@@ -80,10 +82,7 @@ class Beyond:
     judged: NDArray[np.float64]
     """Points along the airways that were followed beyond the flood, (n, 4): LPS in mm, and probability."""
     leaked: bool
-    """Whether the search leaked into the lung.
-
-    The lung's own limit applied; with a sharp kernel the search would have leaked along the rims.
-    """
+    """Whether the search leaked into the lung, or would have leaked along the rims of a sharp kernel."""
 
 
 NOTHING_BEYOND = Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=False)

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 # Limits for air and lung.
 DARKEST_HU = -930.0
-"""Half-way between air and lung."""
+"""Upper limit of air in an island: half-way between air and lung."""
 LEAST_RISE_HU = 150.0
 NOISE_RISE = 4.0
 """A wall must rise by this multiple of the noise, or by 150 HU if that is more."""
@@ -54,7 +54,7 @@ BRIGHTEST_HU = 250.0
 """Brighter voxels are bone, calcification or vessels with contrast medium, not a filling."""
 NUM_TRIED = 60
 UNFILLED = 4.0
-"""Weight of the score of a path beside a solid cord, relative to a path along the cord."""
+"""Penalty for a gap without tissue: the score (lower is better) is multiplied by up to 1 plus this."""
 
 # Limits for the calibre.
 USUAL_WALL_MM = 1.2

@@ -19,12 +19,13 @@ from carina.volume.model import Volume
 __all__ = ["Flood", "flood"]
 
 MIN_WALL_CONTRAST_HU = 60.0
-# A trachea has a volume of 20-40 ml, both lungs some litres. The largest part of a tree behind one noisy voxel is below
-# 60 ml.
+# Larger air spaces that the flood enters are leaks. A trachea has 20-40 ml, both lungs some litres; the largest part
+# of a tree behind one noisy voxel is below 60 ml.
 LEAK_MM3 = 60_000.0
 SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
-# Trachea and bronchi have 40 to 100 ml, 0.8 to 2 % of the lungs' volume; tracheas twice as wide as most 200 ml, 5 %.
+# A lumen above both limits, its volume and its share of lung and lumen, contains lung. Trachea and bronchi have 40 to
+# 100 ml, 0.8 to 2 % of the lungs' volume; tracheas twice as wide as most 200 ml, 5 %.
 MOST_LUMEN_MM3 = 150_000.0
 MOST_OF_LUNG = 0.1
 # Sigmas of the smoothed copies in which a flood that leaked is repeated.

@@ -34,7 +34,7 @@ DARK_NEIGHBOURS = 3
 MOST_DARK = 4_000_000
 """More dark voxels than this are emphysema, in which islands cannot be distinguished by their darkness."""
 CELL_MM = 2.0
-"""Approximate edge of the cells of which paths inside an island consist."""
+"""Least edge length of the cells between which paths inside an island run; at least one voxel."""
 AXIS_MM, ONWARD_MM = 3.0, 9.0
 """Lengths of the first and second stretch of an end, in mm; its axis joins the centres of the two.
 

@@ -17,7 +17,7 @@ BLOCK_KJI = (3, 5, 5)
 LEAST_MM3 = 60_000.0
 """Least volume of padding: larger than a wide trachea, in which a scanner may have clipped the values of air."""
 MOST_EQUAL = 0.25
-"""If a larger share of the lower trachea has equal neighbours, the air has no noise and cannot be told from padding."""
+"""If a larger share of the lower trachea has equal neighbours, its air has no noise and looks like padding."""
 
 
 def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray[np.bool_] | None:

@@ -14,7 +14,8 @@ ADULT_MM = 16.0
 """Smallest diameter of the trachea for which the lengths of the search are those of an adult."""
 WIDE_PART = 75.0
 """Percentile of the trachea's diameters that is used: a stenosis along less than three quarters of it has no effect."""
-# The measured edge of an air space is this share of a voxel inside the wall (phantoms with voxels of 0.8 to 4 mm).
+# The measured edge of an air space is inside the true wall by this share of a voxel (phantoms with voxels of 0.8 to 4
+# mm).
 EDGE_VOXELS = 0.5
 # Lower limit: a trachea of 4 mm is that of a newborn.
 LEAST_SIZE = 0.25

@@ -26,12 +26,12 @@ SEAM_VOXELS = 1.1
 # CTs with soft kernels show undershoot up to this, with as much as 60 HU of noise: patients -24 to -2 HU, phantoms -9
 # to 2 HU. A softened CT keeps this undershoot: more softening only removes small airways (docs/decisions/0113).
 SOFT_HU = 3.0
-# If a copy with such rims leaks, the next copy is softened to this undershoot: the remaining noise opens walls.
+# If the softened copy leaks too, the next copy is softened down to this undershoot: the remaining noise opens walls.
 SOFTEST_HU = -8.0
 # Largest factor by which a kernel in use enhances fine detail; above it there is only noise.
 MOST_RAISED = 3.2
 STEPS = 5
-# The amount is determined on a slab of this thickness in the middle of the volume.
+# The amount of softening is determined on a slab of this thickness in the middle of the volume.
 SLAB_MM = 40.0
 LEAST_SLAB = 24
 # Lowest value of most files. If a file has lower values, darker voxels inside a small tube are still air.

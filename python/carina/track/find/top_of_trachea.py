@@ -188,7 +188,10 @@ def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
 
 
 def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: int) -> NDArray[np.uint8]:
-    """Return a mask of the air connected to the sections above the trachea, or of only the sections if it is open."""
+    """Return a mask of the air connected to the sections above the trachea.
+
+    If this air is open to the outside, the mask contains only the sections.
+    """
     mask = np.zeros(volume.shape_zyx, dtype=np.uint8)
     if not above:
         return mask

@@ -8,7 +8,8 @@ from carina.volume.model import Note
 
 __all__ = ["doubt_of_totals"]
 
-# The airways that CTs show are 1 to 4 m long in total, in 100 to 600 branches of up to 10 to 16 generations.
+# Upper limits of a tree. The airways that CTs show are 1 to 4 m long in total, in 100 to 600 branches of up to 10 to 16
+# generations.
 MOST_LENGTH_MM = 12_000.0
 MOST_BRANCHES = 2_500
 MOST_GENERATION = 40

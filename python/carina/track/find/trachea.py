@@ -10,11 +10,11 @@ from carina.volume.model import Volume
 
 __all__ = ["add_sections", "fill_trachea"]
 
-# Wider than any trachea.
+# Half the side of the examined window: more than the radius of any trachea.
 MAX_TRACHEA_RADIUS_MM = 18.0
-# In voxels.
+# Margin round a section within which the lumen is limited to it, in voxels.
 BESIDE = 8
-# Largest notch between a tube, the wall that it touches and the rest of the trachea that is filled.
+# Largest notch that is filled between a tube on the wall and the rest of the trachea.
 NOTCH_MM = 4.5
 
 

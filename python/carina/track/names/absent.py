@@ -42,7 +42,8 @@ _TRUNKS = {
     **dict.fromkeys(("LB8", "LB9", "LB10"), "Left basal trunk"),
 }
 _LETTERS = "abcdeiv"
-# In a main bronchus longer than the second figure, the right upper lobe's bronchus is expected at the first one.
+# In a right main bronchus longer than LONG_MAIN_MM, the bronchus of the upper lobe is expected at UPPER_LOBE_MM from
+# its start.
 UPPER_LOBE_MM = 20.0
 LONG_MAIN_MM = 30.0
 # An unnamed branch that begins farther than this beyond the end of a carrier belongs to another segment.

@@ -28,7 +28,7 @@ MIRRORED_FIT = 0.75
 Situs inversus is rare, and a tree of any kind may fit a mirrored one.
 """
 MIN_READ = 10
-"""Least number of bronchi with a reading; with fewer bronchi the fit is chance."""
+"""Least number of bronchi with an assigned state; with fewer bronchi the fit is chance."""
 GOOD_FIT = 4.0
 """Goodness of fit above which a better fit no longer raises the confidence."""
 # Log odds of a correct name: constant, factor of the log odds of the reading, and change per nat below a good fit.
@@ -77,10 +77,10 @@ def fit_of(
     """Compute the goodness of fit of a tree, in nats per bronchus; None if too few bronchi can be judged.
 
     The fit is the log evidence over chance of the central airways, per bronchus that carries a reading, plus 1.5
-    times its excess over the best of four orientations that no patient has. It is 4 to 5 in phantoms, 3.2 to 4.9 in
-    three patients, below 2.5 in most randomly branching trees, below 2.2 in vessels and below 1.5 in trees that are
-    upside down. A phantom with plugs in two lobes has 1.8, so the limit is below 1.8, and most random trees and some
-    vessels pass.
+    times its excess over the best of the six orientations that no patient has (upside down, back to front, and those
+    mirrored). It is 4 to 5 in phantoms, 3.2 to 4.9 in three patients, below 2.5 in most randomly branching trees,
+    below 2.2 in vessels and below 1.5 in trees that are upside down. A phantom with plugs in two lobes has 1.8, so
+    the limit is below 1.8, and most random trees and some vessels pass.
 
     Parameters
     ----------

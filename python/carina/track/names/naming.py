@@ -70,7 +70,7 @@ _SWAP = str.maketrans("RL", "LR")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Named:
-    """Tree with the result of reading it."""
+    """Bronchi of a tree with the states that were assigned to them."""
 
     bronchi: list[Bronchus]
     solution: Solution
@@ -160,7 +160,7 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
 
 
 def _kept_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tuple[str | None, float]]:
-    """Remove the names of segments and limit the confidence to 0.5, for a tree that does not look human."""
+    """Remove the names of segments and limit the confidence to 0.5, for a tree that is not like a human one."""
     return {
         number: (name, min(sure, SURE_ENOUGH))
         for number, (name, sure) in names.items()

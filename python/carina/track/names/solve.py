@@ -135,7 +135,7 @@ class _Tables:
         return found
 
     def rows(self, one: int, two: int) -> Array:
-        """Return the log weight of each division of the grammar at this split, before normalization by the whole."""
+        """Return the log weight of each division of the grammar at this split, without the weight of the whole part."""
         division = self.model.grammar.division
         return (
             division.log_prior
@@ -410,7 +410,7 @@ class Solver:
         for state, others, odds in reversed(self.grammar.shrink):
             if spread[state] <= 0.0 or not np.isfinite(sums[state]):
                 continue
-            # Use the sums of the other states unchanged, whether own or shrunk.
+            # The sums of the other states may already include replacements by their own rules.
             shares = np.exp(odds + sums[others] - sums[state])
             spread[others] += spread[state] * shares
             spread[state] *= math.exp(min(own[state] - sums[state], 0.0)) if np.isfinite(own[state]) else 0.0

@@ -20,7 +20,8 @@ NUM_RAYS = 8
 MAX_POINTS = 48
 # The wall of a bronchus is 0.5 to 2 mm thick; the scanner blurs it by about a voxel.
 WALL_REACH_MM = 2.0
-# The brightest of some noise samples is about 2 standard deviations above the mean; 6 are not noise.
+# Rises that count as no wall and as a certain wall, in standard deviations of the noise: the brightest of some noise
+# samples is about 2 above the mean.
 NOTHING_SIGMA, CERTAIN_SIGMA = 2.0, 6.0
 LEAST_CONTRAST_HU = 60.0
 # A lumen below the first width (voxels) may be noise; from the second width on it is completely visible.
@@ -116,8 +117,8 @@ def find_live_path(tracker: LumenPaths, volume: Volume, point: Point, *, reach_m
     new_mm = new_share * length_mm
     to_end = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
     looked_at = to_end <= max(new_mm, LAST_MM)
-    # Leave out the path from the centre of the tube to a point beside its wall and the closed end of the tube: the
-    # distance to the wall there does not describe the tube.
+    # Leave out one tube radius at the target and at the root: the distance to the wall does not describe the tube at
+    # its closed end or near a target beside the wall.
     tube_mm = float(radius[looked_at].max(initial=0.0))
     from_root = to_end[0] - to_end
     middle = (to_end > tube_mm) & (from_root > float(radius[from_root <= LAST_MM].max(initial=0.0)))

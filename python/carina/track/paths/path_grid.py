@@ -22,11 +22,11 @@ PART_MM = 1.0
 THICK = 1.5
 """A slice is thick if its thickness is at least this many times the voxel width."""
 WIDEST_MM = 1.0
-"""Wider voxels do not show the airways that thick slices interrupt."""
+"""Slices with wider voxels are not divided: such voxels do not show the airways that thick slices interrupt."""
 LEAST_SLICES = 4
 MOST_PARTS = 16
 LEAST_PART_MM = 0.5
-"""A case file with thinner parts is damaged: its grid would need too much memory."""
+"""Least thickness of a part; a case file with thinner parts is damaged, and its grid would need too much memory."""
 
 
 class DividedSlices(NamedTuple):

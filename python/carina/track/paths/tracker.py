@@ -168,7 +168,7 @@ class PathTracker:
 
     @property
     def volume(self) -> Volume:
-        """CT on the grid in which the paths run; a grid that is finer than that of the CT is interpolated at first use."""
+        """CT on the grid in which the paths run; interpolated at first use if that grid is finer than the CT's."""
         return self.grid.volume
 
     @property

@@ -127,7 +127,7 @@ class Branch:
 
     @property
     def wall_distance(self) -> NDArray[np.float64]:
-        """Radius (n,) of the largest ball that fits at each point, in mm; below ``radius`` if the lumen is not round."""
+        """Radius (n,) of the largest ball that fits at each point, in mm; at most ``radius``."""
         return self.radius if self.wall_mm is None else self.wall_mm
 
     @property
@@ -261,7 +261,7 @@ class AirwayTree(Tabular):
 
     @check_arguments(more=each(text_of(20_000)))
     def to_html(self, more: Sequence[str] = ()) -> str:
-        """Return HTML with a drawing from the front, a table of the first branches, and text with ``more`` at the end."""
+        """Return HTML with a drawing from the front, a table of the first branches, and the lines of ``more``."""
         inner_first = sorted(self.branches, key=lambda branch: (branch.generation, branch.id))
         svg = ways_svg(
             [branch.as_way() for branch in inner_first[::-1]], height_px=320, alt="airway tree, from the front"
@@ -334,7 +334,7 @@ class AirwayTree(Tabular):
         Raises
         ------
         UsageError
-            If there is none.
+            If there is no such branch.
         """
         for branch in self.branches:
             if branch.id == branch_id:

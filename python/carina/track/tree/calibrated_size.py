@@ -25,7 +25,7 @@ CALIBRATED_MM = (12.0, 27.0)
 """Diameters of the trachea in the CTs on which confidence was calibrated and verified (docs/decisions/0116)."""
 UNPROVEN = 0.5
 """Highest confidence of a branch or a name far outside the calibrated range."""
-# The limit falls from 1 to UNPROVEN from the range to this share below or above it.
+# Share below or above the range over which the limit falls from 1 to UNPROVEN.
 FALL_SHARE = 0.15
 WIDE_PART = 75.0
 """Percentile of the radius along a branch that is used: a narrow place has no effect."""
@@ -66,8 +66,8 @@ def _sizes_mm(tree: AirwayTree) -> tuple[float, ...]:
 def confidence_limit(tree: AirwayTree) -> float:
     """Return the highest confidence that the tree's branches and names may have, 0.5 to 1.
 
-    The limit applies only if the trachea and the main bronchi are both outside the calibrated range: a disease that
-    narrows or widens the trachea alone has no effect.
+    The limit applies only if the diameters of the trachea and of the main bronchi are both below or both above the
+    calibrated range: a disease that narrows or widens the trachea alone has no effect.
     """
     sizes = _sizes_mm(tree)
     return max(map(limit_at, sizes)) if sizes and _agree(sizes) else 1.0

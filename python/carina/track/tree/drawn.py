@@ -21,7 +21,7 @@ SHOWN_MM = 0.05
 
 
 class DrawnPart(FrozenValue, frozen=True):
-    """How much of a way, or of a whole tree, rests on a person's hand and not on the CT."""
+    """Lengths of a path or tree: in total, drawn by hand, and bridged across obstructions."""
 
     length_mm: float
     """Length of the whole path or tree, in mm."""

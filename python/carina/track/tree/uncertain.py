@@ -57,7 +57,7 @@ NOISE_POWER = 0.75
 SHARP_RIM_HU = 15.0
 THIN_VOXELS = 2.0
 MOST_BESIDE_RIMS = 0.95
-# The last part of a branch runs into its blind end.
+# Length of the last part of a branch, which runs into its blind end and is not judged.
 BLUNT_MM = 2.0
 NUM_SECTIONS = 12
 NUM_SIDES = 16
