@@ -38,7 +38,7 @@ def preview_edit(
     Returns
     -------
     EditPreview
-        Also if the edit is impossible: see ``problem``.
+        The new lines; if the edit is impossible, no lines and a ``problem``.
 
     Raises
     ------

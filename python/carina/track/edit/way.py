@@ -73,7 +73,7 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
     Returns
     -------
     BranchWay
-        Also if nothing can be added: see ``problem``.
+        The path; if nothing can be added, no lines and a ``problem``.
     """
     x, y, z = (float(value) for value in lps)
     lumen = EditedLumen(airways.tracker.grid, airways.tracker.core)

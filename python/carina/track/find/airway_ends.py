@@ -50,7 +50,8 @@ def find_uncertain(
     Returns
     -------
     tuple of Uncertainty
-        The widest first. The last entry, if there is one, states the calibre at which ordinary ends become too fine.
+        The widest first. If some ends are too thin for the CT, the last entry is of kind ``fine`` and states their
+        median calibre.
     """
     voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
     fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)

@@ -89,7 +89,7 @@ class Airways:
     uncertain: tuple[Uncertainty, ...] = ()
     """Places where an airway could not be followed, with reasons, the widest first.
 
-    The last entries state where the CT is unreliable.
+    The last entry, of kind ``fine``, states below which width the CT is unreliable.
     """
     bridges: tuple[NDArray[np.float64], ...] = ()
     """Paths of bridges that the user made and did not cut, (n, 3) each, LPS in mm.

@@ -78,9 +78,9 @@ class Passage:
     """Indices of centreline points without a section: drawn parts, bridges, the end of the CT, invisible walls."""
 
     def until(self, mm: float) -> Passage:
-        """Return the part up to a point along the branch, and the next section if this part has no section.
+        """Return the passage up to a length along the branch, with the next section if there is none at that length.
 
-        At the start of a branch there may be no sections of its own.
+        At the start of a branch the first section of its own may be some way along it.
         """
         own = np.concatenate([[True], self.at_mm < mm - 1e-6])[: len(self.at_mm)]
         return Passage(self.branch_id, self.at_mm[own], self.diameter_mm[own], self.error_mm[own], self.unmeasured)

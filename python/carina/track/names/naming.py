@@ -1,7 +1,8 @@
 """Anatomical names for an airway tree, from trachea to subsegments, with confidence and variants.
 
 Naming uses no trained weights and no scans: a grammar of anatomy (``model``), the shape of the tree (``shape``), and
-the sum over all assignments of grammar states to the tree (``solve``). docs/decisions/0116.
+the sum over all readings of the tree (``solve``). A reading assigns a state of the grammar, such as a segment or a
+lobe, to each bronchus. docs/decisions/0116.
 """
 
 from __future__ import annotations

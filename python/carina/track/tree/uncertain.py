@@ -247,7 +247,7 @@ def with_confidence(
 
     The score of a section is the product of three values, each from 0 to 1: the share of sides with a wall; the rise
     of the wall above the lumen relative to the noise of a wall (``1 - exp(-rise / 3 wall_noise)``); and a factor for
-    the diameter in voxels (a lumen below 2 voxels is blurred and gets a factor from 0.5 on). A branch has the median
+    the diameter, which rises from 0.5 to 1 at 2 voxels, because a thinner lumen is blurred. A branch has the median
     score of its sections. The score is then converted to a probability: the share of phantom branches with this
     score that are true airways.
 
