@@ -41,6 +41,7 @@ class Plane:
     off_mm: Floats
     """(n, n, 2) offset of each sample from the centre of the plane, in mm along ``across``."""
     step_mm: float
+    """Distance between neighbouring samples."""
     across: Points
     """(2, 3) unit vectors of the plane, LPS."""
 

@@ -41,6 +41,7 @@ class Section:
     """Section of the trachea, larynx or throat in one slice."""
 
     k: int
+    """Index of the slice."""
     corner: tuple[int, int]
     """First voxel (j, i) of the masks."""
     air: NDArray[np.bool_]
@@ -50,7 +51,9 @@ class Section:
     voxel: tuple[int, int, int]
     """Voxel (i, j, k) of the air, nearest to the centre of the section."""
     centre_lps: NDArray[np.float64]
+    """Centre of the section, LPS in mm."""
     area_mm2: float
+    """Area of ``whole``."""
     width_mm: float
     """Extent from right to left."""
     depth_mm: float

@@ -75,6 +75,7 @@ class Beyond:
     """Result of the search for small airways beyond the flood."""
 
     notes: tuple[str, ...]
+    """Texts about the airways that were followed."""
     badge: Note | None
     """Note that the search leaked, and how it was limited; None if it did not leak."""
     threads_lps: NDArray[np.float64]

@@ -29,6 +29,7 @@ class CanonicalOrder:
     """
 
     stored: Volume
+    """Volume as it is stored."""
     volume: Volume
     """Volume in canonical order: ``stored`` itself if it is in this order, otherwise a copy."""
     _axes: CanonicalAxes

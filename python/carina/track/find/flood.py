@@ -39,8 +39,11 @@ class Flood:
     searched: Softened
     """Volume that was flooded: the original or a smoothed copy."""
     lumen: NDArray[np.uint8]
+    """Lumen (nz, ny, nx), 1 inside."""
     leaks_lps: NDArray[np.float64]
+    """Points (n, 3) at which the flood was stopped because it would have leaked, LPS in mm."""
     num_voxels: int
+    """Number of voxels of the lumen."""
     air: float
     """Value of the air in the trachea, in the numbers of the volume; ``noise`` is its standard deviation."""
     noise: float

@@ -70,7 +70,9 @@ class Airways:
     root_lps: NDArray[np.float64]
     """Start of all paths, LPS in mm."""
     tree: AirwayTree
+    """Airway tree in the lumen."""
     tracker: PathTracker
+    """Tracker of paths in the lumen."""
     threshold: float
     """Value at which the lumen ends (HU if the volume is in HU); NaN for a given lumen."""
     notes: tuple[str, ...] = ()

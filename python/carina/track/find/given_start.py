@@ -40,6 +40,7 @@ class GivenStart:
     """Start point that a user gave in the trachea."""
 
     given: Point
+    """Point that the user gave, LPS in mm."""
     point: Point
     """Centre of the nearest voxel of the lumen, LPS in mm."""
     snapped_mm: float

@@ -62,6 +62,7 @@ class Island:
     points_lps: Points
     """Centres (n, 3) of the voxels, LPS in mm."""
     ends: tuple[IslandEnd, ...]
+    """Ends of the piece."""
 
 
 def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points, darkest: float) -> list[Island]:

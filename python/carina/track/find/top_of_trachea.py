@@ -49,6 +49,7 @@ class TopOfTrachea:
     seeds: list[tuple[int, int, int]]
     """Voxels (i, j, k) of the trachea, from its top down."""
     start: Point
+    """Uppermost voxel of the trachea, LPS in mm."""
     searched: Softened
     """CT with tissue in place of air that is not trachea."""
     upper_zyx: NDArray[np.uint8] | None
@@ -64,6 +65,7 @@ class TopOfTrachea:
     is_open: bool
     """Whether the trachea is open to the air outside through the front of the neck."""
     cords: Cords | None
+    """Vocal cords; None if the scan ends below them."""
 
 
 def top_of_trachea(

@@ -68,12 +68,15 @@ class Trachea:
     seeds: list[tuple[int, int, int]]
     """Voxels (i, j, k) of the trachea's air, from the top down."""
     top: Point
+    """Uppermost voxel of the trachea, LPS in mm."""
     notes: list[str]
+    """Doubts about the trachea, as texts."""
     split_mm: float | None
     """Length above the carina; None if a main bronchus or a lung is missing."""
     diameters_mm: NDArray[np.float64]
     """Equivalent diameter in each slice, (n,)."""
     carina_lps: NDArray[np.float64]
+    """Carina, LPS in mm."""
 
 
 def trachea_in(

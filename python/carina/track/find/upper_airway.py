@@ -109,6 +109,7 @@ class Cords:
     begins_at: int
     """Index of the first section below the cricoid, where the tree begins."""
     above_root_mm: float
+    """Height of the section ``at`` above the root, in mm."""
     root_above_carina_mm: float | None = None
     """Height of the root above the carina if the cords were not seen; None if they were seen.
 

@@ -50,6 +50,7 @@ class Diameter:
 
     mm: float
     error_mm: float
+    """Half of the 95 % interval."""
     branch_id: int | None = None
     """ID of the branch that contains the narrowest place; None for the diameter of a whole branch."""
     at_mm: float | None = None

@@ -35,11 +35,13 @@ class ForkMeasures:
     branch_id: int
     """ID of the branch that ends in the fork."""
     children: tuple[int, ...]
+    """IDs of the branches that begin at the fork."""
     fork_lps: tuple[float, float, float]
     """Point at which the centrelines part (LPS, mm): where the axes of the tubes meet."""
     carina_lps: tuple[float, float, float] | None
     """Ridge of the wall between the first two children that part (LPS, mm); None if no wall separates them."""
     fork_to_carina_mm: float | None
+    """Distance from ``fork_lps`` to ``carina_lps``; None without a carina."""
     angle_between_deg: float | None
     """Angle between the chords of the two widest children; None if one has no length."""
 

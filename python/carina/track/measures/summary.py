@@ -81,6 +81,7 @@ class ReferenceDiameter:
     """Diameter that a healthy branch would have at one place."""
 
     mm: float
+    """Expected diameter."""
     error: float
     """Half of the 95 % interval, as a share of ``mm``."""
     source: str
@@ -93,6 +94,7 @@ class BranchSummary:
     """Summary of a branch, from its sections away from forks and from the volume's faces; None without any."""
 
     length_mm: float = 0.0
+    """Length of the centreline."""
     angle_deg: float | None = None
     """Angle to the parent (0: straight on), between the chords of two diameters on both sides of the fork."""
     num_sections: int = 0
@@ -103,6 +105,7 @@ class BranchSummary:
     In measurements of earlier versions it is the mean.
     """
     mean_error_mm: float | None = None
+    """Error of ``mean_mm``: half of a 95 % interval."""
     min_mm: float | None = None
     """Narrowest diameter: the smallest running median.
 
@@ -111,11 +114,13 @@ class BranchSummary:
     min_error_mm: float | None = None
     """Error of ``min_mm``; None in measurements of earlier versions."""
     min_at_mm: float | None = None
+    """Distance of the narrowest place along the branch."""
     taper: float | None = None
     """Change of the equivalent diameter per mm of length (mm/mm); below 0 if the branch narrows."""
     wall_mm: float | None = None
     """Median thickness of the wall."""
     wall_error_mm: float | None = None
+    """Error of ``wall_mm``: half of a 95 % interval."""
     measured_stenosis: Stenosis | None = dataclasses.field(default=None, repr=False)
     """Stenosis as measured or read.
 

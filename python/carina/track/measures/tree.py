@@ -106,11 +106,13 @@ class BranchMeasures(Tabular):
     normal_lps: Floats
     """Unit vector (n, 3) along the branch, LPS."""
     area_mm2: Floats
+    """Area (n,) of the lumen across the branch."""
     equivalent_mm: Floats
     """Diameter (n,) of the circle with the area of the lumen."""
     min_mm: Floats
     """Least width (n,) through the centre."""
     max_mm: Floats
+    """Greatest width (n,) through the centre."""
     wall_mm: Floats
     """Thickness (n,) of the wall where it has an outer side, that is, where no vessel or mediastinum touches it."""
     at_junction: NDArray[np.bool_]
@@ -137,6 +139,7 @@ class BranchMeasures(Tabular):
     share: Floats
     """Share (n,) of the rays that met a wall, 0 to 1."""
     summary: BranchSummary
+    """Summary of the branch."""
     found_by: str = CARINA_VERSION
     """Version of Carina that measured the sections."""
     method: int = METHOD
@@ -223,6 +226,7 @@ class TreeMeasures(Tabular):
     branches: tuple[BranchMeasures, ...]
     """Measures of the branches, in the order of the tree."""
     forks: tuple[ForkMeasures, ...]
+    """Measurements of the forks, in the order of the branches."""
     blur_mm: tuple[float, float] | None
     """Blur of the scan within and across its slices, as standard deviations; None if it could not be measured.
 
@@ -231,6 +235,7 @@ class TreeMeasures(Tabular):
     noise: float
     """Standard deviation of the values in the trachea, in the numbers of the volume."""
     notes: tuple[str, ...] = ()
+    """Texts about the measurement, such as a blur that could not be measured."""
     _keys: tuple[bytes, ...] = dataclasses.field(default=(), repr=False)
     """Cache key of each branch: the data from which it was measured (see :func:`measure_tree`)."""
     _measured: tuple[Branch, ...] = dataclasses.field(default=(), repr=False)

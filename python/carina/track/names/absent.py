@@ -90,6 +90,7 @@ class Absence:
     slice_number: int | None = None
     """Slice of ``lps``, counted from the feet, from 1."""
     num_slices: int | None = None
+    """Number of slices of the scan."""
     has_clips: bool = False
     """Whether surgical clips are at the stump."""
     hidden_by: CalibratedShares | None = None

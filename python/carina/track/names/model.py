@@ -35,6 +35,7 @@ class Segment:
     key: str
     """Name: RB1 ... LB10; LB1 and LB2 are the two halves of LB1+2; RB* and LB* are the subsuperior segments."""
     lobe: str
+    """Lobe of the segment, such as RUL."""
     direction: Vector
     """Direction of the bronchus, body frame."""
     place: Vector
@@ -153,14 +154,19 @@ class Division:
     """All divisions of states in two, in both orders, as arrays sorted by the dividing state."""
 
     state: NDArray[np.intp]
+    """State (n,) that divides."""
     one: NDArray[np.intp]
+    """State (n,) of the first part."""
     two: NDArray[np.intp]
+    """State (n,) of the second part."""
     log_prior: NDArray[np.float64]
+    """Log probability (n,) of the division, from anatomy alone."""
     place: NDArray[np.float64]
     """Unit vector (n, 3) from the centre of ``two`` to that of ``one``."""
     direction: NDArray[np.float64]
     """Unit vector (n, 3) along the difference of the two directions, ``one`` minus ``two``."""
     log_bulk: NDArray[np.float64]
+    """Log ratio (n,) of the sizes of the two parts, ``one`` over ``two``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,22 +178,28 @@ class Grammar:
     segments: list[frozenset[str]]
     """Keys of the segments that a state carries (nominally)."""
     lobe: list[str | None]
+    """Lobe of each state; None for trunks of several lobes."""
     kind: list[str]
     """Kind of each state: ``segment``, ``set``, ``lobe`` or ``trunk``."""
     direction: NDArray[np.float64]
+    """Unit direction (n, 3) of each state's bronchus, in the body frame: x left, y posterior, z superior."""
     place: NDArray[np.float64]
+    """Position (n, 3) of each state's territory, in the body frame, in units of about half a lung height."""
     log_calibre: NDArray[np.float64]
     """Log of the radius relative to a bronchus of one segment: flow is proportional to the cube of the radius."""
     side: NDArray[np.float64]
     """Side of each state: -1 right, +1 left, 0 both."""
     terminal: NDArray[np.bool_]
+    """Whether each state is a single segment, which does not divide further."""
     division: Division
+    """All divisions of the states."""
     shrink: list[tuple[int, NDArray[np.intp], NDArray[np.float64]]]
     """Rules for states that may replace other states: the state, the others, and their log odds.
 
     The order allows the sums to be computed in one pass.
     """
     root_log_prior: NDArray[np.float64]
+    """Log probability of each state at the root of a tree."""
     index: dict[str, int] = field(repr=False, default_factory=dict)
 
     def __len__(self) -> int:

@@ -29,14 +29,18 @@ class Bronchus:
     pieces: tuple[int, ...]
     """Indices in ``tree.branches``, in order."""
     parent: int | None
+    """Index of the parent in the list of bronchi; None at the root."""
     children: tuple[int, ...]
     """Indices in the list of bronchi; parents come first."""
     stubs: tuple[int, ...]
     """Branches that were merged into the fork at its end."""
     start: NDArray[np.float64]
+    """First point, LPS in mm."""
     end: NDArray[np.float64]
+    """Last point, LPS in mm."""
     length_mm: float
     radius_mm: float
+    """Mean of the median radii of its branches, weighted by their lengths."""
     direction: NDArray[np.float64]
     """Unit vector, LPS."""
     middle: NDArray[np.float64]
@@ -52,7 +56,9 @@ class Lung:
     """All bronchi of one lung."""
 
     members: frozenset[int]
+    """Indices of its bronchi."""
     middle: NDArray[np.float64]
+    """Centre of its tips, LPS in mm."""
     size_mm: float
     """Root mean square distance of the tips from their centre."""
     unit_radius_mm: float

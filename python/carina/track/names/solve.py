@@ -84,6 +84,7 @@ class Reading:
     state: int | None
     """State of the grammar; None for a bronchus that carries no segment (a twig, an accessory bronchus)."""
     confidence: float
+    """Probability of the label."""
     inside: int | None = None
     """State (a segment) in whose territory the bronchus is."""
     twin: bool = False

@@ -46,6 +46,7 @@ class TrackedPath:
     It is less than ``radius_mm`` if the lumen is not round.
     """
     length_mm: float
+    """Length of the smoothed path."""
     cost: float
     """Cost of the voxel path: the sum over its edges of length in mm times weight."""
     generation: NDArray[np.int32]
@@ -55,6 +56,7 @@ class TrackedPath:
     voxel_path_lps: NDArray[np.float64]
     """Voxel centres (m, 3) that the tracker chose, before smoothing, LPS in mm."""
     target_node: int
+    """Node of the target in the compiled tracker."""
     snapped_mm: float
     """Distance of the requested point from the lumen; 0 inside the lumen."""
 

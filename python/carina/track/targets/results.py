@@ -29,6 +29,7 @@ class TargetSearch:
     num_settled: int
     """Number of nodes that were settled for this target."""
     num_path_nodes: int
+    """Number of nodes of the path."""
     num_outside: int | None
     """Number of nodes of the path outside the found lumen; None if there is no lumen to compare with."""
     outside_mm: float | None
@@ -44,10 +45,13 @@ class GraphSearch:
     """Graph that was searched, and the effort of the search."""
 
     cost: str
+    """Cost of the edges: ``lumen``, ``paper`` or ``walls``."""
     graph: str
+    """Kind of the graph: ``voxel`` or ``isoregion``."""
     labels: str | None
     """Labels of the IsoRegions: ``bins`` of 16 HU, or the class of the ``lumen``; None on the voxel graph."""
     num_nodes: int
+    """Number of nodes of the graph."""
     num_edges: int
     """Number of undirected edges, including links between centres and boundaries."""
     num_centres: int
@@ -57,6 +61,7 @@ class GraphSearch:
     quantum: float
     """Smallest unit of the costs: costs are whole multiples of it."""
     first_ijk: tuple[int, int, int]
+    """First voxel (i, j, k) of the box that was searched."""
     shape_ijk: tuple[int, int, int]
     """Shape of the box of voxels that was searched, from ``first_ijk`` on (for the cost ``lumen``: its lumen)."""
     is_whole: bool
@@ -66,6 +71,7 @@ class GraphSearch:
     targets: tuple[TargetSearch | None, ...]
     """Search of each target; None if there is no path to the target."""
     notes: tuple[str, ...] = ()
+    """Texts about limits of the search."""
 
 
 @one_line
@@ -74,10 +80,13 @@ class TargetResult:
     """Path to one target, or the reason why there is none."""
 
     requested_lps: NDArray[np.float64]
+    """Target as requested, LPS in mm."""
     used_lps: NDArray[np.float64] | None
     """End of the path, LPS in mm: the target, or the lumen voxel to which it was moved; None if there is no path."""
     snapped_mm: float
+    """Distance by which the target was moved."""
     path: TrackedPath | None
+    """Path to the target; None if there is none."""
     problem: str | None
     """Text that states why there is no path; None if there is one."""
 
@@ -95,6 +104,7 @@ class TrackResult(Tabular):
     tree: AirwayTree | None
     """Common tree of the paths; None if there is neither a path nor an airway tree."""
     targets: tuple[TargetResult, ...]
+    """Results, one for each target, in order."""
     airways: Airways | None
     """Airways; None if no lumen was found, which the costs ``paper`` and ``walls`` do not need."""
     search: GraphSearch | None = None

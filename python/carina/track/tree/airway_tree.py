@@ -51,9 +51,11 @@ class Branch:
     """Piece of airway between two forks, or between a fork and a tip."""
 
     id: int
+    """ID, unique in the tree; it stays the same through edits."""
     parent: int | None
     """ID of the parent branch; None at the root."""
     children: tuple[int, ...]
+    """IDs of the branches that leave its end."""
     generation: int
     """Number of forks between the root and the branch: 0 in the trachea."""
     name: str | None

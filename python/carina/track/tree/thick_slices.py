@@ -77,6 +77,7 @@ class CalibreShare:
     typical: float | None
     """Mean share of these CTs; None if the pixels of the present CT are wider than theirs."""
     most: float
+    """Greatest share among the CTs that were measured."""
 
     def to_json(self) -> dict[str, float | None]:
         """Return plain JSON types."""
