@@ -306,8 +306,8 @@ def missed_radii(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.floa
     """Return the radius (mm) of the airway at each of (n, 3) path points (LPS, mm), from 26 rays.
 
     On each ray the wall is at half of its rise. The radius is the 0.4 quantile of the rays, because rays along the
-    airway meet no wall; a median over five neighbours removes single errors. It is at most 4 mm and at least half a
-    voxel.
+    airway meet no wall; a median over five neighbours removes single errors. The radius is at most 4 mm and at least
+    half a voxel.
     """
     directions = _box_voxels(np.full(3, -1), np.full(3, 1)).astype(np.float64)
     directions = directions[np.any(directions != 0.0, axis=1)] @ volume.lps_from_ijk[:3, :3].T

@@ -123,8 +123,8 @@ class TreeDraft:
     def remove(self, branch_id: int) -> None:
         """Remove a branch with all branches below it.
 
-        Its parent and the only remaining child are joined, as they were before the fork, unless the child has
-        another name or is of another kind.
+        The parent of the removed branch and the only remaining child are joined, as they were before the fork,
+        unless the child has another name or is of another kind.
         """
         for branch in self.below(branch_id):
             del self._branches[branch.id]

@@ -44,7 +44,7 @@ def find_uncertain(
     leaks_lps
         (n, 3) LPS mm, points at which the growth was stopped because it would have leaked into the lung.
     filled
-        Filled or narrowed places that were found before. Those that are still at a branch of the tree are returned
+        Filled or narrowed places that were found before. Places that are still at a branch of the tree are returned
         too; an end at such a place is not listed separately.
 
     Returns

@@ -83,18 +83,21 @@ def find_airways(
     volume
         A chest CT, in HU or not.
     root_lps
-        Start of the paths, LPS in mm; by default the top of the trachea. A point in the trachea, or in the larynx and
+        Start of the paths, LPS in mm; by default the top of the trachea. A point in the trachea, or in the larynx
+        and
         throat above it, selects that trachea: the paths begin at its top. A point outside the lumen is moved to the
-        nearest lumen voxel within 5 mm. Required if the trachea is not in the scan. With ``lumen_zyx`` the paths begin
+        nearest lumen voxel within 5 mm. Required if the trachea is not in the scan. With ``lumen_zyx`` the paths
+        begin
         at the point itself.
     lumen_threshold
-        Value at which the lumen ends, in the volume's own numbers; by default -800 HU, or a value from the histogram if
+        Value at which the lumen ends, in the volume's own numbers; by default -800 HU, or a value from the histogram
+        if
         the volume is not in HU. If a threshold is given, small airways are not traced by the shape of their walls
         beyond it.
     lumen_zyx
-        Lumen mask from another tool, (nz, ny, nx), nonzero inside, on the grid of the volume. It replaces the automatic
-        lumen. Only the piece that contains the root is used; notes state how much is not connected to that piece, and
-        how much of the mask is not air in this CT.
+        Lumen mask from another tool, (nz, ny, nx), nonzero inside, on the grid of the volume. The mask replaces the
+        automatic lumen. Only the piece that contains the root is used; notes state how much is not connected to that
+        piece, and how much of the mask is not air in this CT.
     notes
         Texts that are put before the notes of the search, such as the origin of ``lumen_zyx``.
     progress
@@ -106,7 +109,8 @@ def find_airways(
     Returns
     -------
     Airways
-        Lumen, root, tree with generations, names and confidence, path tracker, notes on the limits of the search, and
+        Lumen, root, tree with generations, names and confidence, path tracker, notes on the limits of the search,
+        and
         places where an airway could not be followed.
 
     Raises

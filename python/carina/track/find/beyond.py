@@ -54,8 +54,9 @@ MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
 
-# Thinnest airways: bright threads with a dark middle (docs/decisions/0112). Their wall is brighter than lung; a dip of
-# this depth, averaged over 5 mm, does not occur in lung; the blur of a CT, besides its voxels, has at most this sigma.
+# Thinnest airways: bright threads with a dark middle (docs/decisions/0112). The wall of such an airway is brighter than
+# lung; a dip of this depth, averaged over 5 mm, does not occur in lung; the blur of a CT, besides its voxels, has at
+# most this sigma.
 THIN_BRIGHTEST_HU = -400.0
 THIN_LEAST_WALL_HU = -700.0
 THIN_LEAST_DIP_HU = 22.0

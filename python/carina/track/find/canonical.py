@@ -24,8 +24,8 @@ __all__ = ["CanonicalOrder"]
 class CanonicalOrder:
     """Pair of a volume as it is stored and the same volume with axes that run nearest to L, P and S.
 
-    Floods, queues and least-cost paths take voxels in memory order, and the first of two equal voxels wins. So the
-    search always runs in the canonical order, and its result is converted back to the stored order.
+    Floods, queues and least-cost paths take voxels in memory order, and the first of two equal voxels wins. The
+    search therefore always runs in the canonical order, and its result is converted back to the stored order.
     """
 
     stored: Volume

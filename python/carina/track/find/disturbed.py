@@ -39,8 +39,8 @@ SOME_IN_REGION = 0.2
 LEAST_BEYOND_MM = 10.0
 """Least length by which a branch must continue beyond the disturbed part to be kept.
 
-It applies to branches with more than ``SOME_IN_REGION`` in that part; they must also continue by more than their
-length in it.
+The limit applies to branches with more than ``SOME_IN_REGION`` in the disturbed part; such branches must also
+continue by more than their length in that part.
 """
 MOST_CONFIDENCE = 0.8
 """Highest confidence of a branch in the streaks or beside a step."""

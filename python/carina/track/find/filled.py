@@ -160,8 +160,8 @@ class _Search:
     def place_of(self, island: Island) -> Uncertainty | None:
         """Return the filled place between the airways and an island of air, or None if the island is not an airway.
 
-        Also returns None if the island reaches the edge of the scan: its connection to the airways may be outside the
-        scan.
+        The result is also None if the island reaches the edge of the scan: its connection to the airways may be
+        outside the scan.
         """
         if self._reaches_edge(island):
             return None

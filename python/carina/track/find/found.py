@@ -106,7 +106,7 @@ class Airways:
     evidence: KeptForVolume[Any] = field(default_factory=KeptForVolume, repr=False, compare=False)
     """Cached evidence in the CT for further airways, used by edits.
 
-    It is computed at first use and shared by all edited versions of the airways.
+    The evidence is computed at first use and shared by all edited versions of the airways.
     """
 
     def __post_init__(self) -> None:
@@ -177,8 +177,8 @@ class Airways:
     def calibrated_shares(self) -> CalibratedShares | None:
         """Shares of the airways that the search finds in slices of this thickness, by calibre; None in thin slices.
 
-        Also None for a segmentation from another tool, and for a tree that was stored before the shares were
-        introduced.
+        The shares are also None for a segmentation from another tool, and for a tree that was stored before the
+        shares were introduced.
         """
         return shares_of(self.tree, self.tracker.grid.ct)
 

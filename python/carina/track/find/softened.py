@@ -62,7 +62,8 @@ class Softened:
     left_hu: float | None = None
     """Undershoot that remains in a softened ``volume``; None if ``volume`` was not softened.
 
-    It is measured before clipped lumen is restored, because the measurement would take that lumen for rims.
+    The undershoot is measured before clipped lumen is restored, because the measurement would take that lumen for
+    rims.
     """
     can_be_softened: bool = False
     """Whether the caller searches a softened copy if this search leaks."""
@@ -191,8 +192,8 @@ def _seam_mm(volume: Volume) -> float:
 def inverse_of(raised: float, seam_mm: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return weight and sigma (mm) of two Gaussians that approximate the inverse of ``1 + a (1 - g)``.
 
-    Their sum is the inverse less ``1 / (1 + a)``. The exact inverse is an infinite sum of Gaussians; two of them differ
-    from it by at most 0.005 at any frequency.
+    The sum of the Gaussians is the inverse less ``1 / (1 + a)``. The exact inverse is an infinite sum of Gaussians;
+    two of them differ from it by at most 0.005 at any frequency.
     """
     frequency = np.linspace(0.0, 1.2 / seam_mm, 300)
 

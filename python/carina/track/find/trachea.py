@@ -60,7 +60,7 @@ def add_sections(
 ) -> None:
     """Join the air in a tube, the air round the tube and the tube itself into one lumen.
 
-    This is needed for a tube that touches the wall, because the air round it then does not enclose the tube.
+    The step is needed for a tube that touches the wall, because the air round it then does not enclose the tube.
 
     Parameters
     ----------

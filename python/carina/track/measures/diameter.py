@@ -153,7 +153,8 @@ def passage_of(
 def narrowest_of_passages(passages: Sequence[Passage]) -> Diameter | None:
     """Return the narrowest diameter of a route from the passages of its branches; None if nothing was measured.
 
-    Its error also covers every other place that may be narrower: any whose diameter less its error is smaller.
+    The error of the diameter also covers every other place that may be narrower, that is, whose diameter less its
+    error is smaller.
     """
     places = [one for one in passages if len(one.at_mm)]
     if not places:
@@ -182,8 +183,8 @@ def with_scatter(at_mm: Floats, diameter_mm: Floats, error_mm: Floats, usable: N
 def branch_diameter(at_mm: Floats, diameter_mm: Floats, error_mm: Floats) -> Diameter | None:
     """Return the median diameter of a branch from its usable sections, all (n,); None without any.
 
-    Neighbouring sections share their voxels and the blur, so their model errors do not average out. Their scatter
-    about a straight taper does, by the number of sections that are one diameter apart.
+    Neighbouring sections share their voxels and the blur, so their model errors do not average out. The scatter of
+    the sections about a straight taper averages out, by the number of sections that are one diameter apart.
     """
     if not len(at_mm):
         return None
@@ -199,8 +200,8 @@ def narrowest_diameter(
 ) -> Diameter | None:
     """Return the narrowest diameter of a branch from its usable sections, all (n,); None without any.
 
-    It is the smallest running median, because the smallest section would be the one with the largest error. Its
-    error is that of a single section.
+    The narrowest diameter is the smallest running median, because the smallest section would be the one with the
+    largest error. The error is that of a single section.
     """
     if not len(at_mm):
         return None

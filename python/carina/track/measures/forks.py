@@ -94,9 +94,9 @@ def directions(points: Points, radius_mm: NDArray[np.float64], before: Points | 
 def angle_deg(parent: Branch, child: Branch) -> float | None:
     """Return the angle between a branch and its parent; 0 for a straight continuation.
 
-    It is measured between the chord of the parent's last two diameters and that of the child's first two, with
-    diameters from the median distance to the wall; shorter branches give shorter chords. Returns None if one of them
-    has no length.
+    The angle is measured between the chord of the parent's last two diameters and that of the child's first two,
+    with diameters from the median distance to the wall; shorter branches give shorter chords. Returns None if one of
+    them has no length.
     """
     one = _chord(parent, at_end=True)
     other = _chord(child, at_end=False)

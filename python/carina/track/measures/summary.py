@@ -246,9 +246,9 @@ def stenosis_of(
     sections, or if it exceeds the widest section of the branch by more than the error of that reference: the whole
     branch is then narrow.
 
-    The error is half of a 95 % interval. It contains the error of the narrowest section, which is the extreme of all
-    independent sections; the error of the healthy sections and their scatter; and, for a narrowing without a healthy
-    section beyond it, the forks that may have been missed in between (:func:`_missed_forks`).
+    The error is half of a 95 % interval. The error contains that of the narrowest section, which is the extreme of
+    all independent sections; the error of the healthy sections and their scatter; and, for a narrowing without a
+    healthy section beyond it, the forks that may have been missed in between (:func:`_missed_forks`).
     """
     if usable.sum() < 3:
         return None

@@ -338,8 +338,8 @@ class TreeMeasures(Tabular):
     def narrowest_of_route(self, branch_ids: Iterable[int], until_mm: float = math.inf) -> Diameter | None:
         """Return the narrowest diameter that can pass along a route; None if nothing was measured.
 
-        Its error is half of an interval that is to contain the true value in 90 of 100 cases. Parts without sections
-        are ignored; a planned route reports them too (:attr:`carina.plan.PlannedRoute.width`).
+        The error of the diameter is half of an interval that is to contain the true value in 90 of 100 cases. Parts
+        without sections are ignored; a planned route reports them too (:attr:`carina.plan.PlannedRoute.width`).
 
         Parameters
         ----------
@@ -423,7 +423,7 @@ def measure_tree(
 
     Notes
     -----
-    Edges are half-way between the lumen's lowest value and the wall's peak along each of 64 rays. They are then
+    Edges are half-way between the lumen's lowest value and the wall's peak along each of 64 rays. The edges are then
     corrected for the blur of the scan: a tube of soft tissue is fitted whose blurred image has these edges and rises
     (``docs/decisions/0117``).
 

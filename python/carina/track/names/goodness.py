@@ -78,9 +78,9 @@ def fit_of(
 
     The fit is the log evidence over chance of the central airways, per bronchus that carries a reading, plus 1.5
     times its excess over the best of the six orientations that no patient has (upside down, back to front, and those
-    mirrored). It is 4 to 5 in phantoms, 3.2 to 4.9 in three patients, below 2.5 in most randomly branching trees,
-    below 2.2 in vessels and below 1.5 in trees that are upside down. A phantom with plugs in two lobes has 1.8, so
-    the limit is below 1.8, and most random trees and some vessels pass.
+    mirrored). The fit is 4 to 5 in phantoms, 3.2 to 4.9 in three patients, below 2.5 in most randomly branching
+    trees, below 2.2 in vessels and below 1.5 in trees that are upside down. A phantom with plugs in two lobes has
+    1.8, so the limit is below 1.8, and most random trees and some vessels pass.
 
     Parameters
     ----------

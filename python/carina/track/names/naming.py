@@ -215,7 +215,7 @@ def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, fl
 def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
     """Return the segments to which each unnamed branch leads in its likeliest reading, by branch ID.
 
-    These readings are too uncertain for a name. Branches inside a segment and twigs are left out.
+    The readings of these branches are too uncertain for a name. Branches inside a segment and twigs are left out.
     """
     tree, _ = seen_part(tree)
     read = _read(tree, judges_fit=False)

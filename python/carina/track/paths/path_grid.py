@@ -42,7 +42,7 @@ class PathGrid:
     """Grid in which the airways of a CT are searched, paths run and edits are made.
 
     In slices of 3 mm an oblique airway moves by its own width from one slice to the next: the voxels of its lumen
-    are not connected, and its wall is not closed. So thick slices are divided by interpolation
+    are not connected, and its wall is not closed. Thick slices are therefore divided by interpolation
     (docs/decisions/0114). Display and export use the grid of the CT, of which each voxel is ``parts`` voxels of this
     grid.
 

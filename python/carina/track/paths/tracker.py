@@ -43,7 +43,7 @@ class TrackedPath:
     wall_mm: NDArray[np.float64]
     """Distance (n,) to the wall, which is the radius of the largest ball that fits.
 
-    It is less than ``radius_mm`` if the lumen is not round.
+    The distance is less than ``radius_mm`` if the lumen is not round.
     """
     length_mm: float
     """Length of the smoothed path."""
@@ -65,8 +65,8 @@ class PathTracker:
     """Tracker of least-cost paths from one fixed root (paper 6.3).
 
     Voxels settled for one target are reused for the next. :func:`carina.track.find_airways` creates trackers. A
-    tracker may be used from several threads. Its pickle contains the CT, the lumen and the branches; the compiled
-    tracker is rebuilt from them at first use.
+    tracker may be used from several threads. The pickle of a tracker contains the CT, the lumen and the branches;
+    the compiled tracker is rebuilt from them at first use.
     """
 
     __slots__ = (
@@ -411,8 +411,8 @@ class PathTracker:
     def _branches_along(self, nodes: NDArray[np.uint32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Return branch ID and generation of each node of a path.
 
-        A path that cuts a corner touches the mouth of a branch that it does not enter. So only the branches between
-        the root and the last node count, in this order.
+        A path that cuts a corner touches the mouth of a branch that it does not enter. Therefore only the branches
+        between the root and the last node count, in this order.
         """
         if not self._branches:
             return np.zeros(len(nodes), dtype=np.int32), np.zeros(len(nodes), dtype=np.int32)

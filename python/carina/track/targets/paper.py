@@ -75,8 +75,8 @@ def search_box(
 ) -> Box:
     """Return the box of voxels in which the costs ``paper`` and ``walls`` are searched.
 
-    It is the whole volume if this fits in the memory limit. Otherwise it is the box round root and targets with a
-    margin of 20 mm, or the largest margin of 10, 5 and 2 mm that fits.
+    The box is the whole volume if the volume fits in the memory limit. Otherwise the box contains root and targets
+    with a margin of 20 mm, or the largest margin of 10, 5 and 2 mm that fits.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def track_on_graph(
         ``walls``) or the class of the ``lumen`` (default for the cost ``lumen``).
     box_ijk
         First voxel and shape of the box in which the costs ``paper`` and ``walls`` are searched; by default
-        :func:`search_box`. It must contain the root; a target outside it has no path.
+        :func:`search_box`. The box must contain the root; a target outside the box has no path.
     snap_mm
         Largest distance by which a target is moved.
     progress

@@ -71,7 +71,7 @@ def track_paths(
         ``lumen``: keep to the middle of the airway. ``walls``: the paper's gradient and Laplacian on all voxels,
         with expensive walls as section 6.3 needs them. ``paper``: the formula of 6.2 as printed, in which walls are
         cheap: paths follow edges. ``walls`` and ``paper`` do not use a lumen, and their paths may leave it;
-        ``search`` states where, if there is a lumen. Their targets are not moved.
+        ``search`` states where, if there is a lumen. The targets of ``walls`` and ``paper`` are not moved.
     graph
         ``voxel``, or ``isoregion``: pruned as in paper 6.1. The pruned graph is smaller if values are equal over
         some voxels, but slower in all measurements (benchmarks/README.md).
@@ -182,7 +182,7 @@ def _airways_at(
 ) -> Airways | None:
     """Find the airways from a root, for comparison with paths; return None if a given root is not in a lumen.
 
-    Also returns None for a given root in a volume that is not in HU, where anything may be taken for air.
+    The result is also None for a given root in a volume that is not in HU, where anything may be taken for air.
     """
     if root is not None and not volume.contains_lps(np.array(as_point(root))):
         msg = f"the root {words(as_point(root))} lies outside the volume"
