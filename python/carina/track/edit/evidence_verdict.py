@@ -34,7 +34,7 @@ CLOSED, FAR_CLOSED, CLOSED_LIMITS = 1.0, 1.4, (0.0, 1.5)
 LEAST_WALLS = 0.6
 """Least average of the four wall terms over a window, whatever the other terms are.
 
-Fewer than one in 100 paths to removed branches has less.
+Fewer than one in 100 paths to removed branches have a smaller average.
 """
 DROP, DROP_HU, MOST_DROP = -2.0, 100.0, 3.0
 """Penalty for a value that rises and falls along a path, which has then probably crossed a wall."""

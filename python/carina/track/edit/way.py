@@ -290,7 +290,7 @@ def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[P
                 order = order[sees(lumen.core, same, tree_points[order])]
             if not len(order):
                 if first + n == 0:
-                    # The root itself: the trunk begins there.
+                    # The first point is the root, at which the trunk begins.
                     continue
                 return Place(int(owner[place]), int(index[place])), leaves + 1
             leaves, place = first + n, int(order[0])

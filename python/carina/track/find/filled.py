@@ -56,7 +56,7 @@ NUM_TRIED = 60
 UNFILLED = 4.0
 """Penalty for a gap without tissue: the score (lower is better) is multiplied by up to 1 plus this."""
 
-# Limits for the calibre.
+# Constants for the measurement of the calibre.
 USUAL_WALL_MM = 1.2
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
 MOST_OUTER_MM = 9.0

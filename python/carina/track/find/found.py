@@ -78,9 +78,10 @@ class Airways:
     notes: tuple[str, ...] = ()
     """Texts about limits of the search and points that were moved."""
     wall_levels: tuple[float, float, float] | None = None
-    """Values that distinguish lumen from wall on diagonal steps: certain air, half-way, rise.
+    """Values that decide whether a wall crosses a diagonal step between voxels.
 
-    None for a given lumen.
+    The values are the limit of certain air, the level half-way to the wall, and the least rise to the wall; None for a
+    given lumen.
     """
     edits: tuple[TreeEdit, ...] = ()
     """Edits by the user since the search, in order."""

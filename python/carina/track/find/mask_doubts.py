@@ -30,7 +30,7 @@ WALL_REACH_MM = 2.0
 # be visible on this share of the sides.
 RISE_SIGMA, LEAST_RISE_HU = 4.0, 80.0
 MIN_WALLED = 0.6
-# Brighter voxels than half-way between air and soft tissue are not air.
+# Voxels brighter than half-way between air and soft tissue are not air.
 AIR_HU = -500.0
 # A branch is doubtful if a smaller share of its length has evidence; a mask, if more of its length is doubtful.
 MIN_EVIDENCE = 0.4

@@ -20,8 +20,8 @@ __all__ = [
     "refuse_a_root_of_one_lung",
 ]
 
-# Range of lung from inspiration to expiration, partly with emphysema; there must be lung on both sides of the trachea's
-# division.
+# Range of values of lung from inspiration to expiration, partly with emphysema; there must be lung on both sides of the
+# trachea's division.
 LUNG_HU = (-950.0, -600.0)
 # A path goes up first if it rises by this before it falls by this.
 UP_FIRST_MM = 10.0

@@ -80,7 +80,7 @@ class CalibreShare:
     """Greatest share among the CTs that were measured."""
 
     def to_json(self) -> dict[str, float | None]:
-        """Return plain JSON types."""
+        """Return the share as JSON values."""
         return {
             "from_mm": self.from_mm,
             "to_mm": self.to_mm,
@@ -103,7 +103,7 @@ class CalibratedShares:
     """Shares, one for each calibre, the widest first."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain JSON types."""
+        """Return the thickness and the shares as JSON values."""
         return {
             "slice_mm": self.slice_mm,
             "distance_mm": self.distance_mm,

@@ -52,8 +52,8 @@ MOST_OF_ONE = 0.94
 # to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
 USUAL_NOISE_HU = 25.0
 NOISE_POWER = 0.75
-# In painted CTs with a sharp kernel, one in ten of the best-scoring lumens of this width is a rim that looks like a
-# wall.
+# Limits for thin branches in a CT with deep rims: in painted CTs with a sharp kernel, one in ten of the best-scoring
+# lumens of this width is a rim that looks like a wall.
 SHARP_RIM_HU = 15.0
 THIN_VOXELS = 2.0
 MOST_BESIDE_RIMS = 0.95
