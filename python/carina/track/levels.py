@@ -1,4 +1,4 @@
-"""Which values are air, lumen and wall: from the HU scale, or from a volume's own histogram where it has none."""
+"""Values of air, lumen and wall: from the HU scale, or from the histogram of a volume without HU."""
 
 from __future__ import annotations
 
@@ -18,32 +18,33 @@ PADDING_HU = -1100
 
 @dataclass(frozen=True, slots=True)
 class AirScale:
-    """Air and soft tissue in the volume's own numbers; HU levels are read between them."""
+    """Values of air and soft tissue in the numbers of a volume; HU levels are interpolated between them."""
 
     air: float
-    """-1000 HU."""
+    """Value of air (-1000 HU)."""
     tissue: float
-    """0 HU and a little more."""
+    """Value of soft tissue (0 HU and slightly more)."""
 
     def level(self, hu: float) -> int:
-        """The volume's number for a level in HU."""
+        """Return the value of the volume for a level in HU."""
         return round(self.air + (hu + 1000.0) / 1000.0 * (self.tissue - self.air))
 
     def span(self, hu: float) -> float:
-        """The volume's difference for a difference in HU."""
+        """Return the difference in the numbers of the volume for a difference in HU."""
         return hu / 1000.0 * (self.tissue - self.air)
 
 
 def air_scale(volume: Volume) -> AirScale:
-    """The scale of a volume: HU where it is calibrated, else from its histogram."""
+    """Return the scale of a volume: HU if it is calibrated, otherwise from its histogram."""
     return AirScale(-1000.0, 0.0) if volume.is_hu else _scale_from_histogram(volume.hu_zyx)
 
 
 def lumen_threshold_from_histogram(volume: Volume) -> float:
-    """Where the lumen ends, in a volume that is not in HU: a fifth of the way from its air to its soft tissue.
+    """Return the value at which the lumen ends in a volume that is not in HU.
 
-    That is -800 HU on a calibrated CT (see ``find_airways``). Air and soft tissue are the means below and above the
-    threshold that parts the histogram best (Otsu 1979), the lower one taken at its dark end, because lung is dark too.
+    The value is a fifth of the way from air to soft tissue, which is -800 HU on a calibrated CT (see
+    ``find_airways``). A threshold divides the histogram into two classes (Otsu 1979). Soft tissue is the median of
+    the class above it; air is the dark end of the class below it, because lung is dark too.
 
     Raises
     ------
@@ -54,7 +55,7 @@ def lumen_threshold_from_histogram(volume: Volume) -> float:
 
 
 def _scale_from_histogram(values: NDArray[np.int16]) -> AirScale:
-    # Every 5th voxel on each axis: a histogram does not need all.
+    # Every 2nd slice and every 3rd row and column: a histogram does not need all voxels.
     sample = values[::2, ::3, ::3].astype(np.int64).ravel()
     low = int(sample.min())
     counts = np.bincount(sample - low).astype(np.float64)

@@ -1,4 +1,4 @@
-"""The stages of a long search: what is going on, how far it is, and whether to stop."""
+"""Stages of a long search: name of the current stage, its progress, and cancellation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Cancel = Callable[[], bool]
 
 
 class Stages:
-    """Hands progress on, with the name of the present stage, and stops between stages when asked."""
+    """Reporter of progress with the name of the current stage, which stops the search between stages if cancelled."""
 
     def __init__(self, progress: Progress | None, cancel: Cancel | None) -> None:
         self._progress = progress
@@ -21,6 +21,20 @@ class Stages:
         self._what = ""
 
     def begin(self, what: str, fraction: float | None = None) -> None:
+        """Start a stage and report it.
+
+        Parameters
+        ----------
+        what
+            Name of the stage, for the user.
+        fraction
+            Completed share, 0..1; None if unknown.
+
+        Raises
+        ------
+        CancelledError
+            If ``cancel()`` returns True.
+        """
         if self.cancel is not None and self.cancel():
             raise CancelledError("stopped while finding the airways")
         self._what = what
@@ -28,5 +42,6 @@ class Stages:
             self._progress(what, fraction)
 
     def share(self, fraction: float) -> None:
+        """Report the completed share (0..1) of the current stage."""
         if self._progress is not None:
             self._progress(self._what, fraction)

@@ -1,1 +1,1 @@
-"""Mending an airway tree by hand, and what in the CT speaks for it."""
+"""Manual edits of an airway tree, and the evidence for them in the CT."""

@@ -1,4 +1,4 @@
-"""How wide edited branches are: sections are measured again where the lumen, the line or a neighbour changed."""
+"""Radii of edited branches: sections are measured again if the lumen, the centreline or a neighbour changed."""
 
 from __future__ import annotations
 
@@ -15,15 +15,21 @@ from carina.volume.model import Volume
 __all__ = ["Box", "with_sections", "with_walls"]
 
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
-"""First and last voxel, i, j, k."""
+"""First and last voxel (i, j, k) of a box."""
 
 REACH_RADII = 3.5
-"""A section looks 2.5 median distances to the wall far, and each of these depends on the wall that is nearest."""
+"""Distance from a branch, in largest distances to its wall, within which a change affects its sections.
+
+A section extends over 2.5 median distances to the wall, and each of these depends on the nearest wall.
+"""
 REACH_VOXELS = 6.0
 
 
 def with_walls(tree: AirwayTree) -> AirwayTree:
-    """The tree with distances to the wall for radii: what edits go by, since a path must fit in."""
+    """Return the tree with the distances to the wall as radii.
+
+    Edits use these distances, because a path must fit into the lumen.
+    """
     branches = tuple(dataclasses.replace(branch, radius=branch.wall_distance) for branch in tree.branches)
     return dataclasses.replace(tree, branches=branches)
 
@@ -35,14 +41,18 @@ def with_sections(
     before: AirwayTree,
     changed: Sequence[Box] | None,
 ) -> tuple[Branch, ...]:
-    """Branches whose radii are distances to the wall, with those of sections beside them.
+    """Return branches with radii from sections across the lumen, and with distances to the wall.
 
     Parameters
     ----------
+    volume
+        The CT on the grid of the tracker.
+    core
+        Compiled tracker of the edited lumen.
     branches
-        The edited tree, parents first.
+        Branches of the edited tree, parents first, with distances to the wall as radii.
     before
-        The tree before the edit: what the edit cannot have changed is taken over from it.
+        Tree before the edit: the radii of unchanged branches are taken from it.
     changed
         Boxes of voxels in which the lumen or a distance to the wall changed; None: anywhere.
 
@@ -72,7 +82,7 @@ def with_sections(
 
 
 def _is_new(branch: Branch, old: dict[int, Branch]) -> bool:
-    """Whether a branch is another line than before, or has another wall."""
+    """Return whether the points of a branch or its distances to the wall differ from those before the edit."""
     was = old.get(branch.id)
     return was is None or not (
         np.array_equal(was.points, branch.points) and np.array_equal(was.wall_distance, branch.radius)
@@ -80,13 +90,13 @@ def _is_new(branch: Branch, old: dict[int, Branch]) -> bool:
 
 
 def _family(branch: Branch, by_id: dict[int, Branch]) -> tuple[tuple[int, ...], bool]:
-    """The branches that leave the same fork, and whether the branch ends in one."""
+    """Return the branches that leave the same fork, and whether the branch itself ends in a fork."""
     siblings = () if branch.parent is None else by_id[branch.parent].children
     return siblings, len(branch.children) > 1
 
 
 def _near(volume: Volume, branch: Branch, was: Branch | None, changed: Sequence[Box]) -> bool:
-    """Whether a section of a branch reaches into one of the boxes."""
+    """Return whether a section of a branch reaches into one of the boxes."""
     widest = max(float(branch.radius.max()), 0.0 if was is None else float(was.wall_distance.max()))
     reach = REACH_RADII * widest / np.array(volume.spacing_mm) + REACH_VOXELS
     ijk = volume.to_ijk(branch.points)

@@ -1,8 +1,8 @@
-"""Mending the airway tree by hand: each edit gives new airways, and the old ones stay as they are.
+"""Manual edits of the airway tree: each edit returns new airways and does not change the old ones.
 
-The edits themselves are values (:mod:`carina.track.edit.kinds`). Applying them one after the other to the airways that
-were found gives, bit for bit, the tree that :func:`rebuild_airways` finds with the lumen's graph, distances and least
-costs computed from scratch after each of them.
+Edits are values (:mod:`carina.track.edit.kinds`). A series of edits of the found airways gives, bit for bit, the
+same tree as :func:`rebuild_airways`, which computes graph, distances and least costs of the lumen from scratch after
+each edit.
 """
 
 from __future__ import annotations
@@ -90,34 +90,34 @@ def edit_airways(
     Parameters
     ----------
     volume
-        The CT that ``airways`` were found in.
+        The CT in which ``airways`` were found.
     airways
-        Not changed: undo is going back to them.
+        Airways before the edit; not changed, so that undo can return to them.
     edit
-        What to do.
+        The edit.
     name_branches
-        False leaves the names from anatomy as they were, for :func:`name_edited` to find them again: in a tree of some
-        hundred branches that takes longer than the edit.
+        Whether to determine the anatomical names again. With False they stay unchanged, and :func:`name_edited`
+        updates them later: in a tree of some hundred branches naming takes longer than the edit.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the calculation stops when it returns True.
 
     Returns
     -------
     Airways
-        With ``edits`` one longer. Branches that the edit does not touch keep their id, points and radii; new ones get
-        ids never used before.
+        Airways with the edit appended to ``edits``. Branches that the edit does not affect keep their ID, points and
+        radii; new branches get IDs that were never used before.
 
     Raises
     ------
     UsageError
         If the edit does not fit: no such branch, a point outside the volume, the root cut off.
     NoResultError
-        If there is no way to do it: no airway at the point, a bridge too long; the message says what to do.
+        If the edit is impossible: no airway at the point, or a bridge too long; the message states what to do.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     References
     ----------
@@ -153,20 +153,24 @@ def rebuild_airways(
 
     Parameters
     ----------
+    volume
+        The CT in which the airways were found.
     base
-        What the first edit was made to: airways without edits, or with those before.
+        Airways to which the first edit applies; they may contain earlier edits.
+    edits
+        Edits in order.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the calculation stops when it returns True.
 
     Raises
     ------
     UsageError, NoResultError
-        As :func:`edit_airways`; the message begins with the edit's number in the list, from 1.
+        As :func:`edit_airways`; the message begins with the number of the edit in the list, from 1.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     _check_ct("rebuild_airways", volume, base)
     airways = base
@@ -192,15 +196,15 @@ def _check_ct(where: str, volume: Volume, airways: Airways) -> None:
 
 
 def name_edited(before: Airways, edited: Airways) -> Airways:
-    """Edited airways with the names that anatomy gives their branches now; ``edited`` itself where they stay.
+    """Return edited airways with updated anatomical names; ``edited`` itself if the names stay the same.
 
-    A branch that is drawn otherwise is still the same bronchus: names change where branches come, go or hang elsewhere,
-    and where a person gives a name or takes it back.
+    Names are only determined again if branches were added, removed or moved to another parent, or if the user
+    changed a name. A branch with a changed centreline is still the same bronchus.
     """
     (was, _), (seen, place_of) = seen_part(before.tree), seen_part(edited.tree)
     ways = [[(b.id, b.parent, b.name_from == "person", b.name) for b in tree.branches] for tree in (was, seen)]
     if ways[0] == ways[1]:
-        # What was drawn without evidence renames nobody: its neighbours keep name and confidence to the last digit.
+        # Branches drawn without evidence must not change the names and confidences of their neighbours.
         if seen is edited.tree:
             return edited
         return dataclasses.replace(edited, tree=carried_names(edited.tree, seen, place_of))
@@ -222,7 +226,7 @@ def _edited(
     tree, edits = airways.tree, (*airways.edits, edit)
     next_id = airways.next_id or 1 + max(branch.id for branch in tree.branches)
     if isinstance(edit, RenameBranch):
-        # Paths know branches by their ids: nothing else changes.
+        # Paths refer to branches by ID, so nothing else changes.
         branches = tuple(_named_by_person(b, edit.name) if b.id == edit.branch_id else b for b in tree.branches)
         needed_branch(tree, edit.branch_id)
         renamed = dataclasses.replace(tree, branches=branches)
@@ -258,7 +262,7 @@ def _edited(
 
 
 def _lumen_on_ct(airways: Airways, tracker: PathTracker, *, is_changed: bool) -> NDArray[np.uint8]:
-    """Return the lumen of edited airways on the grid of the CT; the array before the edit where it is equal."""
+    """Return the lumen of edited airways on the grid of the CT; the previous array if it is equal."""
     if not is_changed and not tracker.grid.is_divided:
         return airways.lumen_zyx
     lumen = tracker.grid.lumen_on_ct(tracker.lumen_zyx, tracker.branches)
@@ -266,7 +270,7 @@ def _lumen_on_ct(airways: Airways, tracker: PathTracker, *, is_changed: bool) ->
 
 
 def steps_of(airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None = None) -> EditSteps:
-    """Return the steps of an edit to these airways, to make or to preview the edit; the airways stay unchanged."""
+    """Return the steps of an edit of these airways, to make or to preview it; the airways are not changed."""
     before = EditedLumen(airways.tracker.grid, airways.tracker.core, is_fresh, cancel)
     return EditSteps(
         before,
@@ -279,17 +283,17 @@ def steps_of(airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None 
 
 
 def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tuple[Uncertainty, ...]:
-    """Return the uncertain places of an edited tree; empty where no tree was judged (an imported mask)."""
+    """Return the uncertain places of an edited tree; empty if no tree was judged (an imported mask)."""
     found = (airways.base or airways).uncertain
     if not found:
         return ()
-    # Where the search would have run into the lung it still would.
+    # An edit does not change where the search would leak into the lung.
     leaks = np.array([one.lps for one in found if one.kind == "leak"]).reshape(-1, 3)
     return find_uncertain(volume, tree, leaks, [one for one in found if one.kind == "filled"])
 
 
 def named_anew(tree: AirwayTree) -> AirwayTree:
-    """Return the tree with automatic names from its anatomy; names that a user gave stay."""
+    """Return the tree with anatomical names determined again; names that a user gave are kept."""
     return name_tree(tree)
 
 

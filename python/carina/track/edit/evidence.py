@@ -1,8 +1,9 @@
-"""Evidence that a way is an airway: wall round it along its whole length, against what the lung of this CT pretends.
+"""Evidence that a path is an airway: wall round it along its whole length, compared with the lung of the same CT.
 
-Across a way rays go out to 16 sides, and the values on them are averaged over 2.5 mm along it: an airway goes on,
-noise and the rims of vessels do not. How far the sides rise above the middle is compared with what the same measure
-finds on the best ways through plain lung of the same CT, and weighed (``evidence_verdict.py``). docs/decisions/0119.
+Across a path, rays run to 16 sides, and their values are averaged over 2.5 mm along the path: an airway continues
+over this length, noise and the rims of vessels do not. The rise of the sides above the middle is compared with the
+same measure on the best paths through plain lung of this CT, and weighted (``evidence_verdict.py``).
+docs/decisions/0119.
 """
 
 from __future__ import annotations
@@ -23,49 +24,55 @@ __all__ = ["Evidence", "Sections", "Start", "evidence_of"]
 
 Points = NDArray[np.float64]
 
-# Sections.
+# Limits for sections.
 NUM_SIDES = 16
 RING_MM = 0.35
-"""From one sample of a ray to the next."""
+"""Distance between the samples of a ray."""
 REACH_MM, FAR_MM = 3.2, 8.1
-"""The wall of a small airway lies within the first, that of a lobe's bronchus within the second."""
+"""Reach within which the wall of a small airway is, and reach for the wall of a lobar bronchus."""
 OPEN_SIDES = 0.2
-"""Share of the sides on which there need be no wall: a fork takes more, and is shorter than what is averaged."""
+"""Share of the sides that may have no wall: a fork opens more sides, but is shorter than the averaged length."""
 CLOSED_BUT = 1
-"""Sides that a closed ring may miss: one lies behind the next slice."""
+"""Number of sides that may be open in a closed ring: one may be hidden by the next slice."""
 BEND_MM = 3.0
-"""A way's bend is that between the directions so far before and after."""
+"""The bend of a path is the angle between its directions over this distance before and after a point."""
 HALF_SECTIONS = 2
-"""Sections before and after one that are averaged with it."""
+"""Number of sections before and after one that are averaged with it."""
 TANGENT_MM = 1.5
 AROUND = 0.25
-"""The lung round a section is as bright as this share of its farther samples."""
+"""Quantile of the farther samples that is the value of the lung round a section."""
 
 MAX_MISSED_MM = 120.0
-"""Farther from the tree no way is looked for: the lower lobe's bronchi reach so far from the intermediate bronchus."""
+"""Largest distance from the tree at which a path is searched.
 
-# Comparison.
+The bronchi of the lower lobe extend this far from the intermediate bronchus.
+"""
+
+# Limits for the comparison with plain lung.
 NUM_RUNS = 96
 RUN_MM = 10.0
 NEAREST_MM, FARTHEST_MM = 8.0, 25.0
-"""Plain lung lies so far from the branches of the tree."""
+"""Range of distances of plain lung from the branches of the tree."""
 MIN_RUNS = 12
 BEST_RUNS = 0.9
 LEAST_RISE_HU = 15.0
 NOISE_SHARE, FAR_SHARE = 1.25, 2.0
-"""Whatever the runs say: of the noise for what is near, and of that for what is far."""
+"""Least rises to a wall, whatever the comparison shows.
+
+NOISE_SHARE times the noise for near walls; FAR_SHARE times the near rise for far walls.
+"""
 PLAIN_HU = -850.0
 ENCLOSED, DARK_SHARE = 0.98, 0.1
 CLOSED_HU, BRIGHT_HU, LUNG_END_HU, WALL_HU = -400.0, -800.0, -600.0, -500.0
 
 
 class Evidence:
-    """What one volume shows of airways beyond the lumen that was found in it.
+    """Evidence in one volume for airways beyond the lumen that was found in it.
 
     Parameters
     ----------
     volume, base
-        The CT on the grid that paths run in, and its airways before any edit: what evidence there is does not depend on
+        The CT on the grid of the paths, and its airways before any edit, so that the evidence does not depend on
         edits.
     """
 
@@ -73,9 +80,9 @@ class Evidence:
         self._volume = volume
         self._scale = air_scale(volume)
         self.noise = self._scale.span(base.tracker.noise_hu)
-        """Standard deviation of the values in air, in the volume's numbers."""
+        """Standard deviation of the values in air, in the numbers of the volume."""
         self.found_zyx = base.tracker.lumen_zyx
-        """(nz, ny, nx) of that grid, the lumen that was found or came with a mask."""
+        """Lumen (nz, ny, nx) on that grid that was found or imported as a mask."""
         self.enclosures = _core.Enclosures(volume.hu_zyx, volume.lps_from_ijk)
         least = self._scale.span(LEAST_RISE_HU)
         lung = _plain_lung(volume, base, self._scale.level(LUNG_END_HU))
@@ -83,8 +90,8 @@ class Evidence:
         rises = self.enclosures.at(lung) if enough else np.zeros(1)
         values = self.enclosures.values_at(volume.to_lps(lung.astype(np.float64))) if enough else np.zeros(1)
         air = self._scale.level(-1000.0)
-        # As dark as the air of a wide airway, and darker than what is dark in this lung: emphysema is no airway, and
-        # neither is the darker half of what is noise.
+        # Dark values: at most as bright as air in a wide airway, and among the darkest tenth of this lung, because
+        # neither emphysema nor noise is an airway.
         dark = (
             min(air + max(2.0 * self.noise, self._scale.span(40.0)), float(np.quantile(values, DARK_SHARE)))
             if enough
@@ -98,7 +105,7 @@ class Evidence:
         }
         usual = max(least, NOISE_SHARE * self.noise)
         self.compared_with = Lung(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
-        """What a tenth of the sections on the best ways through plain lung exceed."""
+        """Comparison values: the rises that a tenth of the sections on the best paths through plain lung exceed."""
         if enough:
             self._compare(lung[:: max(1, len(lung) // NUM_RUNS)][:NUM_RUNS])
 
@@ -117,17 +124,21 @@ class Evidence:
         self.compared_with = Lung(usual, far_usual, bright)
 
     def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64]) -> Voxels:
-        """(n, 3) voxels of the best way from the lumen to a voxel outside it; the first lies in the lumen.
+        """Return the (n, 3) voxels of the best path from the lumen to a voxel outside it; the first is in the lumen.
 
         Parameters
         ----------
+        lumen
+            Lumen to start from.
+        voxel
+            Target (i, j, k).
         toward
-            A voxel of the tree, for where no airway leads to the voxel.
+            A voxel of the tree, as the goal if no airway leads to the target.
 
         Raises
         ------
         NoResultError
-            If the voxel is tissue, or only tissue leads to it.
+            If the target is tissue, only tissue leads to it, or it is too far from the tree.
         """
         tissue_there(lumen, voxel, self._scale.level(WALL_HU))
         start, goal = ((int(v[0]), int(v[1]), int(v[2])) for v in (voxel, toward))
@@ -148,11 +159,19 @@ class Evidence:
         return way
 
     def doubtful(self, points: Points, start: Start | None = None) -> NDArray[np.bool_]:
-        """For each segment of a line of (n, 3) LPS points, whether the CT shows no airway there.
+        """Return, for each segment of a line of (n, 3) points (LPS, mm), whether the CT shows no airway there.
+
+        Parameters
+        ----------
+        points
+            (n, 3) line, LPS in mm.
+        start
+            Start of the line at a branch of the tree; None if it does not leave a branch.
 
         Returns
         -------
         (n-1,) bool
+            True for segments without evidence.
         """
         sections = self.sections(points)
         is_doubtful = doubtful_sections(sections, self.compared_with, self._scale, start)
@@ -166,12 +185,12 @@ class Evidence:
         return found
 
     def crosses_wall(self, points: Points, before: Points) -> bool:
-        """Whether a line runs through brighter places than one before it did, and than half-way to tissue."""
+        """Return whether a line crosses brighter points than the line before an edit, and than half-way to tissue."""
         new, old = (float(self.enclosures.values_at(_fine(line)).max()) for line in (points, before))
         return new > max(old, self._scale.level(WALL_HU)) + 3.0 * self.noise
 
     def sections(self, points: Points) -> Sections:
-        """What lies across a line of (n, 3) LPS points."""
+        """Measure the sections across a line of (n, 3) points, LPS in mm."""
         along = along_mm(points)
         at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / STEP_MM)) + 1))
 
@@ -198,7 +217,7 @@ class Evidence:
         back, on = places(at) - places(at - BEND_MM), places(at + BEND_MM) - places(at)
         lengths = np.linalg.norm(back, axis=1) * np.linalg.norm(on, axis=1)
         bend = 1.0 - (back * on).sum(axis=1) / np.maximum(lengths, 1e-6)
-        # Its ends have no direction.
+        # The ends of a line have no direction.
         bend[:HALF_SECTIONS] = bend[-HALF_SECTIONS:] = 0.0
         return Sections(
             at_mm=at,
@@ -214,14 +233,14 @@ class Evidence:
 
 
 def evidence_of(airways: Airways) -> Evidence:
-    """Return the evidence in the volume that paths run in; found when first asked for, the same after each edit."""
+    """Return the evidence in the volume of the paths; computed at first use and shared by all edited airways."""
     volume = airways.tracker.volume
     found: Evidence = airways.evidence.of(volume, lambda: Evidence(volume, airways.base or airways))
     return found
 
 
 def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
-    """(n, 3) voxels 8 to 25 mm beside the branches of a tree that are neither lumen near by nor tissue."""
+    """Return (n, 3) voxels of plain lung: 8 to 25 mm from a tree's branches, neither near lumen nor tissue."""
     places = _beside(base.tree)
     shape = np.array(volume.shape_zyx[::-1])
     ijk = np.floor(volume.to_ijk(places) + 0.5).astype(np.int64)
@@ -235,7 +254,7 @@ def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
 
 
 def _beside(tree: AirwayTree) -> Points:
-    """Places round the branches beyond the main bronchi, spread evenly in direction and distance; always the same."""
+    """Return points round the branches beyond the main bronchi, evenly distributed and reproducible; LPS in mm."""
     branches = [branch for branch in tree.branches if branch.generation >= 2] or list(tree.branches)
     points = np.concatenate([branch.points for branch in branches])
     num = 12 * NUM_RUNS
@@ -249,7 +268,7 @@ def _beside(tree: AirwayTree) -> Points:
 
 
 def _mean_along(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
-    """Means over so many entries before and after on the first axis, edge-clamped."""
+    """Return means over ``half`` entries before and after on the first axis, clamped at the ends."""
     padded = np.concatenate([values[:1]] * half + [values] + [values[-1:]] * half)
     total = np.cumsum(np.concatenate([np.zeros_like(padded[:1]), padded]), axis=0)
     num = 2 * half + 1
@@ -257,13 +276,13 @@ def _mean_along(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
 
 
 def _even(points: Points) -> Points:
-    """A line of voxel centres without its corners, its ends as they are."""
+    """Return a line of voxel centres with smoothed corners and unchanged ends."""
     padded = np.concatenate([points[:1]] * 2 + [points] + [points[-1:]] * 2)
     mean = np.mean([padded[n : n + len(points)] for n in range(5)], axis=0)
     return np.asarray(np.concatenate([points[:1], mean[1:-1], points[-1:]]))
 
 
 def _fine(points: Points) -> Points:
-    """A line with three points between each two."""
+    """Return a line with three interpolated points between each pair."""
     share = np.linspace(0.0, 1.0, 4, endpoint=False)[:, None, None]
     return np.asarray((points[:-1] + share * (points[1:] - points[:-1])).reshape(-1, 3))

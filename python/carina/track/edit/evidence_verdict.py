@@ -1,8 +1,8 @@
-"""Which sections of a way show an airway: a few measures of what lies across it, weighed.
+"""Decision whether sections of a path show an airway: a weighted sum of a few measures across the path.
 
-The weights are a logistic regression's, fitted to the worst 5 mm of ways to branches that were removed from a tree,
-to branches that the search missed, and into plain lung: phantoms, painted patients and patients of which others were
-kept back. docs/decisions/0119.
+The weights are from a logistic regression on the worst 5 mm of paths to branches that were removed from a tree, to
+branches that the search missed, and into plain lung, in phantoms, painted patients and patients; other data were
+reserved for verification. docs/decisions/0119.
 """
 
 from __future__ import annotations
@@ -20,101 +20,121 @@ Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 
 STEP_MM = 0.5
-"""From one section to the next."""
+"""Distance between sections."""
 WINDOW_MM = 5.0
 SURE = 1.0
-"""Of a window that fails, the sections before its first that gains less than this stay evident."""
+"""In a window that fails, the sections before the first one with less than this gain stay evident."""
 
-# What a section gains: the sum of these, each a weight and, where it is clipped, its least and most.
+# Terms of the gain of a section: each has a weight and, if it is clipped, its limits.
 BASE = 1.45
 RISE, RISE_LIMITS = 0.9, (-0.5, 1.5)
 FAR_RISE, FAR_LIMITS = 1.2, (-0.5, 2.0)
 CLOSED, FAR_CLOSED, CLOSED_LIMITS = 1.0, 1.4, (0.0, 1.5)
-"""Walls in units of what plain lung shows: one bright wall must not pay for a long way without."""
+"""Walls in units of plain lung, clipped so that one bright wall cannot compensate a long path without walls."""
 LEAST_WALLS = 0.6
-"""What the four above must give on average over a window, whatever else speaks for an airway: where there is no wall
-at all there is none. Fewer than one of 100 ways to removed branches gives less."""
+"""Least average of the four wall terms over a window, whatever the other terms are.
+
+Fewer than one in 100 paths to removed branches have a smaller average.
+"""
 DROP, DROP_HU, MOST_DROP = -2.0, 100.0, 3.0
-"""A way that rises and falls has probably stepped over a wall."""
+"""Penalty for a value that rises and falls along a path, which has then probably crossed a wall."""
 WIDER, AS_WIDE, MOST_WIDER = -1.6, 0.8, 1.0
-"""An airway is narrower than the branch that it leaves: 0.8 of it costs nothing, twice as much costs all."""
+"""Penalty for a path that is wider than its parent.
+
+An airway is narrower than the branch that it leaves: up to 0.8 of the parent's radius costs nothing, 1.8 times costs
+all.
+"""
 BEND = -2.6
-"""An airway does not turn within some millimetres; a way between vessels does."""
+"""Penalty for bends: a path between vessels turns within some millimetres, an airway does not."""
 UNEVEN = -3.9
-"""Nor does its radius change: per mm of standard deviation over 5 mm."""
+"""Penalty for a changing radius, per mm of standard deviation over 5 mm."""
 UNEVEN_OVER = 5
-"""Sections before and after."""
+"""Number of sections before and after one."""
 GAP, THREAD_MM, AIR_HU, GAP_HU, MOST_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
-"""What is wide is dark: a place 2 mm from its walls that is as bright as the lung lies between vessels."""
+"""Penalty for wide bright places: one 2 mm from its walls and as bright as lung is a gap between vessels."""
 
 WALL_DROP_HU = 350.0
-"""A way that rises and falls by more has stepped over a wall: whatever lies beyond, it is not connected so."""
+"""A path that rises and falls by more has crossed a wall, and its end is not connected to the tree this way."""
 NEAR_MM = 3.0
-"""How far the nearer walls are looked for, and the radius with them."""
+"""Distance within which near walls, and with them the radius, are measured."""
 WIDE_HU = -930.0
-"""A middle darker than this, with walls all round but none so near, is a lumen too wide for that: what rises within
-``NEAR_MM`` is noise, and so would a radius be that is measured from it."""
+"""Upper limit of the middle of a wide lumen.
+
+A darker middle with walls all round but none within ``NEAR_MM`` is a lumen too wide for this distance: a rise within
+it is noise, and so is a radius measured from it.
+"""
 NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
-"""A middle that is brighter over 2.5 mm is no lumen, whatever lies before and after."""
+"""A middle that is brighter over 2.5 mm is not a lumen, whatever is before and after; NO_LUMEN is its gain."""
 MOUTH_MM = 4.0
-"""The lumen that a way leaves is as wide as the widest of its sections so far inside."""
+"""The lumen that a path leaves is as wide as the widest of the sections over this length inside it."""
 MOST_TURN_DEG = 130.0
-"""A branch that leaves the tree turns less than this against the direction of its parent."""
+"""A branch that leaves the tree turns by less than this against the direction of its parent."""
 TURN_OVER_MM = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sections:
-    """What lies across a way, every half millimetre; values in the volume's numbers."""
+    """Sections across a path, one every half millimetre; values in the numbers of the volume."""
 
     at_mm: Values
-    """(n,) along the way."""
+    """Distance (n,) along the path."""
     own: Values
-    """(n,) value in the middle."""
+    """Value (n,) in the middle."""
     rise: Values
-    """(n,) how far four fifths of the sides rise above the middle within 3 mm."""
+    """Rise (n,) of four fifths of the sides above the middle within 3 mm."""
     far_rise: Values
-    """(n,) the same within 8 mm."""
+    """Rise (n,) of four fifths of the sides above the middle within 8 mm."""
     closed: Values
-    """(n,) how far all sides but one rise within 3 mm."""
+    """Rise (n,) of all sides but one within 3 mm."""
     far_closed: Values
-    """(n,) the same within 8 mm."""
+    """Rise (n,) of all sides but one within 8 mm."""
     around: Values
-    """(n,) value of what lies farther out."""
+    """Value (n,) of the surroundings farther out."""
     radius_mm: Values
-    """(n,) median distance of the sides to half of their rise within 3 mm."""
+    """Median distance (n,) of the sides to half of their rise within 3 mm."""
     bend: Values
-    """(n,) 1 less the cosine between the directions of the 3 mm before and after."""
+    """Bend (n,): 1 less the cosine between the directions of the 3 mm before and after."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lung:
-    """What the best ways through plain lung of the same CT show, in the volume's numbers."""
+    """Values of the best paths through plain lung of the same CT, in the numbers of the volume."""
 
     rise: float
-    """A tenth of their sections rise by more within 3 mm."""
+    """Rise within 3 mm that a tenth of their sections exceeds."""
     far_rise: float
-    """And within 8 mm."""
+    """Rise within 8 mm that a tenth of their sections exceeds."""
     bright: float
-    """A quarter of their middles is brighter than this."""
+    """Value that a quarter of their middles exceeds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Where a way leaves the tree."""
+    """Start of a path at a branch of the tree."""
 
     inside_mm: float
-    """How far its beginning lies in the lumen: a section there cuts both, and is not asked for a wall."""
+    """Length of its beginning inside the lumen; sections there contain both lumens and need no wall."""
     branch_radius_mm: float
-    """Of the branch that it leaves."""
+    """Radius of the branch that it leaves."""
     branch_direction: NDArray[np.float64]
-    """(3,) LPS, of that branch, from the root outwards."""
+    """Direction (3,) of that branch from the root outwards, LPS."""
 
 
 def doubtful_sections(sections: Sections, lung: Lung, scale: AirScale, start: Start | None = None) -> NDArray[np.bool_]:
-    """(n,) for each section, whether it lies in a window of 5 mm that gains too little on average.
+    """Return (n,) flags: whether each section is in a window of 5 mm with too little average gain.
 
-    Of a window that fails, what is evident before its end stays so.
+    In a window that fails, the evident sections before its first weak one are not flagged.
+
+    Parameters
+    ----------
+    sections
+        Sections of the path.
+    lung
+        Comparison values of plain lung.
+    scale
+        Conversion from HU to the values of the volume.
+    start
+        Start at a branch of the tree, if any.
     """
     found = np.zeros(len(sections.at_mm), dtype=bool)
     mine = np.flatnonzero(_beyond(sections, start))
@@ -128,13 +148,13 @@ def doubtful_sections(sections: Sections, lung: Lung, scale: AirScale, start: St
     own = sections.own[mine]
     crossed = np.maximum.accumulate(own) - own > scale.span(WALL_DROP_HU)
     if crossed.any():
-        # Doubtful from the top of the wall.
+        # Flag all sections from the top of the crossed wall on.
         found[mine[int(np.argmax(own[: int(np.argmax(crossed)) + 1])) :]] = True
     return found
 
 
 def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None = None) -> Values:
-    """(n,) how much each section speaks for an airway: above 0 for, below against; log odds, moved by ``BASE``."""
+    """Return the (n,) gain of each section, in log odds plus ``BASE``: above 0 for an airway, below 0 against it."""
     gain = BASE + _walls(sections, lung)
     mine = _beyond(sections, start)
     radius_mm = _radii(sections, lung, scale)
@@ -153,7 +173,7 @@ def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None =
 
 
 def turns_back(points: Points, along: Values, start: Start) -> bool:
-    """Whether a line, once it has left the lumen, runs back along the branch that it leaves."""
+    """Return whether a line, after it has left the lumen, runs back along the branch that it leaves."""
     reach_mm = min(start.inside_mm + TURN_OVER_MM, float(along[-1]))
     goes = points[min(int(np.searchsorted(along, reach_mm)), len(points) - 1)] - points[0]
     length = float(np.linalg.norm(goes) * np.linalg.norm(start.branch_direction))
@@ -161,13 +181,13 @@ def turns_back(points: Points, along: Values, start: Start) -> bool:
 
 
 def along_mm(points: Points) -> Values:
-    """(n,) how far along a line of (n, 3) points each lies."""
+    """Return the (n,) distance of each point along a line of (n, 3) points."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def _walls(sections: Sections, lung: Lung) -> Values:
-    """(n,) what the walls of each section give."""
-    # A wall is brighter than the lung round it, not only than a dark middle.
+    """Return the (n,) sum of the wall terms of each section."""
+    # A wall must be brighter than the surrounding lung, not only than a dark middle.
     over = np.minimum(sections.own - np.minimum(sections.around, lung.bright), 0.0)
     gain = RISE * np.clip((sections.rise + over) / lung.rise, *RISE_LIMITS)
     gain += FAR_RISE * np.clip((sections.far_rise + over) / lung.far_rise, *FAR_LIMITS)
@@ -177,7 +197,7 @@ def _walls(sections: Sections, lung: Lung) -> Values:
 
 
 def _radii(sections: Sections, lung: Lung, scale: AirScale) -> Values:
-    """(n,) the radius of each section, ``NEAR_MM`` where the lumen is wider."""
+    """Return the (n,) radius of each section; ``NEAR_MM`` if the lumen is wider."""
     wide = (sections.rise < lung.rise) & (sections.far_closed > lung.far_rise) & (sections.own < scale.level(WIDE_HU))
     return np.where(wide, np.maximum(sections.radius_mm, NEAR_MM), sections.radius_mm)
 
@@ -188,7 +208,7 @@ def _beyond(sections: Sections, start: Start | None) -> NDArray[np.bool_]:
 
 
 def _spread(values: Values, over: int) -> Values:
-    """(n,) standard deviation of so many values before and after each, as many as there are."""
+    """Return the (n,) standard deviation over the given number of values before and after each value."""
     ones, n = np.ones(2 * over + 1), len(values)
     num, total, square = (np.convolve(one, ones)[over : over + n] for one in (np.ones(n), values, np.square(values)))
     return np.asarray(np.sqrt(np.maximum(square / num - np.square(total / num), 0.0)))

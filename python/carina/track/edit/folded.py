@@ -1,4 +1,4 @@
-"""Edited airways put away for undo: some hundred kilobytes instead of a lumen and its tracker."""
+"""Compact storage of edited airways for undo: some hundred kilobytes instead of a lumen and its tracker."""
 
 from __future__ import annotations
 
@@ -25,25 +25,26 @@ __all__ = ["FoldedAirways", "PackedAirways", "fold_airways"]
 
 
 class FoldedAirways:
-    """Edited airways that were put away: what they are made again from, bit for bit."""
+    """Compact form of edited airways, from which they are restored bit for bit."""
 
     __slots__ = ()
 
     base: Airways
-    """What the edits were made to; it knows where the wall begins."""
+    """Airways to which the edits were applied; they also define the wall levels."""
 
     def __repr__(self) -> str:
+        """Return one line that shows ``base``."""
         return f"{type(self).__name__}(base={self.base!r})"
 
     def unfold(self) -> Airways:
-        """The airways again."""
+        """Return the restored airways."""
         raise NotImplementedError
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedAirways(FoldedAirways):
-    """Edited airways in memory, without what takes much of it."""
+    """Edited airways in memory, with a compressed lumen and without a tracker."""
 
     base: Airways
     branches: tuple[Branch, ...]
@@ -56,12 +57,16 @@ class PackedAirways(FoldedAirways):
     uncertain: tuple[Uncertainty, ...]
     bridges: tuple[NDArray[np.float64], ...]
     packed: bytes | None
-    """The lumen's box, one bit per voxel, deflated; None where lumen and paths are the base's, as after new names."""
+    """Bounding box of the lumen, one bit per voxel, deflated.
+
+    None if lumen and paths are those of ``base``, as after renaming.
+    """
 
     def unfold(self) -> Airways:
-        """The airways again; their paths are calculated when they are first needed."""
+        """Return the restored airways; their paths are calculated at first use."""
         if self.packed is None:
-            # The search told its tracker the nodes of each branch, which centrelines tell a voxel or two otherwise.
+            # Keep the tracker of the search: it has the exact nodes of each branch; nodes from centrelines may differ
+            # by a voxel.
             return dataclasses.replace(
                 self.base,
                 tree=dataclasses.replace(self.base.tree, branches=self.branches),
@@ -100,7 +105,7 @@ class PackedAirways(FoldedAirways):
 
 
 def fold_airways(airways: Airways) -> PackedAirways:
-    """Put edited airways away; what they were made from is kept as it is.
+    """Return edited airways in compact form; their base is stored unchanged.
 
     Raises
     ------
@@ -131,7 +136,7 @@ def fold_airways(airways: Airways) -> PackedAirways:
 
 
 def _box(lumen_zyx: NDArray[np.uint8]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """First voxel and shape (i, j, k) of the box round what is not 0."""
+    """Return the first voxel and the shape (i, j, k) of the bounding box of the nonzero voxels."""
     first, shape = [], []
     for axis in (2, 1, 0):
         others = tuple(a for a in range(3) if a != axis)

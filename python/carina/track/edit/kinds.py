@@ -1,4 +1,4 @@
-"""Edits of an airway tree (:mod:`carina.commands.tree`) as a list in a file, and in words."""
+"""Conversion of edits of an airway tree (:mod:`carina.commands.tree`) to and from JSON, and titles of branches."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _KINDS: dict[str, type[Any]] = {str(kind.__struct_config__.tag): kind for kind i
 
 
 def edits_to_json(edits: Sequence[TreeEdit]) -> dict[str, Any]:
-    """Edits as the document ``carina-tree-edits`` version 1 (LPS mm).
+    """Return edits as the document ``carina-tree-edits`` version 1 (LPS, mm).
 
     Examples
     --------
@@ -63,12 +63,12 @@ def edits_to_json(edits: Sequence[TreeEdit]) -> dict[str, Any]:
 
 
 def edits_from_json(document: object) -> tuple[TreeEdit, ...]:
-    """Read a document ``carina-tree-edits`` version 1; keys it does not know are ignored.
+    """Read a document ``carina-tree-edits`` version 1; unknown keys are ignored.
 
     Raises
     ------
     TrackingError
-        If the document is not such a list; says which edit and what is wrong with it.
+        If the document is not such a list; the message names the edit and the error.
     """
     if not isinstance(document, Mapping):
         raise _refused(f"expected a JSON object, found {type(document).__name__}")
@@ -96,7 +96,7 @@ def _edit_from_row(row: object, number: int) -> TreeEdit:
 
 
 def branch_title(name: str | None, branch_id: int) -> str:
-    """What a branch is called in a sentence."""
+    """Return the name of a branch for a sentence."""
     return name or f"branch {branch_id}"
 
 

@@ -1,4 +1,4 @@
-"""Edits in words: what the list of what can be undone calls them."""
+"""Texts of edits for the undo list."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ __all__ = ["edit_words"]
 
 
 def edit_words(edit: TreeEdit, airways: Airways) -> str:
-    """An edit in words, for the list of what can be undone: ``cut RB3``.
+    """Return the text of an edit for the undo list, such as ``cut RB3``.
 
     Parameters
     ----------
+    edit
+        The edit.
     airways
-        What the edit is made to: it has the names.
+        Airways before the edit; they contain the names.
     """
     tree = airways.tree
     match edit:

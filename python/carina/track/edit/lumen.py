@@ -1,4 +1,4 @@
-"""Voxels that an edit adds to the lumen or takes away: strokes of a brush, bridges, airways that the search missed."""
+"""Voxels that an edit adds to the lumen or removes: brush strokes, bridges, airways that the search missed."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from carina.volume.planes import PLANES
 __all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
 
 Voxels = NDArray[np.uint16]
-"""(n, 3) i, j, k."""
+"""Voxels (n, 3) as i, j, k."""
 
 MAX_BRIDGE_MM = 60.0
-"""A lobe's bronchus and its first division are shorter; what is farther is not bridged but guessed."""
+"""Longest bridge. A lobe's bronchus and its first division are shorter; a longer bridge would be a guess."""
 BRIDGE_RADIUS_MM = 1.0
 MAX_MISSED_RADIUS_MM = 4.0
 AIR_REACH_MM = 2.0
-"""A click beside an airway is taken for the darkest voxel this near."""
+"""Distance within which a click beside an airway is moved to the darkest voxel."""
 GROWTH_REACH_MM = (60.0, 60.0, 100.0)
-"""Along LPS x, y, z: what hangs on a blocked bronchus of a lobe."""
+"""Reach along LPS x, y, z of growth beyond a bridge: the airways beyond a blocked lobar bronchus."""
 GROWTH_LEAK_MM3 = 20_000.0
 GROWTH_SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
@@ -50,23 +50,23 @@ CORE_HU = -950.0
 
 @dataclass(frozen=True, slots=True)
 class EditedLumen:
-    """The compiled tracker of a lumen, and how to change it."""
+    """Compiled tracker of a lumen, with the operations that change it."""
 
     grid: PathGrid
     core: LumenTracker
     is_fresh: bool = False
-    """Everything from scratch at each change: slow, and the truth that the quick way must equal."""
+    """Whether each change computes everything from scratch: slow, the reference for the fast updates."""
     cancel: Cancel | None = None
     changed_box: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-    """First and last voxel of what the last change reached; None: it may be anywhere."""
+    """First and last voxel that the last change affected; None: it may have affected any voxel."""
 
     @property
     def volume(self) -> Volume:
-        """The CT on the grid of the tracker."""
+        """CT on the grid of the tracker."""
         return self.grid.volume
 
     def changed(self, added: Voxels, removed: Voxels) -> EditedLumen:
-        """The lumen with voxels added and taken away."""
+        """Return the lumen with voxels added and removed."""
         hu = self.volume.hu_zyx
         if self.is_fresh:
             lumen = lumen_array(self.core)
@@ -78,40 +78,40 @@ class EditedLumen:
         return EditedLumen(self.grid, core, False, self.cancel, (first, first + shape - 1))
 
     def rerooted(self, root_ijk: tuple[int, int, int]) -> EditedLumen:
-        """The same lumen with its paths from another voxel."""
+        """Return the same lumen with paths from another root voxel."""
         if self.is_fresh:
             return self.built(lumen_array(self.core), root_ijk)
         core = reroot_lumen(self.core, root_ijk, cancel=self.cancel)
         return EditedLumen(self.grid, core, False, self.cancel)
 
     def built(self, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int]) -> EditedLumen:
-        """Another lumen of the same search from scratch."""
+        """Return another lumen of the same search, computed from scratch."""
         core = fresh_lumen(self.core, self.volume.hu_zyx, lumen_zyx, root_ijk, cancel=self.cancel)
         return EditedLumen(self.grid, core, self.is_fresh, self.cancel)
 
     @property
     def root_ijk(self) -> tuple[int, int, int]:
-        """The root's voxel."""
+        """Voxel (i, j, k) of the root."""
         found = self.core.path(self.core.root)
         assert found is not None
         return _triple(np.rint(self.volume.to_ijk(found[0][0])))
 
     def voxel_of_node(self, node: int) -> tuple[int, int, int]:
-        """The voxel of a node of the tracker."""
+        """Return the voxel (i, j, k) of a node of the tracker."""
         return _triple(voxels_of(self.core, np.array([node], dtype=np.uint32))[0])
 
     def state_at(self, voxel: NDArray[np.int64]) -> int:
-        """0 outside the lumen, 1 in lumen that no path reaches, 2 in the lumen."""
+        """Return the state of a voxel: 0 outside the lumen, 1 in lumen that no path reaches, 2 in reachable lumen."""
         return int(lumen_states(self.core, _triple(voxel), (1, 1, 1))[0, 0, 0])
 
 
 def voxel_of(volume: Volume, lps: Point) -> NDArray[np.int64]:
-    """The voxel that holds a point.
+    """Return the voxel that contains a point.
 
     Raises
     ------
     UsageError
-        If it lies outside the volume.
+        If the point is outside the volume.
     """
     if not volume.contains_lps(np.array(lps)):
         x, y, z = lps
@@ -123,15 +123,15 @@ def voxel_of(volume: Volume, lps: Point) -> NDArray[np.int64]:
 
 
 def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
-    """The voxels under a stroke of the brush.
+    """Return the voxels under a stroke of the brush.
 
-    A disc is one voxel thick: it takes the voxels whose centres lie within half the spacing of the axis that runs most
-    along the slice's normal. The voxel under the brush's centre is always taken.
+    A disc is one voxel thick: it contains the voxels whose centres are within half the spacing of the axis that is
+    most nearly parallel to the slice's normal. The voxel at the brush's centre is always included.
 
     Raises
     ------
     UsageError
-        If no point of the stroke lies in the volume.
+        If no point of the stroke is in the volume.
     """
     normal = np.zeros(3)
     half_mm = np.inf
@@ -155,7 +155,7 @@ def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
         off -= share[:, None] * way
         height = off @ normal
         beside = np.linalg.norm(off - height[:, None] * normal, axis=1)
-        # Half open, so that a plane between two slices takes one of them.
+        # A half-open interval: a plane between two slices selects only one of them.
         inside = (beside <= edit.radius_mm) & (height > -half_mm) & (height <= half_mm)
         found.append(voxels[inside])
     centres = np.floor(volume.to_ijk(points) + 0.5).astype(np.int64)
@@ -166,14 +166,15 @@ def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
 
 
 def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
-    """The voxels of the shortest way from the reachable lumen through anything to a voxel; face neighbours.
+    """Return the voxels of the shortest path from the reachable lumen to a voxel, as face neighbours.
 
-    Dense tissue (bone, contrast) costs more, so that the way goes round it.
+    The path may lead through any tissue. Dense tissue (bone, contrast medium) costs more, so that the path runs
+    round it.
 
     Raises
     ------
     NoResultError
-        If it would be longer than a bridge may be, with how far it is.
+        If the path is longer than a bridge may be; the message states its length.
     """
     volume = lumen.volume
     scale = air_scale(volume)
@@ -198,12 +199,12 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
 
 
 def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> None:
-    """Refuse a voxel that is brighter than half-way to tissue.
+    """Raise an error for a voxel that is brighter than half-way to tissue.
 
     Raises
     ------
     NoResultError
-        With what to do.
+        If the voxel is tissue; the message states what to do.
     """
     value = int(lumen.volume.hu_zyx[start[2], start[1], start[0]])
     if value > wall:
@@ -216,12 +217,12 @@ def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> N
 
 
 def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The voxel itself where it is dark as lumen, else the darkest within 2 mm.
+    """Return the voxel itself if it is as dark as lumen, otherwise the darkest voxel within 2 mm.
 
     Raises
     ------
     NoResultError
-        If there is no air.
+        If there is no air within 2 mm.
     """
     volume = lumen.volume
     end = air_scale(volume).level(LUMEN_END_HU)
@@ -247,7 +248,7 @@ def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def grown_beyond(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
-    """The lumen round a voxel of air, grown as the automatic one is, with the same guard against leaks."""
+    """Return the lumen round a voxel of air, grown like the automatic lumen, with the same leak control."""
     volume = lumen.volume
     scale = air_scale(volume)
     low, high = _box_round(volume, start, GROWTH_REACH_MM)
@@ -275,7 +276,7 @@ def grown_beyond(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
 
 
 def tube_round(volume: Volume, points: NDArray[np.float64], radius_mm: float | NDArray[np.float64]) -> Voxels:
-    """The voxels whose centres lie within a radius, mm, of one of (n, 3) LPS points."""
+    """Return the voxels whose centres are within a radius (mm) of one of (n, 3) points, LPS in mm."""
     radii = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), (len(points),))
     ijk = volume.to_ijk(points)
     centres = np.floor(ijk + 0.5)
@@ -292,7 +293,7 @@ def tube_round(volume: Volume, points: NDArray[np.float64], radius_mm: float | N
 
 
 def voxels_along(volume: Volume, points: NDArray[np.float64]) -> Voxels:
-    """The voxels that a line of (n, 3) LPS points runs through, looked at every tenth of a voxel."""
+    """Return the voxels along a line of (n, 3) points (LPS, mm), sampled every tenth of a voxel."""
     ijk = volume.to_ijk(points)
     counts = np.maximum(np.ceil(10.0 * np.abs(np.diff(ijk, axis=0)).max(axis=1)), 1).astype(np.int64)
     pieces = [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(ijk[:-1], ijk[1:], counts, strict=True)]
@@ -302,10 +303,11 @@ def voxels_along(volume: Volume, points: NDArray[np.float64]) -> Voxels:
 
 
 def missed_radii(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Radius of the airway round each of (n, 3) LPS points of a way, mm: half-way up to the wall on 26 rays.
+    """Return the radius (mm) of the airway at each of (n, 3) path points (LPS, mm), from 26 rays.
 
-    The shorter rays count (two fifths), since those along the airway meet no wall; the median of five neighbours takes
-    out single mistakes. At most 4 mm, at least half a voxel.
+    On each ray the wall is at half of its rise. The radius is the 0.4 quantile of the rays, because rays along the
+    airway meet no wall; a median over five neighbours removes single errors. The radius is at most 4 mm and at least
+    half a voxel.
     """
     directions = _box_voxels(np.full(3, -1), np.full(3, 1)).astype(np.float64)
     directions = directions[np.any(directions != 0.0, axis=1)] @ volume.lps_from_ijk[:3, :3].T
@@ -343,7 +345,7 @@ def _interpolated(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _away_mm(lumen: EditedLumen, start: NDArray[np.int64], reach_mm: float) -> float | None:
-    """Distance to the nearest lumen that a path reaches; looked for in growing boxes, at most ``reach_mm``."""
+    """Return the distance (mm) to the nearest reachable lumen, searched in growing boxes; None beyond ``reach_mm``."""
     volume = lumen.volume
     centre = volume.to_lps(start.astype(np.float64))
     for reach in (10.0, 25.0, reach_mm):
@@ -371,7 +373,7 @@ def _way(
 
 
 def by_faces(way: Voxels) -> Voxels:
-    """The same way with voxels put in where two meet at an edge or a corner: such a step may be closed."""
+    """Return the path with voxels inserted where two meet at an edge or a corner: such a step may be closed."""
     found = [way[0].astype(np.int64)]
     for voxel in way[1:].astype(np.int64):
         for axis in range(3):
@@ -390,7 +392,7 @@ def _length_mm(volume: Volume, way: Voxels) -> float:
 def _box_round(
     volume: Volume, voxel: NDArray[np.int64], reach_mm: tuple[float, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and last voxel of the box that reaches so far along LPS x, y, z."""
+    """Return the first and last voxel of the box that extends ``reach_mm`` along LPS x, y, z."""
     inverse = np.abs(np.linalg.inv(volume.lps_from_ijk[:3, :3]))
     reach = np.ceil(inverse @ np.array(reach_mm)).astype(np.int64)
     shape = np.array(volume.shape_zyx[::-1])

@@ -1,4 +1,4 @@
-"""A new centreline in pieces of one kind each: found in the CT, drawn by a person, or over a bridge."""
+"""Division of a new centreline into pieces of one kind: found in the CT, drawn by the user, or along a bridge."""
 
 from __future__ import annotations
 
@@ -13,28 +13,34 @@ from carina.track.edit.tree import Points, along_mm
 __all__ = ["Piece", "bridge_pieces", "kind_of_added", "painted_pieces"]
 
 Piece = tuple[Points, str]
-"""Points, and their kind; the last point of a piece is the first of the next."""
+"""Points and their kind; the last point of a piece is the first of the next."""
 
 
 def bridge_pieces(points: Points, kind: str, bridges: Sequence[Points], near_mm: float, least_mm: float) -> list[Piece]:
-    """Where a line leads over a bridge that was made before, it is that bridge.
+    """Divide a line into pieces on and off the bridges that were made before.
 
-    The bridge's lumen may have been erased and painted again, or grown again: what was never seen in the CT does not
-    become an airway by that.
+    The lumen of a bridge may have been erased and painted or grown again; the part on the bridge stays a bridge,
+    because the CT never showed an airway there.
 
     Parameters
     ----------
+    points
+        (n, 3) line, LPS in mm.
+    kind
+        Kind of the pieces that are off the bridges.
+    bridges
+        (n, 3) points of each bridge, LPS in mm.
     near_mm
-        Half a voxel: how far off a bridge's tube a point of it may lie.
+        Half a voxel: largest distance of a point from the tube of a bridge.
     least_mm
-        What would be left beside the bridge and is shorter belongs to it.
+        Shorter remainders beside the bridge are added to the bridge.
     """
     near_mm += BRIDGE_RADIUS_MM
     is_on = np.zeros(len(points), dtype=bool)
     for way in bridges:
         off = np.sqrt(np.square(points[:, None] - way[None]).sum(axis=2))
         place = off.argmin(axis=1)
-        # Not before its beginning or beyond its end, and along it, not off it to a side.
+        # Require points along the bridge, not before its start, beyond its end or on a path that leaves it sideways.
         on_way = (off.min(axis=1) <= near_mm) & (place > 0) & (place < len(way) - 1)
         if on_way.any() and np.ptp(along_mm(way)[place[on_way]]) >= near_mm:
             is_on |= on_way
@@ -42,26 +48,30 @@ def bridge_pieces(points: Points, kind: str, bridges: Sequence[Points], near_mm:
 
 
 def kind_of_added(doubtful: NDArray[np.bool_]) -> str:
-    """Kind of a branch that was added along a line: an airway where the CT shows a wall all along, else drawn by hand.
+    """Return the kind of a branch added along a line: ``tracked`` if the CT shows a wall all along, else ``manual``.
 
-    The part that has evidence is an airway only once it is asked for by itself. As a piece of a branch that a person
-    insists on it would take part in naming, and rename its neighbours.
+    A part with evidence only becomes an airway if the user adds it separately. As a piece of a branch with doubtful
+    parts it would take part in naming, and change the names of its neighbours.
 
     Parameters
     ----------
     doubtful
-        (n-1,) per segment.
+        (n-1,) whether each segment is doubtful.
     """
     return "manual" if doubtful.any() else "tracked"
 
 
 def painted_pieces(points: Points, was_found: NDArray[np.bool_], least_mm: float) -> list[Piece]:
-    """Of a line that new paint brought into reach: what the search had found is found, the rest is a person's.
+    """Divide a line that new paint made reachable: points found by the search are ``tracked``, others ``manual``.
 
     Parameters
     ----------
+    points
+        (n, 3) line, LPS in mm.
     was_found
         (n,) whether the search had each point's voxel in the lumen.
+    least_mm
+        Shorter remainders are added to the ``manual`` piece.
     """
     return _split(points, ~was_found, "manual", "tracked", least_mm)
 

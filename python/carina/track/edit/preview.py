@@ -1,4 +1,4 @@
-"""What an edit would make, without making it: the lines under the pointer are the lines that the click makes."""
+"""Preview of an edit: the lines that the edit would make, computed by the same steps."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ __all__ = ["EditPreview", "PreviewLine", "new_lines", "preview_edit"]
 def preview_edit(
     volume: Volume, airways: Airways, edit: AddBranch | Bridge | MoveFork, *, cancel: Cancel | None = None
 ) -> EditPreview:
-    """What :func:`carina.track.edit_airways` would make of an edit, by the same steps, without making it.
+    """Compute the lines that :func:`carina.track.edit_airways` would make of an edit, by the same steps.
 
     Parameters
     ----------
     volume
-        The CT that ``airways`` were found in.
+        The CT in which ``airways`` were found.
     airways
-        Not changed.
+        Airways before the edit; not changed.
     edit
-        An :class:`AddBranch` is looked at as if it were not asked for without evidence: its line says where that is
-        missing.
+        The edit. An :class:`AddBranch` is previewed as if ``even_without_evidence`` were False; its line states
+        where evidence is missing.
     cancel
-        Asked whether to stop.
+        Function that returns True to stop the calculation.
 
     Returns
     -------
     EditPreview
-        Also where the edit cannot be made: see ``problem``.
+        The new lines; if the edit is impossible, no lines and a ``problem``.
 
     Raises
     ------
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     if isinstance(edit, AddBranch):
         return branch_way(volume, airways, edit.lps)
@@ -56,7 +56,7 @@ def preview_edit(
 
 
 def new_lines(before: tuple[Branch, ...], after: tuple[Branch, ...]) -> tuple[PreviewLine, ...]:
-    """What of a tree's lines was not there before: pieces of branches between points that stayed."""
+    """Return the new lines of a tree: pieces of branches between points that did not change."""
     known = {point.tobytes() for branch in before for point in branch.points}
     lines = []
     for branch in after:
@@ -69,6 +69,6 @@ def new_lines(before: tuple[Branch, ...], after: tuple[Branch, ...]) -> tuple[Pr
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and one past the last place of each run of true."""
+    """Return the first index, and one past the last index, of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]

@@ -16,36 +16,36 @@ __all__ = ["EditPreview", "PreviewLine"]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviewLine:
-    """A line that an edit would draw."""
+    """Line that an edit would draw."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) LPS mm; bit for bit the points of the branch that the edit makes there."""
+    """Points (n, 3), LPS in mm; bit for bit the points of the branch that the edit creates there."""
     doubtful: NDArray[np.bool_]
-    """(n-1,) for each segment, whether the CT shows no airway there."""
+    """Flags (n-1,): whether the CT shows no airway at each segment."""
     drawn: NDArray[np.bool_]
-    """(n-1,) for each segment, whether its branch will be one drawn by hand: all segments, if any is doubtful."""
+    """Flags (n-1,): whether the branch of each segment will be drawn by hand; all segments, if any is doubtful."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class EditPreview:
-    """What an edit would make."""
+    """Result that an edit would have."""
 
     lines: tuple[PreviewLine, ...]
-    """What would be new or elsewhere in the tree; none where there is a problem."""
+    """Lines that would be new or moved in the tree; empty if there is a problem."""
     has_evidence: bool
-    """Whether it is made at once; False where it must be asked for again, or where there is a problem."""
+    """Whether the edit is made without a further confirmation; False if it needs one or if there is a problem."""
     problem: str | None
-    """Why it cannot be made, and what to do."""
+    """Text that states why the edit is impossible and what to do; None if it is possible."""
 
     @property
     def length_mm(self) -> float:
-        """Length of all lines."""
+        """Total length of the lines."""
         return sum(float(_steps_mm(line.points_lps).sum()) for line in self.lines)
 
     @property
     def doubtful_mm(self) -> float:
-        """Length of what the CT does not show."""
+        """Length of the segments that the CT does not show."""
         return sum(float(_steps_mm(line.points_lps)[line.doubtful].sum()) for line in self.lines)
 
 

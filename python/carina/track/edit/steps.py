@@ -1,4 +1,4 @@
-"""The steps of each edit: which voxels become lumen or cease to be, and what that does to the tree."""
+"""Steps of each edit: the voxels that are added to the lumen or removed, and the changes of the tree."""
 
 from __future__ import annotations
 
@@ -56,30 +56,30 @@ __all__ = ["EditSteps"]
 NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
 SMOOTHING_ROUNDS = 3
 LEAST_BEYOND_MM = 4.0
-"""Beyond a bridge at least this much of an airway must be seen."""
+"""Least visible length of airway beyond a bridge."""
 MOST_TURN_DEG = 120.0
-"""An airway that goes on beyond a bridge turns less."""
+"""Largest turn of an airway that continues beyond a bridge."""
 COVER_REACH_MM = 30.0
-"""Farther from its middle no tube covers anything: more than the diameter of any trachea."""
+"""Points farther than this from a centreline are not in its tube: more than the diameter of any trachea."""
 RECENTRE_VOXELS = 0.5
-"""A centreline is drawn again where the distance to the wall changed by more than this share of a voxel."""
+"""A centreline is computed again if the distance to the wall changed by more than this share of a voxel."""
 
 
 class EditSteps:
-    """One edit being made: the lumen before and after it, and the tree as a draft.
+    """State of one edit while it is made: the lumen before and after it, and a draft of the tree.
 
     Parameters
     ----------
     lumen
-        Before the edit.
+        Lumen before the edit.
     tree, next_id
-        The tree before the edit, and the first branch id that was never used.
+        Tree before the edit, and the first branch ID that was never used.
     found_zyx
-        (nz, ny, nx) the lumen before the first edit: what is painted there again was found by the search.
+        (nz, ny, nx) lumen before the first edit: lumen painted inside it counts as found by the search.
     bridges
-        (n, 3) LPS mm each, ways of the bridges made so far.
+        (n, 3) points of each bridge made so far, LPS in mm.
     evidence
-        What the CT shows beyond the lumen that was found; asked for only where an edit adds something.
+        Function that returns the evidence in the CT; called only if an edit adds something.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class EditSteps:
         self.lumen = lumen
         self._evidence = evidence
         self.judged: set[int] = set()
-        """Branches that are new or longer, and have a wall: how sure they are is still to be measured."""
+        """IDs of new or extended branches with a wall, whose confidence is still to be measured."""
         self._found_zyx = found_zyx
         self.bridges = bridges
         self.lumen_changed = False
@@ -131,14 +131,12 @@ class EditSteps:
             case _:
                 raise UsageError(f"expected an edit of a tree; found {edit!r}")
 
-    # ------------------------------------------------------------ the edits
-
     def _add(self, lps: Point, *, even_without_evidence: bool) -> None:
         plan = planned_way(self.lumen, self._tree, self.draft, self._evidence(), lps)
         if plan.doubtful.any() and not even_without_evidence:
             raise no_evidence(plan)
         if len(plan.voxels):
-            # Not round the part in the tube that it leaves, whose wall is known.
+            # Leave out the part in the tube that the path leaves, whose wall is known.
             outside = plan.points[~self.lumen.core.inside(plan.points)]
             tube = tube_round(self._volume, outside, missed_radii(self._volume, outside))
             line = voxels_along(self._volume, plan.points)
@@ -170,7 +168,7 @@ class EditSteps:
             self.draft.shorten(branch.id, last)
         before = self.lumen.core
         self._change_lumen(NO_VOXELS, voxels)
-        # What hung on the cut piece alone: lumen without a branch of its own, a leak.
+        # Remove lumen that was only connected through the cut piece: a leak without a branch of its own.
         loose = newly_reached(before, self.lumen.core)
         loose = loose[nodes_at(self.lumen.core, self._volume.to_lps(loose.astype(np.float64))) >= 0]
         if len(loose):
@@ -203,19 +201,19 @@ class EditSteps:
             self._judge_beyond(self.draft[made], beyond)
 
     def _judge_beyond(self, bridge: Branch, beyond: Voxels) -> None:
-        """Beyond a bridge there must be an airway that goes on from it; what the CT does not show there is ``manual``.
+        """Check the airway beyond a bridge; parts of it that the CT does not show become ``manual``.
 
         Raises
         ------
         NoEvidenceError
-            If no wall is seen round what lies beyond.
+            If the CT shows too little wall beyond the bridge.
         NoResultError
-            If the airway beyond leads back to where the bridge came from.
+            If the airway beyond leads back towards the start of the bridge.
         """
         known = {(int(i), int(j), int(k)) for i, j, k in beyond}
         voxels = np.floor(self._volume.to_ijk(bridge.points) + 0.5).astype(int)
         own = np.array([(int(i), int(j), int(k)) in known for i, j, k in voxels])
-        # The bridge's own end lies in the airway beyond; its first point there begins a line.
+        # The end of the bridge is inside the airway beyond; that part begins at the first point inside it.
         first = max(int(np.argmax(own)), 1) if own.any() else len(voxels) - 1
         lines = [bridge.points[first - 1 :]]
         doubts = [self._evidence().doubtful(lines[0])]
@@ -256,7 +254,7 @@ class EditSteps:
         if place.branch_id == trunk.id and place.index == 0:
             if np.linalg.norm(path[-1] - trunk.points[0]) < MIN_ADDED_MM:
                 raise NoResultError("the tree already starts there; nothing was changed", code="track.edit-nothing")
-            # Beyond the trunk's beginning: it grows up to there.
+            # The new root is beyond the start of the trunk: extend the trunk up to it.
             above = self._drawn(trunk.points[0], path[1:])[::-1]
             points = np.concatenate([above, trunk.points[1:]])
             draft.change(trunk.id, points=points, radius=self._radius(points), cost=None)
@@ -265,7 +263,7 @@ class EditSteps:
             assert tip is not None
             draft.turn_round(tip)
         elif place.branch_id == trunk.id:
-            # What lies above the new root goes; its lumen stays.
+            # Remove the part of the trunk above the new root; its lumen stays.
             at = min(place.index, max(len(trunk.points) - 2, 0))
             draft.change(trunk.id, points=trunk.points[at:], radius=trunk.radius[at:], cost=None)
         else:
@@ -275,7 +273,11 @@ class EditSteps:
         self.lumen = self.lumen.rerooted((i, j, k))
 
     def _begin_inside(self, place: Place) -> None:
-        """Make a place inside a branch the root: a trunk of one point, where both ways begin, unless it is a tip."""
+        """Make a place inside a branch the root.
+
+        The trunk becomes a single point, at which the branches in both directions begin, unless the place is at a
+        tip.
+        """
         branch = self.draft[place.branch_id]
         last = len(branch.points) - 1
         if not branch.children and place.index >= last - 1:
@@ -344,7 +346,7 @@ class EditSteps:
 
     def _paint(self, edit: PaintLumen) -> None:
         grid = self.lumen.grid
-        # The brush covers whole voxels of the CT, as it is shown.
+        # The brush covers whole voxels of the displayed CT.
         voxels = grid.voxels_in(painted_voxels(grid.ct, edit))
         is_lumen = nodes_at(self.lumen.core, self._volume.to_lps(voxels.astype(np.float64))) >= 0
         voxels = voxels[is_lumen == edit.erase]
@@ -376,10 +378,8 @@ class EditSteps:
             points = self._ended(self.lumen.core.smooth(points, step_mm=STEP_MM, keep_end=True), points)
         self.draft.change(branch.id, points=points, radius=self._radius(points))
 
-    # ------------------------------------------------------------ the lumen
-
     def _change_lumen(self, added: Voxels, removed: Voxels) -> None:
-        """Change the lumen, and the radii of the centrelines near by."""
+        """Change the lumen, and update the radii of the centrelines near the change."""
         before = self.lumen
         self.lumen = before.changed(added, removed)
         self.lumen_changed = True
@@ -404,14 +404,21 @@ class EditSteps:
             self.draft.change(branch.id, radius=radius)
 
     def _mend(self, voxels: Voxels) -> Voxels:
-        """Bring the centrelines back into a lumen that changed; what no path reaches any more goes.
+        """Move the centrelines back into a changed lumen; remove branches that no path reaches any more.
 
-        ``voxels`` were painted or erased: centrelines beside which the wall moved are drawn again. Returns the lumen
-        voxels of the branches that went.
+        Parameters
+        ----------
+        voxels
+            Painted or erased voxels: centrelines beside which the wall moved are computed again.
+
+        Returns
+        -------
+        (n, 3) uint16
+            Lumen voxels of the removed branches.
         """
         lost: list[Points] = []
         self._keep_forks()
-        # Again where branches became one: what the other one brought may lie outside.
+        # Repeat after branches were joined: the points of the joined branch may be outside.
         for _ in range(1 + len(self._tree)):
             if not self._mend_once(voxels, lost):
                 break
@@ -422,7 +429,7 @@ class EditSteps:
         return voxels_of(self.lumen.core, np.unique(nodes[nodes >= 0]).astype(np.uint32))
 
     def _mend_once(self, voxels: Voxels, lost: list[Points]) -> bool:
-        """Look at every branch; true if a branch went, so that two others may have become one."""
+        """Check every branch once; return whether a branch was removed, so that two others may have been joined."""
         branches = self.draft.ordered()
         points, starts = together(branches)
         all_fit = self._fits(points)
@@ -432,7 +439,7 @@ class EditSteps:
             if fits.all() and not (len(voxels) and self._wall_moved(was)):
                 continue
             branch_id = was.id
-            # Gone with its parent, or one with it.
+            # The branch was removed with its parent, or joined with it.
             if branch_id not in self.draft:
                 continue
             branch = self.draft[branch_id]
@@ -457,7 +464,7 @@ class EditSteps:
         return len(lost) > num_lost
 
     def _keep_forks(self) -> None:
-        """Move forks that lie outside now to the nearest lumen within their tube, so that what is beyond stays."""
+        """Move forks outside the lumen to the nearest lumen within their tube, to keep the branches beyond."""
         forks = [branch for branch in self.draft.ordered() if branch.children]
         if not forks:
             return
@@ -484,7 +491,7 @@ class EditSteps:
         return bool(moved_mm > RECENTRE_VOXELS * min(self._volume.spacing_mm))
 
     def _tracked_again(self, branch: Branch) -> Points | None:
-        """The branch between its ends along the least-cost path; None where that path does not pass its beginning."""
+        """Return the branch between its ends along the least-cost path; None if the path does not pass its start."""
         node = int(nodes_at(self.lumen.core, branch.points[-1:])[0])
         path = self._path(node)
         off = np.linalg.norm(path - branch.points[0], axis=1)
@@ -496,8 +503,6 @@ class EditSteps:
             chain = np.concatenate([path[:-1], branch.points[-1:]])
         points = self._ended(self.lumen.core.smooth(chain, step_mm=STEP_MM, keep_end=True), chain)
         return points if self._all_inside(points) else None
-
-    # ------------------------------------------------------------ paths and the tree
 
     def _node(self, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
         return lumen_node(self.lumen, voxel, reach_mm)
@@ -511,7 +516,7 @@ class EditSteps:
         return np.unique(nodes[nodes >= 0]).astype(np.uint32)
 
     def _fits(self, points: Points) -> NDArray[np.bool_]:
-        """Whether each point lies in lumen that a path reaches."""
+        """Return flags: whether each point is in lumen that a path reaches."""
         nodes = nodes_at(self.lumen.core, points)
         fits = np.array(nodes >= 0, dtype=bool)
         fits[fits] = reached(self.lumen.core, nodes[fits].astype(np.uint32))
@@ -525,7 +530,7 @@ class EditSteps:
 
     @staticmethod
     def _ended(points: Points, ends: Points) -> Points:
-        """Exactly with the ends asked for: others begin there."""
+        """Set the ends of a line exactly to given points, at which other branches begin."""
         points[0], points[-1] = ends[0], ends[-1]
         return points
 
@@ -537,7 +542,7 @@ class EditSteps:
         return self._ended(self.lumen.core.smooth(chain, step_mm=STEP_MM, keep_end=True), chain)
 
     def _attach(self, path: Points, kind: str, least_mm: float) -> int | None:
-        """Hang the end of a path on the tree where it leaves it; None if less than ``least_mm`` is beyond."""
+        """Attach the end of a path to the tree where it leaves it; None if less than ``least_mm`` is beyond."""
         place, left = self._join(path)
         beyond = path[left:]
         if not len(beyond) or along_mm(path[left - 1 :])[-1] < least_mm:
@@ -554,7 +559,7 @@ class EditSteps:
         return parent_id
 
     def _hang(self, parent_id: int, points: Points, kind: str, asked_kind: str) -> int:
-        """A new branch at the end of another, or the other made longer where both are one; returns its id."""
+        """Add a new branch at the end of another, or extend that one if both are the same airway; return the ID."""
         parent, radius = self.draft[parent_id], self._radius(points)
         goes_on = kind == "tracked" or (kind == "bridge" and asked_kind != "bridge")
         if not parent.children and parent.kind == kind and goes_on:
@@ -572,7 +577,7 @@ class EditSteps:
         return made
 
     def _pieces(self, points: Points, kind: str) -> list[Piece]:
-        """A new centreline in pieces of one kind; ``painted`` is none: paint may lead to what was found before."""
+        """Divide a new centreline into pieces of one kind; ``painted`` lines may lead to airways found before."""
         pieces = [(points, kind)]
         if kind == "painted":
             pieces = painted_pieces(points, ~self._is_doubtful(points), MIN_ADDED_MM)
@@ -586,7 +591,7 @@ class EditSteps:
         ]
 
     def _is_doubtful(self, points: Points) -> NDArray[np.bool_]:
-        """(n,) where the search had found no lumen, and the CT shows no wall round the line either."""
+        """Return (n,) flags: whether the search found no lumen at a point and the CT shows no wall round the line."""
         i, j, k = np.floor(self._volume.to_ijk(points) + 0.5).astype(int).T
         is_new = self._found_zyx[k, j, i] == 0
         if is_new.any():
@@ -595,7 +600,7 @@ class EditSteps:
         return np.asarray(is_new)
 
     def _forget_bridges(self, cut: list[Branch]) -> None:
-        """A bridge that a person cuts was none."""
+        """Remove the bridges that the user cuts from the list of bridges."""
         if not cut or not self.bridges:
             return
         gone = np.concatenate([branch.points for branch in cut])
@@ -606,7 +611,7 @@ class EditSteps:
         )
 
     def _find_more(self, candidates: Voxels, kind: str) -> None:
-        """Branches that new lumen has and the tree has not."""
+        """Add the branches of new lumen that are missing from the tree."""
         if not len(candidates):
             return
         core = self.lumen.core
@@ -624,7 +629,7 @@ def _point(values: NDArray[np.float64]) -> Point:
 
 
 def _first_in(way: Voxels, voxels: Voxels) -> NDArray[np.int64]:
-    """The first voxel of a way that is among others; the last of the way if none is."""
+    """Return the first voxel of a path that is among other voxels, or the last of the path if none is."""
     known = {(int(i), int(j), int(k)) for i, j, k in voxels}
     for voxel in way:
         if (int(voxel[0]), int(voxel[1]), int(voxel[2])) in known:

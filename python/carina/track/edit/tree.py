@@ -1,6 +1,6 @@
-"""The airway tree while it is edited: branches that are taken away, split, joined and turned round.
+"""Draft of an airway tree during an edit: branches are removed, split, joined and reversed.
 
-Pure geometry and bookkeeping: what lies in the lumen is asked elsewhere (:mod:`carina.track.edit.edits`).
+This module contains only geometry and bookkeeping; :mod:`carina.track.edit.edits` checks points against the lumen.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ __all__ = ["Place", "TreeDraft", "along_mm", "needed_branch", "turn_deg"]
 Points = NDArray[np.float64]
 
 ONE_FORK_RADII = 0.9
-"""Two forks are one if they are nearer to each other than this multiple of the tube's radius (as when found)."""
+"""Two forks are one if their distance is below this multiple of the tube's radius (as in the search)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A point of a centreline."""
+    """Point of a centreline: branch ID and index of the point."""
 
     branch_id: int
     index: int
 
 
 def along_mm(points: Points) -> NDArray[np.float64]:
-    """Length along a centreline up to each of its points."""
+    """Return the length along a centreline up to each of its points."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def turn_deg(before: Points, after: Points) -> float:
-    """The angle between the last 5 mm of a line and the first 5 mm of the one that goes on from it."""
+    """Return the angle between the last 5 mm of a line and the first 5 mm of the line that continues it."""
     back, on = along_mm(before), along_mm(after)
     came = before[-1] - before[int(np.searchsorted(back, back[-1] - 5.0, side="right")) - 1 if back[-1] > 5.0 else 0]
     goes = after[min(int(np.searchsorted(on, 5.0)), len(after) - 1)] - after[0]
@@ -47,12 +47,12 @@ def turn_deg(before: Points, after: Points) -> float:
 
 
 def needed_branch(tree: AirwayTree, branch_id: int) -> Branch:
-    """The branch of that id.
+    """Return the branch with the given ID.
 
     Raises
     ------
     UsageError
-        If the tree has none, in a doctor's words.
+        If the tree has no such branch.
     """
     for branch in tree.branches:
         if branch.id == branch_id:
@@ -62,14 +62,14 @@ def needed_branch(tree: AirwayTree, branch_id: int) -> Branch:
 
 
 class TreeDraft:
-    """A tree whose branches change; ids stay, and new branches get ids that were never used.
+    """Tree whose branches can change; IDs stay, and new branches get IDs that were never used.
 
     Parameters
     ----------
     tree
-        What to begin with; not changed.
+        Tree to start from; not changed.
     next_id
-        The first id that was never used.
+        First ID that was never used.
     """
 
     def __init__(self, tree: AirwayTree, next_id: int) -> None:
@@ -78,13 +78,15 @@ class TreeDraft:
         self.next_id = next_id
 
     def __getitem__(self, branch_id: int) -> Branch:
+        """Return the branch with the given ID."""
         return self._branches[branch_id]
 
     def __contains__(self, branch_id: object) -> bool:
+        """Return whether the draft has a branch with the given ID."""
         return branch_id in self._branches
 
     def ordered(self) -> list[Branch]:
-        """All branches, parents before their children, in the order that parents list them."""
+        """Return all branches, parents before their children, in the order of the parents' lists."""
         found: list[Branch] = []
         waiting = [self.root_id]
         while waiting:
@@ -94,20 +96,23 @@ class TreeDraft:
         return found
 
     def below(self, branch_id: int) -> list[Branch]:
-        """A branch and all that hangs on it, parents first."""
+        """Return a branch and all branches below it, parents first."""
         found = [self._branches[branch_id]]
         for branch in found:
             found.extend(self._branches[child] for child in branch.children)
         return found
 
     def change(self, branch_id: int, **values: object) -> Branch:
-        """Replace fields of a branch."""
+        """Replace fields of a branch and return the new branch."""
         branch = dataclasses.replace(self._branches[branch_id], **values)  # type: ignore[arg-type]
         self._branches[branch_id] = branch
         return branch
 
     def add_child(self, parent_id: int | None, points: Points, radius: NDArray[np.float64], kind: str) -> int:
-        """A new branch at the end of a parent (None: the new root, whose children are told later); returns its id."""
+        """Add a branch at the end of a parent; return its ID.
+
+        Without a parent the branch is the new root; the caller sets its children.
+        """
         branch_id = self.next_id
         self.next_id += 1
         self._branches[branch_id] = Branch(branch_id, parent_id, (), 0, None, kind, points, radius)
@@ -116,10 +121,10 @@ class TreeDraft:
         return branch_id
 
     def remove(self, branch_id: int) -> None:
-        """Take a branch away with all that hangs on it.
+        """Remove a branch with all branches below it.
 
-        Its parent and the child that is left become one branch, as it was before the fork, unless both have names or
-        are of different kinds.
+        The parent of the removed branch and the only remaining child are joined, as they were before the fork,
+        unless the child has another name or is of another kind.
         """
         for branch in self.below(branch_id):
             del self._branches[branch.id]
@@ -149,7 +154,7 @@ class TreeDraft:
             self.change(grandchild, parent=branch_id)
 
     def shorten(self, branch_id: int, last: int) -> None:
-        """End a branch at one of its points; what hung on it goes."""
+        """End a branch at one of its points and remove its children."""
         for child in self._branches[branch_id].children:
             for branch in self.below(child):
                 del self._branches[branch.id]
@@ -164,7 +169,7 @@ class TreeDraft:
         )
 
     def split(self, place: Place) -> int:
-        """Split a branch at an inner point; what lies above keeps the id. Returns the id of what lies below."""
+        """Split a branch at an inner point; the upper part keeps the ID. Return the ID of the lower part."""
         branch, at = self._branches[place.branch_id], place.index
         assert 0 < at < len(branch.points) - 1
         lower_id = self.next_id
@@ -195,9 +200,10 @@ class TreeDraft:
         return lower_id
 
     def parent_at(self, place: Place, least_mm: float) -> int:
-        """The branch at whose end a new one that leaves the tree at a place begins; splits where no fork is near.
+        """Return the branch at whose end a new branch begins that leaves the tree at a place.
 
-        What would be left of a tip and is shorter than ``least_mm`` goes: no branch, only where the centreline ended.
+        The branch is split there if no fork is near. If the place is so close to a tip that less than ``least_mm``
+        would be left, the branch is shortened instead: such a rest is only the end of the centreline.
         """
         branch = self._branches[place.branch_id]
         along = along_mm(branch.points)
@@ -214,7 +220,7 @@ class TreeDraft:
         return branch.id
 
     def turn_round(self, root_branch_id: int) -> None:
-        """Make the tip of a branch, which must be a leaf, the root: the branches on the way to it run the other way."""
+        """Make the tip of a branch, which must be a leaf, the root; the branches on the path to it are reversed."""
         lineage = [root_branch_id]
         while (parent := self._branches[lineage[-1]].parent) is not None:
             lineage.append(parent)
@@ -238,7 +244,10 @@ class TreeDraft:
         self.root_id = root_branch_id
 
     def finished(self) -> tuple[Branch, ...]:
-        """The branches in order, with generations counted: a branch that its parent runs on into has passed no fork."""
+        """Return the branches in order, with generations.
+
+        The only child of a branch has the generation of its parent, because there is no fork between them.
+        """
         generation: dict[int, int] = {}
         found = []
         for branch in self.ordered():
@@ -246,7 +255,7 @@ class TreeDraft:
                 generation[branch.id] = 0
             else:
                 siblings = [self._branches[child] for child in self._branches[branch.parent].children]
-                # A branch that was drawn without evidence makes no fork for the others.
+                # A branch that was drawn without evidence does not count as a fork for its siblings.
                 is_fork = sum(other.kind != "manual" or branch.kind == "manual" for other in siblings) > 1
                 generation[branch.id] = generation[branch.parent] + int(is_fork)
             found.append(dataclasses.replace(branch, generation=generation[branch.id]))
@@ -254,7 +263,7 @@ class TreeDraft:
 
 
 def _share_mm(branch: Branch, last: int) -> float:
-    """What of a branch's doubtful length lies before one of its points: doubt is told for a whole branch only."""
+    """Return the doubtful length before a point; doubt is stored per branch and is assumed to be evenly distributed."""
     along = along_mm(branch.points)
     return branch.doubtful_mm * float(along[last] / along[-1]) if branch.doubtful_mm > 0.0 and along[-1] > 0.0 else 0.0
 

@@ -1,4 +1,4 @@
-"""The way of a branch that a person adds: what is previewed under the pointer is what the click makes."""
+"""Path of a branch that a user adds; preview and edit use the same path."""
 
 from __future__ import annotations
 
@@ -26,54 +26,54 @@ from carina.volume.model import Volume
 __all__ = ["BranchWay", "PlannedWay", "branch_way", "join_of", "lumen_node", "no_evidence", "planned_way", "together"]
 
 MIN_ADDED_MM = 1.0
-"""A branch that ends nearer than this to where it leaves the tree is there already."""
+"""A branch shorter than this beyond the tree is already in the tree."""
 FORK_RADII = 1.0
-"""A path has left a tube when it is farther from its middle than this multiple of its radius (as when found)."""
+"""A path has left a tube if it is farther from its centreline than this multiple of its radius (as in the search)."""
 LEAST_LEFT_MM = 3.0
-"""What would be left of a tip behind a new fork and is shorter than this, or 1.5 slices, goes."""
+"""A rest of a tip behind a new fork that is shorter than this, or than 1.5 slices, is removed."""
 LEAST_TOLD_MM = 5.0
-"""A shorter piece with evidence is not worth a click of its own: the message does not speak of it."""
+"""The message does not mention shorter pieces with evidence, which are not worth adding separately."""
 SMOOTH_MM, STEP_MM = 1.0, 1.0
-"""A way's steps from voxel to voxel are smoothed over this (sigma), and drawn with points so far apart."""
+"""Sigma of the smoothing of a path of voxels, and distance of its points."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchWay(EditPreview):
-    """The way of the branch that :class:`carina.track.AddBranch` would make to a point, before it is asked for."""
+    """Path of the branch that :class:`carina.track.AddBranch` would create to a point."""
 
     parent_id: int | None
-    """The branch that it leaves; None where there is a problem."""
+    """ID of the branch that it leaves; None if there is a problem."""
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
-        """(n, 3) LPS mm from the tree to the point; (0, 3) where there is a problem."""
+        """Points (n, 3) from the tree to the target, LPS in mm; (0, 3) if there is a problem."""
         return self.lines[0].points_lps if self.lines else np.empty((0, 3))
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
-        """(n-1,) for each segment, whether the CT shows no wall round it."""
+        """Flags (n-1,): whether the CT shows no wall round each segment."""
         return self.lines[0].doubtful if self.lines else np.empty(0, dtype=bool)
 
 
 def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | NDArray[np.float64]) -> BranchWay:
-    """The very way that ``AddBranch(lps)`` makes, without making it: fast enough to follow a pointer.
+    """Return the path that ``AddBranch(lps)`` would create, fast enough to follow a pointer.
 
-    What is computed once per volume (how enclosed its lung looks, for comparison) is computed at the first call.
+    The first call also computes the comparison values of the volume's lung.
 
     Parameters
     ----------
     volume
-        The CT that ``airways`` were found in.
+        The CT in which ``airways`` were found.
     airways
-        Not changed.
+        Airways before the edit; not changed.
     lps
-        Where the branch is to end, LPS mm.
+        End of the branch, LPS in mm.
 
     Returns
     -------
     BranchWay
-        Also where nothing can be added: see ``problem``.
+        The path; if nothing can be added, no lines and a ``problem``.
     """
     x, y, z = (float(value) for value in lps)
     lumen = EditedLumen(airways.tracker.grid, airways.tracker.core)
@@ -93,18 +93,18 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedWay:
-    """A branch that is about to be added to a draft of the tree."""
+    """Path of a branch that is about to be added to a draft of the tree."""
 
     points: Points
-    """(n, 3) as it will be drawn; the first is the end of ``parent_id``."""
+    """Points (n, 3) of the future centreline, LPS in mm; the first is the end of ``parent_id``."""
     doubtful: NDArray[np.bool_]
-    """(n-1,) per segment."""
+    """Flags (n-1,): whether each segment is doubtful."""
     voxels: Voxels
-    """(m, 3) the way outside the lumen, from the lumen to the point, by faces; (0, 3) where it lies inside."""
+    """Voxels (m, 3) of the path outside the lumen, as face neighbours; (0, 3) if the path is inside it."""
     parent_id: int
-    """The branch of the draft at whose end it begins, which may have been split for that."""
+    """ID of the branch of the draft at whose end it begins; that branch may have been split for it."""
     leaves_id: int
-    """The branch of the tree before the edit that it leaves."""
+    """ID of the branch that it leaves in the tree before the edit."""
 
     @property
     def doubtful_mm(self) -> float:
@@ -113,14 +113,14 @@ class PlannedWay:
 
 
 def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence: Evidence, lps: Point) -> PlannedWay:
-    """The way to a point; the draft is split where it leaves the tree.
+    """Plan the path of a new branch to a point; the draft is split where the path leaves the tree.
 
     Raises
     ------
     UsageError
-        If the point lies outside the volume.
+        If the point is outside the volume.
     NoResultError
-        If the tree is there already, the point is tissue, or no way leads to it.
+        If the tree already reaches the point, the point is tissue, or no path leads to it.
     """
     voxel = voxel_of(lumen.volume, lps)
     way = np.zeros((0, 3), dtype=np.uint16)
@@ -147,7 +147,7 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
     doubtful = _doubtful(lumen, evidence, points, draft[parent_id])
     is_shorter = not draft[parent_id].children and len(draft[parent_id].points) < len(left_before.points)
     if is_shorter and kind_of_added(doubtful) == "manual":
-        # What is drawn by hand takes nothing away: it begins where the branch ends.
+        # A branch drawn by hand must not shorten another one: it begins at the end of that branch.
         draft.change(
             parent_id,
             points=left_before.points,
@@ -168,7 +168,7 @@ def _line(lumen: EditedLumen, parent: Branch, beyond: Points, *, is_inside: bool
 def _doubtful(lumen: EditedLumen, evidence: Evidence, points: Points, parent: Branch) -> NDArray[np.bool_]:
     inside = lumen.core.inside(points)
     if inside.all():
-        # In lumen already: found by the search, or painted, which is no evidence.
+        # Already in lumen: found by the search, or painted, which is not evidence.
         i, j, k = np.floor(lumen.volume.to_ijk(points) + 0.5).astype(int).T
         was_found = evidence.found_zyx[k, j, i] != 0
         return np.asarray(evidence.doubtful(points) & ~(was_found[1:] & was_found[:-1]))
@@ -179,7 +179,7 @@ def _doubtful(lumen: EditedLumen, evidence: Evidence, points: Points, parent: Br
 
 
 def no_evidence(plan: PlannedWay) -> NoEvidenceError:
-    """The refusal of a way, which says where the evidence ends and what to do."""
+    """Return the error for a path without evidence, which states where the evidence ends and what to do."""
     along = along_mm(plan.points)
     first_mm = float(along[int(np.argmax(plan.doubtful))])
     total_mm, doubtful_mm = float(along[-1]), plan.doubtful_mm
@@ -201,14 +201,14 @@ def no_evidence(plan: PlannedWay) -> NoEvidenceError:
 
 
 def drawn(chain: Points) -> Points:
-    """A smooth line with a point every mm along voxel centres; both ends stay."""
+    """Return a smooth line with a point every mm along voxel centres; both ends are unchanged."""
     along = along_mm(chain)
     fine = np.linspace(0.0, along[-1], max(2, int(np.ceil(4.0 * along[-1])) + 1))
     line = np.stack([np.interp(fine, along, chain[:, axis]) for axis in range(3)], axis=1)
     step_mm = along[-1] / (len(fine) - 1) if along[-1] > 0.0 else 1.0
     reach = int(np.ceil(3.0 * SMOOTH_MM / step_mm))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step_mm / SMOOTH_MM) ** 2)
-    # Mirrored through its ends, a line keeps them.
+    # Mirroring the line through its ends keeps the ends in place.
     before, after = 2.0 * line[:1] - line[1 : reach + 1][::-1], 2.0 * line[-1:] - line[-reach - 1 : -1][::-1]
     padded = np.concatenate([before, line, after])
     if len(padded) == len(line) + 2 * reach:
@@ -221,18 +221,18 @@ def drawn(chain: Points) -> Points:
 
 
 def _ended(points: Points, ends: Points) -> Points:
-    """Exactly with the ends asked for: others begin there."""
+    """Set the ends of a line exactly to given points, at which other branches begin."""
     points[0], points[-1] = ends[0], ends[-1]
     return points
 
 
 def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
-    """The node of a voxel, or the nearest one within ``reach_mm``, that a path leads to.
+    """Return the node of a voxel, or the nearest node within ``reach_mm``, that a path reaches.
 
     Raises
     ------
     NoResultError
-        If there is none.
+        If there is no such node.
     """
     volume = lumen.volume
     x, y, z = (float(value) for value in volume.to_lps(voxel.astype(np.float64)))
@@ -248,24 +248,24 @@ def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0
 
 
 def path_to(lumen: EditedLumen, node: int) -> Points:
-    """Voxel centres from the root to a node."""
+    """Return the voxel centres from the root to a node, LPS in mm."""
     found = lumen.core.path(node)
     assert found is not None
     return found[0]
 
 
 def together(branches: list[Branch]) -> tuple[Points, NDArray[np.int64]]:
-    """The points of all branches in one array, and where each branch begins in it."""
+    """Return the points of all branches in one array, and the index at which each branch begins."""
     points = np.concatenate([branch.points for branch in branches])
     starts = np.cumsum([0, *(len(branch.points) for branch in branches[:-1])])
     return points, starts
 
 
 def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[Place, int]:
-    """Where a path leaves the tree, and the first of its points that lies beyond.
+    """Return the place at which a path leaves the tree, and the index of its first point beyond.
 
-    A point of the path still belongs to a tube while some point of its centreline is within its radius and in
-    sight.
+    A point of the path is still inside a tube if some point of the tube's centreline is within its radius and
+    visible from it.
     """
     tree_points, starts = together(branches)
     radius = np.concatenate([branch.radius for branch in branches])
@@ -290,7 +290,7 @@ def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[P
                 order = order[sees(lumen.core, same, tree_points[order])]
             if not len(order):
                 if first + n == 0:
-                    # The root itself: the trunk begins there.
+                    # The first point is the root, at which the trunk begins.
                     continue
                 return Place(int(owner[place]), int(index[place])), leaves + 1
             leaves, place = first + n, int(order[0])

@@ -1,1 +1,1 @@
-"""From a volume to its airways: trachea, growth, what lies beyond, and what is to be doubted."""
+"""Search for the airways in a volume: trachea, growth of the lumen, small airways, and doubts about the result."""

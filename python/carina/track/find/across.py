@@ -1,4 +1,4 @@
-"""What the CT shows across an axis: the lumen's edge, and the outer border of a bronchus against the lung."""
+"""CT values on planes across an axis: the edge of the lumen, and the outer border of a bronchus against the lung."""
 
 from __future__ import annotations
 
@@ -19,34 +19,35 @@ Floats = NDArray[np.float64]
 NUM_RAYS = 32
 HALF_HU = -500.0
 LUNG_HU = -650.0
-"""Beyond the outer border the values fall at least so low: lung, not fat or the mediastinum."""
+"""Highest value of lung, in HU; beyond an outer border the values fall to it (fat and mediastinum are brighter)."""
 BORDER_MM = 1.5
-"""And within this distance of it."""
+"""Distance beyond the outer border within which the values must fall to ``LUNG_HU``."""
 NUM_CENTRED = 5
 LEAST_SEEN = 0.4
-"""Share of sides on which the outer border must be seen."""
+"""Smallest share of the sides on which the outer border must be visible."""
 LEAST_OCTANTS = 5
 ROUND = 0.15
-"""A border lies so near to a circle, in radii."""
+"""Largest distance of a border from the fitted circle, as a share of the radius."""
 CORE_MM = 0.8
-"""What lies on an axis is the mean over a disc of this radius."""
+"""Radius of the disc over which values on an axis are averaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """Values on a square grid across an axis."""
+    """CT values on a square grid across an axis."""
 
     values: Floats
-    """(n, n)"""
+    """(n, n) values of the CT, on its own scale."""
     off_mm: Floats
-    """(n, n, 2) each sample's place in the plane, from its centre."""
+    """(n, n, 2) offset of each sample from the centre of the plane, in mm along ``across``."""
     step_mm: float
+    """Distance between neighbouring samples."""
     across: Points
-    """(2, 3) unit vectors of the plane."""
+    """(2, 3) unit vectors of the plane, LPS."""
 
 
 class Across:
-    """A volume without its finest noise, looked at across axes.
+    """Sampler of a volume on rays and planes across an axis.
 
     Parameters
     ----------
@@ -58,17 +59,17 @@ class Across:
         self._values = Enclosures(volume.hu_zyx, volume.lps_from_ijk)
         self.scale: AirScale = air_scale(volume)
         self.half = float(self.scale.level(HALF_HU))
-        """Half-way between air and soft tissue."""
+        """Value half-way between air and soft tissue."""
         self.lung = float(self.scale.level(LUNG_HU))
         self.step_mm = 0.5 * float(min(volume.spacing_mm))
 
     def values_at(self, points_lps: Points) -> Floats:
-        """(...,) trilinear values at (..., 3) points."""
+        """Return (...,) trilinear values at (..., 3) points (LPS, mm)."""
         flat = self._values.values_at(np.ascontiguousarray(points_lps.reshape(-1, 3), dtype=np.float64))
         return np.asarray(flat, dtype=np.float64).reshape(points_lps.shape[:-1])
 
     def along(self, points_lps: Points, direction: Points) -> Floats:
-        """(n,) what lies on an axis at each of (n, 3) points: the mean over a small disc across it."""
+        """Return (n,) mean values over a small disc across the axis, at each of (n, 3) points (LPS, mm)."""
         across = _across(direction)
         ring = 2.0 * np.pi * np.arange(6) / 6
         off = CORE_MM * (np.cos(ring)[:, None] * across[0] + np.sin(ring)[:, None] * across[1])
@@ -77,7 +78,7 @@ class Across:
         return result
 
     def share_of_tissue(self, points_lps: Points, direction: Points, radius_mm: float) -> float:
-        """How much of discs of a radius round (n, 3) points is tissue."""
+        """Return the share of tissue in discs of the given radius round (n, 3) points (LPS, mm)."""
         across = _across(direction)
         ring = 2.0 * np.pi * np.arange(12) / 12
         sides = np.cos(ring)[:, None] * across[0] + np.sin(ring)[:, None] * across[1]
@@ -85,7 +86,7 @@ class Across:
         return float((self.values_at(points_lps[:, None, :] + off[None]) >= self.half).mean())
 
     def rays(self, centre_lps: Points, direction: Points, reach_mm: float) -> Floats:
-        """(32, n) values on rays across an axis, one each ``step_mm``; opposite rays are 16 apart."""
+        """Return (32, n) values on rays across an axis, one value per ``step_mm``; ray i is opposite to ray i + 16."""
         across = _across(direction)
         angle = 2.0 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
         sides = np.cos(angle)[:, None] * across[0] + np.sin(angle)[:, None] * across[1]
@@ -93,19 +94,25 @@ class Across:
         return self.values_at(centre_lps + sides[:, None, :] * off[None, :, None])
 
     def inner_mm(self, rays: Floats, least_rise: float) -> Floats:
-        """(32,) where each ray from a lumen has risen half-way to its wall; NaN where there is none."""
+        """Return (32,) distances in mm at which each ray from a lumen has risen half-way to its wall.
+
+        The distance is NaN where the ray rises by less than ``least_rise``.
+        """
         own = float(rays[:, 0].mean())
         peak = rays.max(axis=1)
         half = 0.5 * (own + np.minimum(peak, self.scale.level(0.0)))
         return np.where(peak - own >= least_rise, _first_mm(rays - half[:, None], self.step_mm), np.nan)
 
     def outer_mm(self, rays: Floats) -> Floats:
-        """(32,) where each ray leaves tissue for the lung for good, within the rays' reach; NaN where it does not."""
+        """Return (32,) distances in mm at which each ray finally leaves tissue for the lung.
+
+        The distance is NaN if the ray does not leave tissue, or leaves it too close to the end of the ray.
+        """
         tissue = rays >= self.half
         size = rays.shape[1]
         last = size - 1 - np.argmax(tissue[:, ::-1], axis=1)
         reach = max(round(BORDER_MM / self.step_mm), 1)
-        # A border needs room beyond it to be seen.
+        # A border is only recognised if the ray continues far enough beyond it.
         seen = tissue.any(axis=1) & (last + reach < size)
         at = np.minimum(last, size - 2)
         place = np.arange(len(rays))
@@ -115,10 +122,10 @@ class Across:
         return np.where(seen & (low <= self.lung), (at + share) * self.step_mm, np.nan)
 
     def middle(self, centre_lps: Points, direction: Points, reach_mm: float) -> tuple[Points, float] | None:
-        """The middle of a solid cord and its outer width, from a place inside it.
+        """Return the centre of a solid cord (LPS, mm) and its outer width in mm, from a point inside the cord.
 
-        A circle through its border against the lung; vessels that lie against it are left out. None where too little of
-        the border is seen, or it is not round.
+        The result is a circle through the border of the cord against the lung; vessels beside the cord are left out.
+        Returns None if too little of the border is visible, or if the border is not round.
         """
         across = _across(direction)
         angle = 2.0 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
@@ -138,7 +145,7 @@ class Across:
         return None if found is None else (centre, 2.0 * found[1])
 
     def plane(self, centre_lps: Points, direction: Points, reach_mm: float) -> Plane:
-        """Values on a square that reaches so far to each side."""
+        """Return the values on a square across an axis that extends ``reach_mm`` to each side of the centre."""
         across = _across(direction)
         count = int(np.ceil(reach_mm / self.step_mm))
         at = np.arange(-count, count + 1) * self.step_mm
@@ -147,7 +154,7 @@ class Across:
 
 
 def _across(direction: Points) -> Points:
-    """(2, 3) unit vectors across a direction."""
+    """Return (2, 3) unit vectors across a direction."""
     along = direction / max(float(np.linalg.norm(direction)), 1e-9)
     one = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
     one /= np.linalg.norm(one)
@@ -155,7 +162,7 @@ def _across(direction: Points) -> Points:
 
 
 def _first_mm(above: Floats, step_mm: float) -> Floats:
-    """Where each row of values first reaches 0, from below."""
+    """Return the distance in mm at which each row of values first reaches 0 from below; NaN where no value does."""
     reached = above >= 0.0
     first = np.maximum(reached.argmax(axis=1), 1)
     place = np.arange(len(above))
@@ -165,7 +172,10 @@ def _first_mm(above: Floats, step_mm: float) -> Floats:
 
 
 def _circle(points: Floats, step_mm: float) -> tuple[Floats, float] | None:
-    """Middle and radius of the circle through most of (n, 2) points round the origin (Kasa 1976)."""
+    """Return centre and radius of the circle through most of (n, 2) points round the origin (Kasa 1976).
+
+    Returns None if the points cover too few sides or are not round.
+    """
     kept = np.ones(len(points), dtype=bool)
     for _ in range(4):
         own = points[kept]
@@ -179,7 +189,7 @@ def _circle(points: Floats, step_mm: float) -> tuple[Floats, float] | None:
             return None
         middle, radius = np.array([x, y]), float(np.sqrt(squared))
         off = np.abs(np.linalg.norm(points - middle, axis=1) - radius)
-        # Half of the sides at least: a vessel beside it makes the first circle too wide.
+        # Keep at least 40 % of the points: a vessel beside the cord makes the first circle too wide.
         limit = max(ROUND * radius, 0.5 * step_mm, float(np.quantile(off, 0.4)))
         if np.array_equal(kept, off <= limit):
             break

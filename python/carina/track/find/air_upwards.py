@@ -1,4 +1,4 @@
-"""The air of the trachea followed upwards, slice by slice, into larynx and throat where the scan reaches them."""
+"""Sections of the trachea's air, followed upwards slice by slice into larynx and throat."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 __all__ = ["Section", "disc", "follow_up", "grown", "spread"]
 
-# Half the side of what is looked at in each slice.
+# Half the side of the square window that is examined in each slice.
 WINDOW_MM = 45.0
-# A section's edge moves by no more than this per mm up: what leaves the trachea to the front or side is not followed.
+# The edge of a section moves by at most this per mm of height, so air that leaves the trachea sideways or forwards is
+# not followed.
 SPREAD_PER_MM = 1.0
-# The wall of a tube is up to 1.5 mm thick; across so much the air beside it counts to it.
+# The wall of a tube is up to 1.5 mm thick; air across a wall of this thickness belongs to the section.
 BRIDGED_MM = 1.2
-# Cords that are shut hide the air between trachea and vestibule for no more than this.
+# Closed vocal cords hide the air between trachea and vestibule for at most this length.
 LOST_MM = 14.0
-# Air in the tube's neighbourhood, not lung.
+# Upper limit of air near a tube; lung is brighter.
 AIR_HU = -930.0
 BESIDE_MM = 3.2
 ROUND_MM = 2.5
-# Plastic and its line for X-rays, between air on both sides: at least this much of it, with at least this peak.
+# Least area and peak of plastic and its radiopaque line between air and air.
 SEPTUM_MM2 = 12.0
 SEPTUM_HU = 150.0
 IN_A_TUBE = 3
@@ -37,33 +38,36 @@ IN_A_TUBE = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """The trachea, larynx or throat in one slice."""
+    """Section of the trachea, larynx or throat in one slice."""
 
     k: int
+    """Index of the slice."""
     corner: tuple[int, int]
-    """The first voxel (j, i) of the masks."""
+    """First voxel (j, i) of the masks."""
     air: NDArray[np.bool_]
-    """(ny, nx) in the window: its air."""
+    """Mask (ny, nx) of the air, in the window."""
     whole: NDArray[np.bool_]
-    """The air and what it encloses or nearly encloses: the wall of a tube."""
+    """Mask of the air and everything that it encloses or nearly encloses, such as the wall of a tube."""
     voxel: tuple[int, int, int]
-    """A voxel (i, j, k) of its air, nearest to its middle."""
+    """Voxel (i, j, k) of the air, nearest to the centre of the section."""
     centre_lps: NDArray[np.float64]
+    """Centre of the section, LPS in mm."""
     area_mm2: float
+    """Area of ``whole``."""
     width_mm: float
-    """From right to left."""
+    """Extent from right to left."""
     depth_mm: float
-    """From front to back."""
+    """Extent from front to back."""
     septum_mm2: float
-    """What is no air between its air."""
+    """Area of material other than air that the air encloses."""
     septum_hu: float
-    """Median of what is no air between its air; NaN where there is none."""
+    """Median value of the enclosed material; NaN if there is none."""
     noise_hu: float
-    """Standard deviation of its air, from the median deviation."""
+    """Standard deviation of the air, from the median deviation."""
     peak: float
-    """The brightest value in it or close round it, in HU."""
+    """Highest value in the section or close round it, in HU."""
     leaves_in_front: bool
-    """Air goes on in front of it, beyond what is followed."""
+    """Whether the air continues in front of the section, beyond the followed part."""
 
     def window_of(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return the part of (nz, ny, nx) values that the masks cover."""
@@ -100,24 +104,25 @@ SIDES = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 
 
 def grown(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels of ``within`` that are connected to ``start`` by their sides."""
+    """Return the pixels of ``within`` that are connected to ``start`` through pixel sides."""
     out = start & within
     size = -1
     while size != (size := int(out.sum())):
-        # Several steps at once: counting costs as much as a step.
+        # Grow by several steps at once: counting costs as much as a step.
         for _ in range(4):
             out = spread(out, SIDES) & within
     return out
 
 
 def filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (ny, nx) with its holes filled."""
     outside = np.zeros_like(mask)
     outside[[0, -1], :] = outside[:, [0, -1]] = True
     return ~grown(outside, ~mask)
 
 
 def closed(mask: NDArray[np.bool_], offsets: list[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Gaps narrower than the offsets' disc closed, then holes filled."""
+    """Return a mask with gaps narrower than the disc of the offsets closed, and then its holes filled."""
     wider = spread(np.pad(mask, 4), offsets)
     tight = ~spread(~wider, offsets)
     return filled(tight[4:-4, 4:-4] | mask)
@@ -128,18 +133,28 @@ def follow_up(
 ) -> list[Section]:
     """Return the sections of the trachea's air from a voxel upwards, until the air or the scan ends.
 
-    Each section is the air that touches the section below it. The air in a tube and the air around it are one section.
+    Each section is the air that touches the section below it. The air in a tube and the air round the tube are one
+    section.
 
     Parameters
     ----------
     volume
-        In canonical order: slices from the feet up.
+        Volume in canonical order: slices from the feet up.
+    scale
+        Conversion from HU to the values of the volume.
     air
-        Values below are air.
+        Upper limit of air, in the numbers of the volume.
     start
-        (i, j, k) in the trachea's air.
+        Voxel (i, j, k) in the air of the trachea.
+    stage
+        Cancels the search.
     down
-        The other way.
+        Whether to follow the air downwards instead.
+
+    Raises
+    ------
+    CancelledError
+        If the stage was cancelled.
     """
     dx, dy, dz = volume.spacing_mm
     step = (dy, dx)
@@ -197,7 +212,7 @@ def follow_up(
         own = values[region].astype(np.float64)
         noise_hu = 1.4826 * float(np.median(np.abs(own - np.median(own)))) * to_hu
         septum_hu = (float(np.median(values[septum])) - zero) * to_hu if septum.any() else float("nan")
-        # Some slices with a wall between air and air make a tube; what stands on its cuff does not end it.
+        # Several slices with a wall between air and air show a tube; fluid above its cuff does not end the tube.
         if tubes < IN_A_TUBE:
             tubes = tubes + 1 if septum_mm2 >= SEPTUM_MM2 else 0
         found.append(
@@ -223,7 +238,7 @@ def follow_up(
 
 
 def _moved(mask: NDArray[np.bool_], dj: int, di: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return a mask in a window of this shape that begins ``dj`` and ``di`` voxels later."""
+    """Return a mask moved to a window of the given shape that begins ``dj`` and ``di`` voxels later."""
     out = np.zeros(shape, dtype=np.bool_)
     part = mask[max(dj, 0) : max(dj, 0) + shape[0] - max(-dj, 0), max(di, 0) : max(di, 0) + shape[1] - max(-di, 0)]
     out[max(-dj, 0) : max(-dj, 0) + part.shape[0], max(-di, 0) : max(-di, 0) + part.shape[1]] = part

@@ -1,4 +1,4 @@
-"""Ends of the airways: where the search lost an airway, and what the CT proves about each end."""
+"""Ends of the airways: the places where the search lost an airway, and the evidence in the CT for each end."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["find_uncertain"]
 
 Points = NDArray[np.float64]
 
-# Airways thinner than this are at the end of what a CT shows; one that ends wider has been lost on the way.
+# Thinner airways are at the limit of a CT; an airway that ends wider was lost.
 FINE_MM = 2.5
 FINE_VOX = 3.0
-# The ball that the flood closes round a breach.
+# Radius of the ball that the flood closes round a leak.
 NEAR_LEAK_MM = 10.0
-# The lumen's end and the filling that it ends at.
+# Largest distance between the end of the lumen and the filling at which it ends.
 AT_END_MM = 4.0
-# The last stretch of a branch runs into its blind end: its calibre is read before it.
+# The calibre is measured from CALIBRE_MM to BLUNT_MM before the tip: the last part runs into the blind end.
 BLUNT_MM = 2.0
 CALIBRE_MM = 8.0
 
@@ -37,16 +37,21 @@ def find_uncertain(
 
     Parameters
     ----------
+    volume
+        The CT that was searched.
+    tree
+        The airway tree.
     leaks_lps
-        (n, 3) LPS mm, where the growth was stopped because it would have run out into the lung.
+        (n, 3) LPS mm, points at which the growth was stopped because it would have leaked into the lung.
     filled
-        Places where something fills or narrows a lumen, found before. The result has those that are still at a branch
-        of the tree; an end at such a place is not listed by itself.
+        Filled or narrowed places that were found before. Places that are still at a branch of the tree are returned
+        too; an end at such a place is not listed separately.
 
     Returns
     -------
     tuple of Uncertainty
-        The widest first; last, where the CT stops being trustworthy.
+        The widest first. If some ends are too thin for the CT, the last entry is of kind ``fine`` and states their
+        median calibre.
     """
     voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
     fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)
@@ -94,7 +99,7 @@ def _with_slice(volume: Volume, place: Uncertainty) -> Uncertainty:
 
 
 def _end(volume: Volume, look: Across, branch: Branch, calibre_mm: float) -> Uncertainty:
-    """Return an end that is wide enough to go on: blocked or a stump where the CT proves it, otherwise lost."""
+    """Return an end that is wide enough to continue: blocked or a stump if the CT proves it, otherwise lost."""
     evidence = find_end_evidence(volume, look, branch, calibre_mm)
     if evidence is None:
         return _uncertain(branch.tip_lps, "lost", branch.id, calibre_mm)
@@ -127,29 +132,29 @@ def _uncertain(
 
 
 def _still_filled(tree: AirwayTree, place: Uncertainty) -> Uncertainty | None:
-    """Return the place with its nearest branch; None if the bronchus was removed or an edit leads beyond the place."""
+    """Return the place with its nearest branch; None if the bronchus was removed or the tree continues beyond it."""
     at = np.array(place.lps)
     branch, index, away_mm = tree.nearest_branch(at)
     if place.beyond_lps is not None:
         other, nearest, beyond_mm = tree.nearest_branch(np.array(place.beyond_lps))
         if beyond_mm <= max(float(other.radius[nearest]), 1.0):
-            # A path leads there now: what is in the way stays told, without a bridge to make.
+            # A path leads beyond the filling now: the place stays listed, but needs no bridge.
             return msgspec.structs.replace(place, branch_id=branch.id, beyond_lps=None)
     reach_mm = float(branch.radius[index]) + 0.5 * (place.calibre_mm or 0.0)
     if place.beyond_lps is not None:
-        # The lumen ends where the filling begins.
+        # Add the distance to the end of the lumen, which is where the filling begins.
         reach_mm += 0.5 * (place.length_mm or 0.0) + AT_END_MM
     return msgspec.structs.replace(place, branch_id=branch.id) if away_mm <= reach_mm else None
 
 
 def _ends_at(branch: Branch, place: Uncertainty) -> bool:
-    """Whether a branch ends in what fills a place."""
+    """Return whether a branch ends at the filling of a place."""
     off_mm = float(np.linalg.norm(branch.tip_lps - np.array(place.lps)))
     return off_mm <= 0.5 * (place.length_mm or 0.0) + AT_END_MM
 
 
 def _calibre_mm(branch: Branch) -> float:
-    """Diameter of the last stretch of a branch before its blind end."""
+    """Return the diameter (mm) of the last part of a branch before its blind end."""
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     to_tip = float(steps.sum()) - np.concatenate([[0.0], np.cumsum(steps)])
     stretch = (to_tip >= min(BLUNT_MM, 0.5 * to_tip[0])) & (to_tip <= CALIBRE_MM)
@@ -158,7 +163,7 @@ def _calibre_mm(branch: Branch) -> float:
 
 
 def _leaves_volume(volume: Volume, branch: Branch, calibre_mm: float) -> bool:
-    """Return whether the tip is nearer to a face of the volume than its own radius and a voxel."""
+    """Return whether the tip is closer to a face of the volume than its own radius plus a voxel."""
     ijk = volume.to_ijk(branch.tip_lps)
     last = np.array(volume.shape_zyx[::-1]) - 1
     spacing = np.array(volume.spacing_mm)

@@ -1,4 +1,4 @@
-"""From a volume to its airways."""
+"""Entry point of airway segmentation: from a CT volume to the airway lumen and its tree."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from carina.volume.sparse_mask import sparse_mask
 
 __all__ = ["Airways", "find_airways"]
 
-# Trachea, two main, five lobar and some segmental bronchi: with fewer there is too little to tell lobes apart.
+# Trachea, two main, five lobar and some segmental bronchi: fewer branches do not suffice to distinguish the lobes.
 MIN_GRAMMAR_BRANCHES = 12
 
 
@@ -83,41 +83,46 @@ def find_airways(
     volume
         A chest CT, in HU or not.
     root_lps
-        Where the paths begin, LPS mm; by default the top of the trachea. A point in the trachea, or in the larynx and
+        Start of the paths, LPS in mm; by default the top of the trachea. A point in the trachea, or in the larynx
+        and
         throat above it, selects that trachea: the paths begin at its top. A point outside the lumen is moved to the
-        nearest lumen voxel within 5 mm. Needed where the trachea is not in view. In ``lumen_zyx`` the paths begin at
-        the point itself.
+        nearest lumen voxel within 5 mm. Required if the trachea is not in the scan. With ``lumen_zyx`` the paths
+        begin
+        at the point itself.
     lumen_threshold
-        Value at which the lumen ends, in the volume's own numbers; -800 HU unless told, or from the histogram where the
-        volume is not in HU. Where it is told, the lumen is not followed beyond it by its shape.
+        Value at which the lumen ends, in the volume's own numbers; by default -800 HU, or a value from the histogram
+        if
+        the volume is not in HU. If a threshold is given, small airways are not traced by the shape of their walls
+        beyond it.
     lumen_zyx
-        A lumen from another tool, (nz, ny, nx), not 0 inside, on the volume's grid: used instead of the automatic one.
-        Of several pieces the one with the root counts; a note says how much is not connected to it, and how much of it
-        is no air in this CT.
+        Lumen mask from another tool, (nz, ny, nx), nonzero inside, on the grid of the volume. The mask replaces the
+        automatic lumen. Only the piece that contains the root is used; notes state how much is not connected to that
+        piece, and how much of the mask is not air in this CT.
     notes
-        What is known beforehand, such as where ``lumen_zyx`` is from; said first.
+        Texts that are put before the notes of the search, such as the origin of ``lumen_zyx``.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the search stops when it returns True.
 
     Returns
     -------
     Airways
-        Lumen, root, tree with generations, names and confidence, tracker, notes on what was limited, and what could not
-        be followed.
+        Lumen, root, tree with generations, names and confidence, path tracker, notes on the limits of the search,
+        and
+        places where an airway could not be followed.
 
     Raises
     ------
     NoResultError
-        If there is no trachea, no lumen at the root, or the lumen is empty; the message says which.
+        If there is no trachea, no lumen at the root, or the lumen is empty; the message states which.
     UsageError
         If the root is not in the volume, or the threshold leaves no lumen.
     GeometryError
         If ``lumen_zyx`` is not on the volume's grid.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     See Also
     --------
@@ -152,7 +157,8 @@ def find_airways(
     except NoResultError:
         if not grid.is_divided or given is not None:
             raise
-        # Noise may have opened the walls of the trachea in the divided slices alone.
+        # Noise may have opened the walls of the trachea only in the divided slices: repeat the search in the original
+        # slices.
         found = _found(PathGrid(order.volume), root, lumen_threshold, given, stage)
     airways = order.put_back(found)
     return dataclasses.replace(airways, notes=(*notes, *airways.notes))
@@ -171,8 +177,18 @@ def _found(
 
     Parameters
     ----------
+    grid
+        Grid of the search.
+    root
+        Start of the paths, LPS in mm; None to find the trachea.
+    lumen_threshold
+        Value at which the lumen ends; None for the default.
+    given
+        Lumen mask from another tool, on the grid; None to find the lumen.
+    stage
+        Receives progress and cancels the search.
     known
-        The disturbed parts of the CT, if they were found before; closed parts are not searched.
+        Disturbed parts of the CT, if they were found before; parts that are closed are not searched.
     """
     if grid.is_divided:
         stage.begin("dividing the slices")
@@ -181,14 +197,14 @@ def _found(
     was_given_root = root is not None
     found_notes: list[str] = []
     badges: list[Note] = []
-    # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
+    # None for a lumen from another tool: it need not agree with this CT and is not judged by it.
     noise: float | None = None
     searched = volume
     leaks = np.empty((0, 3))
     beyond = NOTHING_BEYOND
     size = 1.0
     rims_hu: float | None = None
-    # None: the root was not found by a split into two main bronchi.
+    # None if the root was not found by the split into two main bronchi.
     trachea_mm: float | None = None
     top: TopOfTrachea | None = None
     given_start: GivenStart | None = None
@@ -205,7 +221,8 @@ def _found(
         disturbed = find_disturbed(grid) if known is None else dataclasses.replace(known, grid=grid)
         grown = grow(disturbed, root, lumen_threshold, stage)
         if grown.leaked and grid.is_divided:
-            # Interpolated noise and rims lie in a row, and open walls that the slices themselves hold.
+            # Interpolated noise and rims form rows and open walls that are intact in the original slices: search those
+            # instead.
             return _found(PathGrid(grid.ct), root, lumen_threshold, None, stage, known=disturbed)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         searched = grown.searched
@@ -225,14 +242,14 @@ def _found(
         except NoResultError:
             if given_start is None:
                 raise
-            # A lower bronchus was taken for the trachea: its tree begins at the given start.
+            # A lower bronchus was taken for the trachea: let the tree begin at the given start.
             found_notes += given_start.notes_if_kept()
             tracker, rows, branches = _tracked(grid, lumen, levels, given_start.point, stage)
             trachea_mm = None
         else:
             found_notes += [] if given_start is None else given_start.notes_if_moved_to(root)
     removed_mm = 0.0
-    # Streaks cross: where one way through them is gone, the tree takes another one.
+    # Streaks cross each other: after one path through them is removed, the tree may use another one.
     while (ends_mm := disturbed.without_ends(lumen, tracker.core, rows)) > 0.0:
         removed_mm += ends_mm
         tracker, rows, branches = _tracked(grid, lumen, levels, as_point(branches[0].points[0]), stage)
@@ -254,7 +271,7 @@ def _found(
         )
         if not disturbed.is_closed and disturbed.leaked(tree):
             closed = dataclasses.replace(disturbed, is_closed=True)
-            # Where the streaks close the trachea, the tree that leaked is all there is.
+            # If closing the streaks also closes the trachea, keep the tree that leaked.
             with contextlib.suppress(NoResultError):
                 return _found(grid, given_root, lumen_threshold, None, stage, known=closed)
         tree = disturbed.with_less_confidence(tree)
@@ -275,8 +292,7 @@ def _found(
     tree = with_size_note(tree)
     if given is None:
         tree = with_slice_note(tree, grid.ct)
-    # Doubts about the tree itself: it does not look like a human one, its size was not calibrated, or thick slices hide
-    # airways.
+    # The tree's own notes: it is not like a human one, its size was not calibrated, or thick slices hide airways.
     badges += tree.notes
     tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
@@ -319,10 +335,10 @@ def _tracked(
 
 
 def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
-    """Names that are beyond doubt in a tree too small for more: trachea and main bronchi.
+    """Name the trachea and the main bronchi of a tree that is too small for further names.
 
-    The trunk is the trachea where it runs down for at least 20 mm and splits in two; of the two the one that leads to
-    the patient's right (-x in LPS) is the right main bronchus.
+    The trunk is the trachea if it runs downwards for at least 20 mm and divides into two. The child that leads to the
+    patient's right (-x in LPS) is the right main bronchus.
     """
     trunk = branches[0]
     if len(trunk.children) != 2 or trunk.points[0][2] - trunk.points[-1][2] < 20.0:
@@ -330,7 +346,7 @@ def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
     one, two = (branches[child] for child in trunk.children)
 
     def side_mm(branch: Branch) -> float:
-        # Mean place of all that hangs on it: a main bronchus is short, its lung is not.
+        # Mean position of the branch and everything below it: a main bronchus is short, but its lung is large.
         below = [branch]
         for member in below:
             below.extend(branches[child] for child in member.children)

@@ -1,4 +1,4 @@
-"""What lies beyond the flooded lumen, followed as far as it can be trusted: a search that runs out says so."""
+"""Search for small airways beyond the flooded lumen, limited if the search leaks into the lung."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from carina.volume.model import Note, Volume
 __all__ = ["NOTHING_BEYOND", "STOPPED", "Beyond", "follow_beyond"]
 
 STOPPED = "track.search-stopped"
-"""Code of the lasting note of a search that ran out of the airways."""
+"""Code of the permanent note on a search that leaked out of the airways."""
 
-# Beyond the flood's end airways are followed by their shape (docs/decisions/0112). The least rise to a wall; how long a
-# drop of mucus or a beat of the heart may blot it out; how far a branch must lead to be one. Slices thicker than the
-# smallest lumen show its wall only mixed with what lies beside it: so many more of them must agree.
+# Limits for airways that are followed by the shape of their walls beyond the flood (docs/decisions/0112): least rise to
+# a wall; longest gap (mucus or heart motion can hide a wall); shortest branch. Slices thicker than the smallest lumen
+# show its wall only as partial volume, so more sections must agree.
 LEAST_RISE_HU = 15.0
 GAP_MM = 2.0
 MIN_FOLLOWED_MM = 2.0
@@ -33,34 +33,37 @@ THIN_SLICE_MM = 1.0
 THICK_SECTIONS = 5.0
 HALF_WALL_HU = -500.0
 
-# The least probability that a way, and all ways that it leaves, are airways (docs/decisions/0112).
+# Least probability that a path, and every path that it continues, is an airway (docs/decisions/0112).
 LEAST_PROBABILITY = 0.7
-# In divided slices a section counts for a way by how much the logarithm of its odds exceeds this (docs/decisions/0114).
+# In divided slices a section supports a path by the amount by which its log odds exceed this (docs/decisions/0114).
 LEAST_ODDS = 0.3
 
-# What tells a search that runs out (docs/decisions/0113). Rims darker than this beside every edge look like airways; a
-# soft kernel leaves none. Where there is noise, edges are found where it makes them steep: that pretends a part of it.
+# Signs of a search that leaks (docs/decisions/0113). Rims darker than this beside every edge look like airways; a soft
+# kernel leaves none. Noise makes edges seem steeper and so accounts for a share of the depth.
 SHARP_HU = 4.0
 NOISE_SHARE = 0.15
-# What a rim of that depth pretends: a way must be so many times as enclosed.
+# With a sharp kernel, a wall must rise by at least this multiple of the undershoot.
 SHARP_BAR = 1.5
-# A search that ran out is made again, with ways that must be so many times as enclosed as the lung asks for.
+# Factors on how enclosed by walls a path must be, relative to the lung of the CT; the search is repeated with the next
+# factor after a leak.
 BARS = (1.0, 2.0, 4.0)
 SHARP_BARS = (3.0, 5.0)
-# Healthy searches reach 0.02 to 0.4 % of the lung and follow at most 0.35 m (eight CTs).
+# Limits of a search that does not leak: share of the lung that it reaches (intact searches: 0.02 to 0.4 %) and length
+# that it follows (at most 0.35 m in eight CTs).
 MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
 
-# The thinnest, which are bright threads with a dark middle (docs/decisions/0112). A wall is brighter than lung; a dip
-# of so much, averaged over 5 mm, is none of the lung's; what blurs a CT, beside its voxels, is at most so wide (sigma).
+# Thinnest airways: bright threads with a dark middle (docs/decisions/0112). The wall of such an airway is brighter than
+# lung; a dip of this depth, averaged over 5 mm, does not occur in lung; the blur of a CT, besides its voxels, has at
+# most this sigma.
 THIN_BRIGHTEST_HU = -400.0
 THIN_LEAST_WALL_HU = -700.0
 THIN_LEAST_DIP_HU = 22.0
 THIN_KEPT_DIP_HU = 20.0
 THIN_BLUR_MM = 0.85
-# An airway leads at least so far, in mm, in slices and in voxels: noise of one shows in its neighbours too. Where it
-# leaves from the side of another it leads farther: vessels and walls close off shorter strands of lung.
+# Shortest airway, in mm, slices and voxels: the noise of one voxel also appears in its neighbours. A side branch must
+# be longer, because vessels and walls enclose shorter strands of lung.
 THIN_MIN_MM, THIN_MIN_SLICES, THIN_MIN_VOXELS = 2.0, 2.5, 3.0
 THIN_SIDE_MM, THIN_SIDE_SLICES, THIN_SIDE_VOXELS = 5.0, 3.3, 6.0
 MOST_REACHED_THIN = 0.1
@@ -70,17 +73,18 @@ SOFT_KERNEL = "If available, open a reconstruction with a soft kernel"
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """What was followed beyond the flood."""
+    """Result of the search for small airways beyond the flood."""
 
     notes: tuple[str, ...]
+    """Texts about the airways that were followed."""
     badge: Note | None
-    """That the search ran out and what was done about it; None where it did not."""
+    """Note that the search leaked, and how it was limited; None if it did not leak."""
     threads_lps: NDArray[np.float64]
-    """(n, 3) LPS mm, points along the thinnest airways, which were judged by what the CT shows along 5 mm of each."""
+    """Points (n, 3) along the thinnest airways, LPS in mm; each airway was judged by the CT along 5 mm of it."""
     judged: NDArray[np.float64]
-    """(n, 4) LPS mm and probability, points along the airways that were followed beyond the flood."""
+    """Points along the airways that were followed beyond the flood, (n, 4): LPS in mm, and probability."""
     leaked: bool
-    """Whether the search ran out into the lung with the lung's own bar, or would have along the rims of a kernel."""
+    """Whether the search leaked into the lung, or would have leaked along the rims of a sharp kernel."""
 
 
 NOTHING_BEYOND = Beyond((), None, np.empty((0, 3)), np.empty((0, 4)), leaked=False)
@@ -96,12 +100,20 @@ def follow_beyond(
     noise: float,
     size: float = 1.0,
 ) -> Beyond:
-    """Follow the airways beyond the flooded ``lumen`` and raise the threshold until the search stays in the airways.
+    """Follow the airways beyond the flooded ``lumen``; raise the limit until the search stays in the airways.
 
     Parameters
     ----------
+    searched
+        CT in which the lumen was flooded.
     lumen
         (nz, ny, nx) uint8, 1 inside; changed in place.
+    scale
+        Conversion from HU to the values of the volume.
+    stage
+        Receives progress and cancels the search.
+    air, noise
+        Value of air in the trachea and its standard deviation, in the numbers of the volume.
     size
         Size of the chest relative to an adult one, above 0 and at most 1 (:func:`carina.track.find.size.search_size`).
         Every length of the search is multiplied by ``size``, the blur of the scanner included: a larger blur would
@@ -156,7 +168,7 @@ def follow_beyond(
         ):
             followed = found["followed"]
             break
-        # Interpolated noise lies in rows, along which a search with the lung's own bar goes far.
+        # In divided slices, interpolated noise forms rows, along which a search with the lung's own limit goes far.
         ran_out = searched.divided is None or is_sharp or raised > BARS[0]
         lumen[lumen > 1] = 0
     np.minimum(lumen, 1, out=lumen)
@@ -171,7 +183,7 @@ def follow_beyond(
             f"{size * _length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were traced by the "
             "shape of their walls where the lumen is no darker than the lung"
         )
-    # What the CT shows, before it was softened.
+    # Depth of the rims in the original CT, before it was softened.
     rims_hu = searched.undershoot_hu if is_softened else undershoot_hu
     rims = f"the sharp kernel of this CT produces dark rims ({rims_hu or 0.0:.0f} HU) next to vessels"
     if searched.smoothed_mm > 0.0:
@@ -195,7 +207,10 @@ def follow_beyond(
 
 
 def _in_adult_mm(volume: Volume, size: float) -> Volume:
-    """Return the volume with the distances that it would have in an adult chest; itself where ``size`` is 1."""
+    """Return the volume scaled to an adult chest: distances divided by ``size``.
+
+    Returns the volume itself if ``size`` is 1.
+    """
     if size == 1.0:
         return volume
     larger = volume.lps_from_ijk.copy()
@@ -231,7 +246,7 @@ def _thin(
 
 
 def _judged(followed: Sequence[dict[str, Any]], size: float) -> NDArray[np.float64]:
-    """Return the points of the ways that were judged by odds, with their probabilities."""
+    """Return the points of the paths that were judged by odds, with their probabilities: (n, 4), LPS in mm."""
     points = [
         np.column_stack([size * way["points_lps"], np.full(len(way["points_lps"]), way["probability"])])
         for way in followed

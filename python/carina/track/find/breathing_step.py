@@ -14,31 +14,33 @@ __all__ = ["find_steps"]
 Floats = NDArray[np.float64]
 
 BLOCK_MM = 2.0
-"""Slices are compared as means over blocks of this size: noise is less in them, vessels are not."""
+"""Slices are compared as means over blocks of this size: blocks have less noise but still show vessels."""
 BESIDE_HU = 100.0
-"""Blocks between lung and this much above are compared, too: they contain the vessels."""
+"""Blocks up to this much brighter than lung are also compared: they contain the vessels."""
 LEAST_AREA_MM2 = 2000.0
 LEAST_SHARE = 0.4
-"""Share of the largest section of the lungs: at their top and at the diaphragm slices differ by themselves."""
+"""Least share of the largest lung section: slices at the top of the lungs and at the diaphragm differ anyway."""
 NUM_BESIDE = 2
-# How much less alike two slices are than the least alike of their neighbours (difference of Fisher's transforms of the
-# correlations). Steps of 4 to 7 mm in phantoms and in three CTs: 0.24 to 0.82; without a step, five phantoms and four
-# CTs: 0.08 at most, and 0.21 once.
+# Least drop of similarity between two slices against the least similar pair of their neighbours (difference of the
+# Fisher transforms of the correlations). Steps of 4 to 7 mm: 0.24 to 0.82; without a step (five phantoms, four CTs): at
+# most 0.08, once 0.21.
 LEAST_DROP = 0.22
-# The same in multiples of the third largest one of the scan: streaks make many slices unlike.
+# Least ratio of a drop to the fourth largest drop of the scan: streaks make many slices dissimilar.
 LEAST_RATIO = 2.5
 MOST_STEPS = 3
 
 
 def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None = None) -> tuple[int, ...]:
-    """Return the slices k after which the chest has moved, from the first slice on.
+    """Return the slices k after which the chest has moved, in ascending order.
 
     Parameters
     ----------
     volume
-        In canonical order: slices from the feet up.
+        Volume in canonical order: slices from the feet up.
+    scale
+        Conversion from HU to the values of the volume.
     is_changed
-        (nz,) slices that streaks change; they are not compared.
+        (nz,) True for slices that streaks change; these slices are not compared.
     """
     drops = _drops(volume, scale, is_changed)
     order = np.argsort(-drops, kind="stable")
@@ -50,7 +52,7 @@ def find_steps(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | 
 
 
 def _drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None) -> Floats:
-    """Return for each pair of neighbouring slices how much less alike they are than the pairs beside them."""
+    """Return, for each pair of neighbouring slices, how much less similar they are than the pairs beside them."""
     dx, dy, _ = volume.spacing_mm
     size = (max(round(BLOCK_MM / dy), 1), max(round(BLOCK_MM / dx), 1))
     block_mm2 = size[0] * size[1] * dx * dy
@@ -73,7 +75,7 @@ def _drops(volume: Volume, scale: AirScale, is_changed: NDArray[np.bool_] | None
     alike[area < LEAST_SHARE * area.max(initial=0.0)] = np.nan
     padded = np.pad(alike, NUM_BESIDE, constant_values=np.nan)
     places = [n for n in range(2 * NUM_BESIDE + 1) if n != NUM_BESIDE]
-    # NaN where any of them is not compared.
+    # The minimum is NaN if any of the pairs is not compared.
     beside = np.min([padded[n : n + num] for n in places], axis=0)
     return np.asarray(np.nan_to_num(beside - alike, nan=0.0), np.float64)
 

@@ -1,4 +1,4 @@
-"""One order of axes for the search: what it finds does not depend on how a file happens to store the voxels."""
+"""Canonical axis order for the search, so that the result does not depend on how a file stores the voxels."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ __all__ = ["CanonicalOrder"]
 
 @dataclass(frozen=True, slots=True)
 class CanonicalOrder:
-    """A volume whose axes run nearest to L, P and S, beside the same one as it is stored.
+    """Pair of a volume as it is stored and the same volume with axes that run nearest to L, P and S.
 
-    Floods, queues and least-cost ways take voxels in the order in which they lie in memory, and of two that are equal
-    the first wins. So the search runs in this order alone, and what it found is put back.
+    Floods, queues and least-cost paths take voxels in memory order, and the first of two equal voxels wins. The
+    search therefore always runs in the canonical order, and its result is converted back to the stored order.
     """
 
     stored: Volume
+    """Volume as it is stored."""
     volume: Volume
-    """``stored`` itself where that is in this order; else a copy."""
+    """Volume in canonical order: ``stored`` itself if it is in this order, otherwise a copy."""
     _axes: CanonicalAxes
 
     @classmethod
     def of(cls, volume: Volume) -> CanonicalOrder:
-        """Of a volume in any order; only one in another order is copied."""
+        """Return the pair for a volume in any axis order; a volume already in canonical order is not copied."""
         axes = canonical_axes(volume.lps_from_ijk)
         if axes.letters == "LPS":
             return cls(volume, volume, axes)
@@ -45,11 +46,11 @@ class CanonicalOrder:
 
     @property
     def is_stored(self) -> bool:
-        """Whether the volume is stored in this order."""
+        """Whether the stored volume is already in canonical order."""
         return self.volume is self.stored
 
     def in_order(self, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A mask on the stored grid, in this order."""
+        """Return a mask on the stored grid in canonical order."""
         return lumen_zyx if self.is_stored else np.ascontiguousarray(self._axes.view(lumen_zyx))
 
     def _put_back(self, mask_zyx: NDArray[np.uint8], shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8]:
@@ -59,9 +60,9 @@ class CanonicalOrder:
         return mask
 
     def put_back(self, airways: Airways) -> Airways:
-        """Airways that were found in this order, on the stored grid.
+        """Return airways that were found in canonical order on the stored grid.
 
-        Their paths are calculated there when they are first needed; the tree is the one that was found.
+        The paths on the stored grid are calculated at first use; the tree is the one that was found.
         """
         if self.is_stored:
             return airways

@@ -1,4 +1,4 @@
-"""Parts of a CT that metal or a breath changed: where nothing but the flood is trusted."""
+"""Parts of a CT that metal or breathing motion disturbs, in which only the flood is trusted."""
 
 from __future__ import annotations
 
@@ -22,42 +22,45 @@ from carina.volume.model import Note, Volume
 __all__ = ["METAL", "STEP", "Disturbed", "find_disturbed"]
 
 METAL = "track.metal"
-"""Code of the lasting note of streaks that metal leaves in the lungs."""
+"""Code of the permanent note on metal streaks in the lungs."""
 STEP = "track.breathing-step"
-"""Code of the lasting note of a movement of the chest between two slices."""
+"""Code of the permanent note on a movement of the chest between two slices."""
 
 LUNG_HU = -860.0
-"""Usual value of lung: in it no wall surrounds an airway, so that nothing is followed there."""
+"""Usual value of lung. No wall surrounds an airway in a region of this value, so no small airway is followed there."""
 IN_REGION = 0.5
-"""A branch is in the changed part if at least this share of its points is."""
+"""A branch is in the disturbed part if at least this share of its points is in it."""
 BESIDE_STEP_MM = 2.0
 TISSUE_HU = 40.0
 CERTAIN_AIR_HU = -940.0
 MOST_DOUBTFUL = 0.3
-"""Share of branches with a confidence below 0.5."""
+"""A search leaked if a larger share of the branches has a confidence below 0.5."""
 SOME_IN_REGION = 0.2
 LEAST_BEYOND_MM = 10.0
-"""A branch that has more than a small share in the changed part is kept if it leads so far beyond, and so much farther
-than it is long in that part."""
+"""Least length by which a branch must continue beyond the disturbed part to be kept.
+
+The limit applies to branches with more than ``SOME_IN_REGION`` in the disturbed part; such branches must also
+continue by more than their length in that part.
+"""
 MOST_CONFIDENCE = 0.8
-"""Greatest confidence of a branch in the streaks or beside a step."""
+"""Highest confidence of a branch in the streaks or beside a step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disturbed:
-    """Parts of a CT whose values prove no small airway, found in its own slices, and the grid that is searched."""
+    """Parts of a CT whose values do not prove a small airway, found in its own slices, and the grid of the search."""
 
     grid: PathGrid
     """Grid of the search: that of the CT, or a finer one."""
     streaks_zyx: NDArray[np.bool_] | None = None
-    """(nz, ny, nx) of the CT, True where streaks of metal change the values; None where there are no streaks."""
+    """Mask (nz, ny, nx) on the CT, True where metal streaks change the values; None if there are no streaks."""
     steps: tuple[int, ...] = ()
     """Slices k of the CT after which the chest has moved."""
     is_closed: bool = False
-    """Whether nothing is searched in the streaks and beside steps, because a search has leaked there."""
+    """Whether the streaks and steps are excluded from the search, because a search has leaked there."""
 
     def without_walls(self, volume: Volume, scale: AirScale) -> Volume:
-        """Return a volume on the grid with even lung in place of what streaks change; itself if they change nothing."""
+        """Return a volume with uniform lung in place of the streaks; the given volume if there are no streaks."""
         if self.streaks_zyx is None:
             return volume
         values = volume.hu_zyx.copy()
@@ -69,7 +72,7 @@ class Disturbed:
         return self.grid.mask_in_parts(ct_mask_zyx.view(np.uint8)).view(np.bool_)
 
     def share_of(self, points_lps: NDArray[np.float64]) -> float:
-        """Return the share of (n, 3) points that is in the streaks of metal or beside a step."""
+        """Return the share of (n, 3) points (LPS, mm) that is in metal streaks or beside a step."""
         ct = self.grid.ct
         ijk = ct.to_ijk(points_lps)
         inside = np.zeros(len(ijk), np.bool_)
@@ -81,9 +84,10 @@ class Disturbed:
         return float(inside.mean())
 
     def closed(self, scale: AirScale) -> Volume:
-        """Return the volume of the grid with soft tissue in place of what streaks change, and of lung at a step.
+        """Return the volume of the grid with soft tissue in place of the streaks and of everything but air at a step.
 
-        At a step the air of a bronchus touches lung; air on both sides of a step is the same wide airway.
+        At a step, the air of a bronchus touches lung. Air on both sides of a step belongs to the same wide airway and
+        is kept.
         """
         ct = self.grid.ct
         gone = np.zeros(ct.shape_zyx, np.bool_) if self.streaks_zyx is None else self.streaks_zyx.copy()
@@ -96,20 +100,20 @@ class Disturbed:
         return dataclasses.replace(volume, hu_zyx=values)
 
     def leaked(self, tree: AirwayTree) -> bool:
-        """Return whether the search leaked through streaks or a step: other chests have hardly any doubtful branch."""
+        """Return whether the search leaked through streaks or a step; other chests have hardly any doubtful branch."""
         doubtful = [branch.confidence is not None and branch.confidence < FAINT for branch in tree.branches]
         is_changed = self.streaks_zyx is not None or bool(self.steps)
         return is_changed and sum(doubtful) > MOST_DOUBTFUL * len(doubtful)
 
     def without_ends(self, lumen: NDArray[np.uint8], core: LumenTracker, rows: Sequence[dict[str, Any]]) -> float:
-        """Remove from the lumen the branches that end in streaks of metal or at a step; return their length in mm.
+        """Remove from the lumen the branches that end in metal streaks or at a step; return their length in mm.
 
-        An airway that leads through them is seen again beyond them; a streak is not.
+        An airway that passes through a disturbed part is visible again beyond it; a streak is not.
 
         Parameters
         ----------
         lumen
-            (nz, ny, nx) of the grid, 1 inside; changed in place.
+            (nz, ny, nx) on the grid, 1 inside; changed in place.
         core, rows
             Tracker of the lumen, and its branches.
         """
@@ -137,7 +141,7 @@ class Disturbed:
         return float(length_mm[gone].sum()) if len(voxels) else 0.0
 
     def with_less_confidence(self, tree: AirwayTree) -> AirwayTree:
-        """Return the tree with limited confidence of the branches in the streaks of metal or beside a step."""
+        """Return the tree with limited confidence of the branches in metal streaks or beside a step."""
         branches = tuple(
             dataclasses.replace(branch, confidence=MOST_CONFIDENCE)
             if branch.confidence is not None
@@ -149,7 +153,7 @@ class Disturbed:
         return tree if branches == tree.branches else dataclasses.replace(tree, branches=branches)
 
     def notes(self, removed_mm: float) -> list[Note]:
-        """Return the lasting notes: where, what is left out, and what to do; with slices of the CT."""
+        """Return the permanent notes: place (in slices of the CT), missing airways, and advice."""
         ct = self.grid.ct
         notes = []
         if self.streaks_zyx is not None:
@@ -185,7 +189,7 @@ class Disturbed:
 
 
 def _mean_of_9(plane: NDArray[np.int16]) -> NDArray[np.float32]:
-    """Return the mean of each pixel of a slice and the eight round it."""
+    """Return the mean of each pixel of a slice and its eight neighbours."""
     padded = np.pad(plane.astype(np.float32), 1, mode="edge")
     nj, ni = plane.shape
     parts = [padded[j : j + nj, i : i + ni] for j in range(3) for i in range(3)]
@@ -200,9 +204,9 @@ def _slices(volume: Volume, first: int, last: int, to: str = "to") -> str:
 
 
 def find_disturbed(grid: PathGrid) -> Disturbed:
-    """Return the parts of a CT whose values prove no small airway.
+    """Find the parts of a CT whose values do not prove a small airway.
 
-    They are searched for in the slices of the CT: interpolated slices are more alike than those of a scanner, and
+    The search uses the original slices of the CT: interpolated slices are more alike than those of a scanner, and they
     spread metal and its streaks (docs/decisions/0115).
 
     Parameters

@@ -1,4 +1,4 @@
-"""What the CT shows beyond the end of an airway: soft tissue in its wall, or a wall that closes it."""
+"""Evidence in the CT beyond the end of an airway: soft tissue that fills it, or a wall that closes it."""
 
 from __future__ import annotations
 
@@ -24,55 +24,61 @@ FARTHEST_MM = 20.0
 BEYOND_END_MM = 3.0
 """The wall of the end is at most this far beyond the radius from the last point of the centreline."""
 
-# A filled bronchus: soft tissue on the axis, and round it a border against the lung.
+# Limits for a filled bronchus: soft tissue on the axis, with a border against the lung round it.
 TISSUE_HU = (-150.0, 200.0)
 BLUR_MM = 3.0
-"""Tissue begins within this distance of the wall of the end."""
+"""Soft tissue must begin within this distance of the wall of the end."""
 LEAST_TISSUE_MM, LEAST_TISSUE_WIDTHS, LEAST_TISSUE_SLICES = 6.0, 1.2, 3.0
-"""Beyond a fork that the search missed, an artery runs on for less than this in the direction of the bronchus."""
+"""Least length of soft tissue in mm, in lumen widths and in slices.
+
+Beyond a fork that the search missed, an artery continues in the direction of the bronchus for less than this.
+"""
 TISSUE_CONE_DEG = (0.0, 10.0)
 USUAL_WALL_MM = 1.2
 LEAST_WIDTH, MOST_WIDTH = 0.75, 1.35
-"""Outer width of the filled bronchus, in outer widths of its open part."""
+"""Range of the outer width of the filled bronchus, relative to the outer width of its open part."""
 SECTIONS = (0.2, 0.4, 0.6, 0.8)
 LEAST_SECTIONS = 3
 
-# A stump: a wall in every direction beyond the end. Where the search lost an open airway, some direction has none.
+# Limits for a stump: a wall in every direction beyond the end. An open airway that the search lost has no such wall.
 LEAST_STUMP_MM = 5.0
 """Narrower ends are not judged: the next branches may be too thin for the CT."""
 CLOSED_HU = -600.0
 CLOSED_CONE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 CLOSED_STEP_DEG = 15.0
 CLIP_HU = 2000.0
-"""Surgical clips are brighter than bone, cartilage with calcium and calcified lymph nodes."""
+"""Surgical clips are brighter than bone, calcified cartilage and calcified lymph nodes."""
 CLIP_REACH_MM = 12.0
 LEAST_CLIP_MM3 = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class EndEvidence:
-    """What lies beyond the end of an airway."""
+    """Evidence in the CT beyond the end of an airway."""
 
     kind: Literal["tissue", "closed"]
-    """``tissue``: soft tissue continues the bronchus with its outer width. ``closed``: a wall closes the end in every
-    direction."""
+    """Kind of evidence.
+
+    ``tissue``: soft tissue continues the bronchus with its outer width. ``closed``: a wall closes the end in every
+    direction.
+    """
     length_mm: float
-    """Length over which ``tissue`` is seen; 0 for ``closed``."""
+    """Length of the visible soft tissue for ``tissue``; 0 for ``closed``."""
     has_clips: bool
-    """Surgical clips are at the end."""
+    """Whether surgical clips are at the end."""
 
 
 def find_end_evidence(volume: Volume, look: Across, branch: Branch, width_mm: float) -> EndEvidence | None:
-    """Return what the CT shows beyond the end of a branch; None where it proves neither a filling nor a blind end.
+    """Return the evidence in the CT beyond the end of a branch, or None if it proves neither a filling nor a blind end.
 
     Parameters
     ----------
     volume, look
-        The CT, and the same one without its finest noise.
+        The CT, and a sampler of it.
     branch
-        Without children.
+        Branch without children.
     width_mm
-        Its diameter before the end.
+        Diameter of the branch before its end.
     """
     axis = _axis(branch)
     if axis is None:
@@ -99,7 +105,7 @@ def _axis(branch: Branch) -> Points | None:
 
 
 def _cone(axis: Points, degrees: tuple[float, ...]) -> Points:
-    """Return (n, 3) unit vectors at these angles round an axis."""
+    """Return (n, 3) unit vectors at the given angles to an axis."""
     one = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     one /= np.linalg.norm(one)
     two = np.cross(axis, one)
@@ -113,14 +119,14 @@ def _cone(axis: Points, degrees: tuple[float, ...]) -> Points:
 
 
 def _wall_at(values: Floats, half: float, width_mm: float) -> int | None:
-    """Return the sample at which the air of the end meets its wall; None where none is near."""
+    """Return the index of the sample at which the air of the end meets its wall; None if no wall is near."""
     wall = np.flatnonzero(values >= half)
     most = 0.5 * width_mm + BEYOND_END_MM
     return int(wall[0]) if len(wall) and wall[0] * STEP_MM <= most else None
 
 
 def _filled_mm(volume: Volume, look: Across, tip: Points, axis: Points, width_mm: float) -> float | None:
-    """Return the length of soft tissue that continues a bronchus with its outer width; None without evidence."""
+    """Return the length (mm) of soft tissue that continues a bronchus with its outer width; None without evidence."""
     low, high = (float(look.scale.level(hu)) for hu in TISSUE_HU)
     at = np.arange(0.0, FARTHEST_MM, STEP_MM)
     outer_mm = width_mm + 2.0 * USUAL_WALL_MM

@@ -1,8 +1,8 @@
-"""Bronchi that go on where their air does not: secretions, or whatever else fills or narrows a lumen.
+"""Detection of bronchi that are filled or narrowed (by mucus, for example) but continue beyond the obstruction.
 
-Air beyond an obstruction lies in the chest like an island: from where it ends its axis leads through something as
-bright as tissue back to the airways that were found. What the CT shows across that gap, the bronchus's outer border
-against the lung, tells its calibre from wall to wall. docs/decisions/0115.
+Air beyond an obstruction is an island: it is not connected to the airways that were found. The search starts at the end
+of an island and follows the axis of the island through bright tissue back to the found airways. The outer border of the
+bronchus against the lung, measured across this gap, gives the calibre from wall to wall. See docs/decisions/0115.
 """
 
 from __future__ import annotations
@@ -25,61 +25,61 @@ __all__ = ["find_filled"]
 Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
-# Air and lung.
+# Limits for air and lung.
 DARKEST_HU = -930.0
-"""Half-way between air and lung."""
+"""Upper limit of air in an island: half-way between air and lung."""
 LEAST_RISE_HU = 150.0
 NOISE_RISE = 4.0
-"""A wall rises so many times the noise, or 150 HU."""
+"""A wall must rise by this multiple of the noise, or by 150 HU if that is more."""
 LEAST_WALLED = 0.85
 LEAST_IN_LUNG = 0.5
-"""Some end of an airway in the lung meets it on so many sides: air in the gullet does not."""
+"""At least one end of an airway island must touch lung on this share of its sides; air in the oesophagus does not."""
 WIDER, WALL_REACH_MM = 1.6, 2.5
-"""The wall of a piece of airway is looked for within so many of its radii and so many mm; what lies farther is none."""
+"""The wall of an airway island is searched within this multiple of its radius plus this distance in mm."""
 
 EDGE_MM = 2.0
-"""Air this near to the edge of the scan may go on outside."""
+"""Islands of air closer than this to the edge of the scan are ignored: they may continue outside the scan."""
 
-# The gap.
+# Limits for the gap between an island and the airways.
 FARTHEST_MM = 45.0
 MOST_OFF_DEG = 60.0
 STEP_MM = 0.4
 LEAST_GAP_MM = 2.5
 LEAST_GAP_VOX = 2.0
 MOST_DARK = 0.25
-"""Of a gap so much may be as dark as lung: a level of fluid leaves air above it."""
+"""Largest share of the gap that may be as dark as lung: above a fluid level there is air."""
 MOST_LOOSE_MM = 2.5
-"""What lies between the filling and either lumen is blur."""
+"""Largest distance between the filling and the lumen on either side: blur fills a shorter distance."""
 BRIGHTEST_HU = 250.0
-"""Bone, lime and vessels with contrast medium are no filling."""
+"""Brighter voxels are bone, calcification or vessels with contrast medium, not a filling."""
 NUM_TRIED = 60
 UNFILLED = 4.0
-"""A way beside a cord is so much worse than one along it."""
+"""Penalty for a gap without tissue: the score (lower is better) is multiplied by up to 1 plus this."""
 
-# The calibre.
+# Constants for the measurement of the calibre.
 USUAL_WALL_MM = 1.2
 CROSS = (0.25, 0.4, 0.5, 0.6, 0.75)
 MOST_OUTER_MM = 9.0
-"""The border of a filled bronchus is looked for within this distance of its axis."""
+"""The border of a filled bronchus is searched within this distance of its axis."""
 LEAST_AIR = 0.15
-"""What is less dark may be fat, noise, or blur from outside the wall."""
+"""Smaller shares of air may be fat, noise, or blur from outside the wall."""
 LEAST_CROSS = 2
-"""Sections across the filling in which the border must be seen."""
+"""Smallest number of sections across the filling in which the border must be visible."""
 ALIKE = 1.4
-"""Sections of one lumen differ by less; else they cut its end, or a fork."""
+"""Largest ratio between the widths of sections of one lumen; with a larger ratio, a section cuts the end or a fork."""
 FINE_MM, FINE_VOX = 2.5, 3.0
-"""Thinner than this is no finding: the CT hardly shows such airways."""
+"""Thinner airways are not reported: the CT hardly shows airways of this size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gap:
-    """A straight way from an island to the airways."""
+    """Straight path from an island of air to the found airways."""
 
     end: IslandEnd
     far_lps: Points
-    """Where the filling ends, towards the periphery."""
+    """Peripheral end of the filling, LPS in mm."""
     near_lps: Points
-    """Where it begins."""
+    """Central end of the filling, LPS in mm."""
     lumen_lps: Points
     score: float
 
@@ -95,23 +95,23 @@ def find_filled(
     noise: float,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[Uncertainty, ...]:
-    """Where a bronchus is narrowed or filled and yet goes on; nothing is added to the lumen.
+    """Find the places where a bronchus is narrowed or filled but continues; the lumen is not changed.
 
     Parameters
     ----------
     volume
         The CT.
     tree, lumen_zyx
-        The airways that were found in it.
+        Airways that were found in the CT.
     noise
-        Standard deviation of the values in air.
+        Standard deviation of the values in air, in the numbers of the volume.
     cancel
-        Asked whether to stop.
+        Function that returns True to stop the search.
 
     Returns
     -------
     tuple of Uncertainty
-        Of kind ``filled``, the widest first.
+        Places of kind ``filled``, the widest first.
     """
     look = Across(volume)
     search = _Search(volume, look, tree, lumen_zyx, noise)
@@ -128,7 +128,10 @@ def find_filled(
 
 
 def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
-    """Without the narrower of two places in one bronchus: air that is left in it is traced as a thin airway."""
+    """Remove the narrower of two places in the same bronchus.
+
+    Air that remains in a filled bronchus is traced as a separate thin airway.
+    """
     kept: list[Uncertainty] = []
     for one in found:
         for other in kept:
@@ -141,7 +144,7 @@ def _each_once(found: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
 
 
 class _Search:
-    """From islands of air to the airways."""
+    """Search for the filled gaps between islands of air and the found airways."""
 
     def __init__(
         self, volume: Volume, look: Across, tree: AirwayTree, lumen_zyx: NDArray[np.uint8], noise: float
@@ -155,9 +158,10 @@ class _Search:
         self._owner = np.concatenate([np.full(len(branch.points), n) for n, branch in enumerate(tree.branches)])
 
     def place_of(self, island: Island) -> Uncertainty | None:
-        """Return what fills the way from the airways to an island of air; None if the island is not an airway.
+        """Return the filled place between the airways and an island of air, or None if the island is not an airway.
 
-        None also for an island that reaches the edge of the scan: its way to the airways may be outside.
+        The result is also None if the island reaches the edge of the scan: its connection to the airways may be
+        outside the scan.
         """
         if self._reaches_edge(island):
             return None
@@ -206,7 +210,7 @@ class _Search:
             length_mm < max(LEAST_GAP_MM, LEAST_GAP_VOX * self.voxel_mm)
             or (inside < self._look.half).mean() > MOST_DARK
             or (inside > self._look.scale.level(BRIGHTEST_HU)).mean() > 0.5
-            # The axis of a piece is found just inside it: what is farther is separated by lung.
+            # The axis of an island ends just inside the island: tissue farther away is separated from it by lung.
             or first * STEP_MM > MOST_LOOSE_MM + 2.0 * end.radius_mm
             or (arrives - last) * STEP_MM > MOST_LOOSE_MM
         ):
@@ -223,17 +227,17 @@ class _Search:
         return result
 
     def _inner(self, end: IslandEnd, back_mm: float = 0.0) -> tuple[Floats, Floats]:
-        """Rays across a piece of airway, some way inside its end, and where each meets the lumen's edge."""
+        """Return rays across an island, ``back_mm`` inside its end, and the lumen's edge on each ray in mm."""
         reach = WIDER * end.radius_mm + WALL_REACH_MM
         rays = self._look.rays(end.axis_lps - back_mm * end.outward, end.outward, reach)
         return rays, self._look.inner_mm(rays, self._rise)
 
     def _is_walled(self, end: IslandEnd) -> bool:
-        """Whether there is a wall round the air of an end."""
+        """Return whether a wall surrounds the air at an end of an island."""
         return bool(np.isfinite(self._inner(end)[1]).mean() >= LEAST_WALLED)
 
     def _lies_in_lung(self, island: Island) -> bool:
-        """Whether some end of it has a wall and, close outside it, lung on most sides."""
+        """Return whether some end of an island has a wall and, close outside the wall, lung on most sides."""
         return any(self._is_in_lung(end) for end in island.ends)
 
     def _is_in_lung(self, end: IslandEnd) -> bool:
@@ -241,7 +245,7 @@ class _Search:
         rays = self._look.rays(end.axis_lps, end.outward, WIDER * end.radius_mm + 2.0 * WALL_REACH_MM + 2.0)
         at = np.arange(rays.shape[1]) * self._look.step_mm
         outside = (at > inner[:, None] + self._look.step_mm) & (at <= inner[:, None] + 4.0)
-        # Beyond the wall's peak, not the lumen's own edge.
+        # Compare with the peak of the wall, not with the edge of the lumen.
         risen = np.maximum.accumulate(np.where(at >= inner[:, None], rays, -np.inf), axis=1)
         fallen = outside & (rays <= self._look.lung) & (risen - rays >= 0.5 * self._rise)
         return bool(fallen.any(axis=1).mean() >= LEAST_IN_LUNG)
@@ -268,7 +272,7 @@ class _Search:
         )
 
     def _calibre_after(self, end: IslandEnd) -> float | None:
-        """Of the lumen beyond; the narrowest of the sections there, since the others cut forks."""
+        """Return the calibre of the lumen beyond the filling, from the narrowest section: wider ones may cut forks."""
         widths = []
         for back_mm in (0.0, 1.5, 3.0, 4.5):
             _, inner = self._inner(end, back_mm)
@@ -277,7 +281,7 @@ class _Search:
         return min(widths) if len(widths) > 1 and max(widths) <= ALIKE * min(widths) else None
 
     def _wall_mm(self, end: IslandEnd) -> float | None:
-        """Thickness of the wall beyond, from the lumen's edge to the border as it is measured across the gap."""
+        """Return the thickness (mm) of the wall beyond the filling, up to the same border as across the gap."""
         rays, inner = self._inner(end)
         at = np.arange(rays.shape[1]) * self._look.step_mm
         thick = []
@@ -289,7 +293,7 @@ class _Search:
         return float(np.median(thick)) if len(thick) >= 8 else None
 
     def _followed(self, gap: _Gap, after: float | None) -> tuple[Points, list[float]]:
-        """Return the axis of a filled stretch, centred between its borders, and the outer widths along it."""
+        """Return the axis of the filled part, centred between its borders, and the outer widths (mm) along it."""
         direction = gap.near_lps - gap.far_lps
         reach = max(MOST_OUTER_MM, 0.9 * (after or 0.0) + 3.0)
         axis = gap.far_lps + np.array(CROSS)[:, None] * direction
@@ -302,11 +306,11 @@ class _Search:
         return axis, outer
 
     def _air_mm(self, centre: Points, direction: Points, calibre: float | None) -> float:
-        """Diameter of the circle with the area of the air that is left, from wall to wall."""
+        """Return the diameter (mm) of the circle with the same area as the air that remains between the walls."""
         reach = 0.5 * (calibre if calibre is not None else 6.0)
         plane = self._look.plane(centre, direction, reach)
         scale = self._look.scale
-        # A crescent thinner than a voxel is nowhere as dark as air, but darkens as much as it holds.
+        # Partial volume: a crescent of air thinner than a voxel is not as dark as air, but darkens in proportion.
         share = np.clip((scale.level(0.0) - plane.values) / scale.span(1000.0), 0.0, 1.0)
         share[np.hypot(*np.moveaxis(plane.off_mm, -1, 0)) > reach] = 0.0
         share[share < LEAST_AIR] = 0.0
@@ -314,9 +318,9 @@ class _Search:
         return 2.0 * float(np.sqrt(area / np.pi)) if area >= self.voxel_mm**2 else 0.0
 
     def _calibre(self, outer: list[float], end: IslandEnd) -> tuple[float | None, float | None]:
-        """From wall to wall, and its error; None where too little of the outer border is seen.
+        """Return the calibre from wall to wall and its error in mm; None if too little of the outer border is visible.
 
-        The lumen beyond by itself tells too little: what is left of it before its next fork is short.
+        The lumen beyond the filling is not sufficient alone: the part before its next fork is short.
         """
         wall = self._wall_mm(end)
         if len(outer) < LEAST_CROSS:

@@ -1,4 +1,4 @@
-"""The flood from the trachea; where noise has opened the airways' walls it is made again in a smoothed copy."""
+"""Flood of the airway lumen from the trachea, repeated in smoothed copies if noise has opened the airway walls."""
 
 from __future__ import annotations
 
@@ -19,29 +19,36 @@ from carina.volume.model import Volume
 __all__ = ["Flood", "flood"]
 
 MIN_WALL_CONTRAST_HU = 60.0
-# A trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
+# Larger air spaces that the flood enters are leaks. A trachea has 20-40 ml, both lungs some litres; the largest part
+# of a tree behind one noisy voxel is below 60 ml.
 LEAK_MM3 = 60_000.0
 SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
-# Trachea and bronchi hold 40 to 100 ml, 0.8 to 2 % of what the lungs hold; tracheas twice as wide as most 200 ml, 5 %.
+# A lumen above both limits, its volume and its share of lung and lumen, contains lung. Trachea and bronchi have 40 to
+# 100 ml, 0.8 to 2 % of the lungs' volume; tracheas twice as wide as most 200 ml, 5 %.
 MOST_LUMEN_MM3 = 150_000.0
 MOST_OF_LUNG = 0.1
-# A flood that ran out is made again in a copy smoothed by so much (sigma).
+# Sigmas of the smoothed copies in which a flood that leaked is repeated.
 SMOOTHED_MM = (0.7, 1.0, 1.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flood:
+    """Result of a flood: lumen, leaks and the statistics of the air."""
+
     searched: Softened
-    """What was flooded."""
+    """Volume that was flooded: the original or a smoothed copy."""
     lumen: NDArray[np.uint8]
+    """Lumen (nz, ny, nx), 1 inside."""
     leaks_lps: NDArray[np.float64]
+    """Points (n, 3) at which the flood was stopped because it would have leaked, LPS in mm."""
     num_voxels: int
+    """Number of voxels of the lumen."""
     air: float
-    """The value of air in the trachea, and its noise, in the volume's numbers."""
+    """Value of the air in the trachea, in the numbers of the volume; ``noise`` is its standard deviation."""
     noise: float
     core: int
-    """Air and its noise end here."""
+    """Upper limit of air with its noise."""
 
 
 def flood(
@@ -53,22 +60,26 @@ def flood(
     end: int,
     is_default: bool,
 ) -> Flood:
-    """Flood the airways' lumen from the trachea.
+    """Flood the lumen of the airways from the trachea.
 
     Parameters
     ----------
+    soft
+        CT that is searched; lumen that was clipped at its lowest value is restored in place.
+    seeds
+        Voxels (i, j, k) in the air of the trachea.
     end
-        Where the lumen ends, in the volume's numbers.
+        Value at which the lumen ends, in the numbers of the volume.
     is_default
-        No person gave ``end``. A flood that fills the lung is then made again in copies smoothed more and more: noise
-        is what opens walls (docs/decisions/0113).
+        Whether ``end`` is the default rather than a choice of the user. A flood that fills the lung is then repeated in
+        more and more smoothed copies, because noise opens walls (docs/decisions/0113).
 
     Raises
     ------
     UsageError
-        If ``end`` is darker than air.
+        If ``end`` is below the value of air.
     NoResultError
-        If it fills the lung in every copy.
+        If the flood fills the lung in every copy.
     """
     air, noise = _air_and_noise(soft.volume, seeds, scale)
     if end < air:
@@ -127,27 +138,27 @@ def _flooded(
 
 
 def _is_lung(volume: Volume, lumen: NDArray[np.uint8], scale: AirScale) -> bool:
-    """Whether a lumen holds more than airways can: the flood ran out through walls that noise had opened."""
+    """Return whether a lumen is larger than airways can be, because it leaked through walls that noise had opened."""
     voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
     flooded = int(np.count_nonzero(lumen))
     if flooded * voxel_mm3 <= MOST_LUMEN_MM3:
         return False
     low, high = (scale.level(hu) for hu in LUNG_HU)
-    # Slice by slice, so that no second volume is made. With the flood itself, which may have filled the lung.
+    # Count slice by slice, to avoid a second volume, and include the flood, which may have filled the lung.
     lung = sum(int(np.count_nonzero((values >= low) & (values <= high))) for values in volume.hu_zyx)
     return flooded > MOST_OF_LUNG * (lung + flooded)
 
 
 def _air_and_noise(volume: Volume, seeds: Sequence[tuple[int, int, int]], scale: AirScale) -> tuple[float, float]:
-    """The value of air round the seeds and its noise, in the volume's numbers."""
+    """Return the value of the air round the seeds and its noise, in the numbers of the volume."""
     sample = _values_round(volume, seeds)
     middle = float(np.median(sample))
-    # Median deviation, so that a drop of mucus or the tube of a ventilator does not widen the range.
+    # Median deviation: a drop of mucus or the tube of a ventilator does not change it.
     return middle, max(1.4826 * float(np.median(np.abs(sample - middle))), scale.span(5.0), 0.7)
 
 
 def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:
-    """Values of the seeds and their neighbours within one voxel, all well inside the air."""
+    """Return the values of the seeds and of their neighbours within one voxel, all well inside the air."""
     at = np.array(seeds)
     offsets = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     voxels = (at[:, None, :] + offsets[None]).reshape(-1, 3)

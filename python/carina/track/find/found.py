@@ -1,4 +1,4 @@
-"""What a search gives: the airways of a volume."""
+"""Result of the airway search: the airways of a volume."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TREE_EDITS = get_args(TreeEdit)
 
 
 def _check_threshold(where: str, name: str, value: object) -> None:
-    """Refuse anything but a finite number and NaN, which is the threshold of a lumen from a file."""
+    """Check that a threshold is a finite number or NaN (the threshold of a lumen from a file)."""
     if not (isinstance(value, float) and math.isnan(value)):
         number_from(-40_000.0, 40_000.0)(where, name, value)
 
@@ -48,8 +48,8 @@ def _check_threshold(where: str, name: str, value: object) -> None:
 class Airways:
     """The airways of a volume.
 
-    They can be copied and pickled, also for another process (multiprocessing, joblib, Ray): the tree, the paths, edits
-    and measurements are the same there, bit for bit. A pickle holds the CT, and the lumen in few bytes.
+    Instances can be copied and pickled, also for another process (multiprocessing, joblib, Ray). Tree, paths, edits and
+    measurements of the copy are the same, bit for bit. A pickle contains the CT and a compressed lumen.
 
     Examples
     --------
@@ -61,36 +61,57 @@ class Airways:
     """
 
     lumen_zyx: NDArray[np.uint8]
-    """(nz, ny, nx) of the CT, 1 inside the lumen, read-only. Where it was found in the CT it ends where a wall begins
-    to show; :func:`carina.track.lumen_mask` goes to the half-maximum, as files and volumes in ml do. Paths run in
-    :attr:`PathTracker.lumen_zyx`, which is finer where slices are thick."""
+    """Lumen mask (nz, ny, nx) on the grid of the CT, 1 inside, read-only.
+
+    A lumen found in the CT ends where a wall begins to show; :func:`carina.track.lumen_mask` extends it to the
+    half-maximum, as exported files and volumes in ml do. Paths run in :attr:`PathTracker.lumen_zyx`, which is finer if
+    the slices are thick.
+    """
     root_lps: NDArray[np.float64]
-    """Where all paths begin, LPS mm."""
+    """Start of all paths, LPS in mm."""
     tree: AirwayTree
+    """Airway tree in the lumen."""
     tracker: PathTracker
+    """Tracker of paths in the lumen."""
     threshold: float
-    """Value at which the lumen ends (HU where the volume is in HU)."""
+    """Value at which the lumen ends (HU if the volume is in HU); NaN for a given lumen."""
     notes: tuple[str, ...] = ()
-    """What was limited or moved, in words."""
+    """Texts about limits of the search and points that were moved."""
     wall_levels: tuple[float, float, float] | None = None
-    """Values that tell lumen from wall on diagonal steps (certain air, half-way, rise); None for a given lumen."""
+    """Values that decide whether a wall crosses a diagonal step between voxels.
+
+    The values are the limit of certain air, the level half-way to the wall, and the least rise to the wall; None for a
+    given lumen.
+    """
     edits: tuple[TreeEdit, ...] = ()
-    """What a person changed since they were found, in order."""
+    """Edits by the user since the search, in order."""
     base: Airways | None = None
-    """What was found, before the edits; None where there are none."""
+    """Result of the search before the edits; None without edits."""
     next_id: int | None = None
-    """The first id that no branch ever had; None before the first edit."""
+    """Smallest id that no branch has ever had; None before the first edit."""
     uncertain: tuple[Uncertainty, ...] = ()
-    """What could not be followed and why, the widest first; last, where the CT stops being trustworthy."""
+    """Places where an airway could not be followed, with reasons, the widest first.
+
+    The last entry, of kind ``fine``, states below which width the CT is unreliable.
+    """
     bridges: tuple[NDArray[np.float64], ...] = ()
-    """(n, 3) LPS mm each: ways of the bridges that a person made and did not cut; what leads there stays a bridge."""
+    """Paths of bridges that the user made and did not cut, (n, 3) each, LPS in mm.
+
+    Branches on these paths remain marked as bridges.
+    """
     upper_airway_zyx: NDArray[np.uint8] | None = field(default=None, repr=False, compare=False)
-    """(nz, ny, nx), 1 in the air above the cricoid, larynx and throat: no part of lumen and tree. None where the scan
-    ends below them; not kept in a case file."""
+    """Mask (nz, ny, nx) of the air above the cricoid (larynx and throat), 1 inside; not part of lumen and tree.
+
+    None if the scan ends below the larynx. Not stored in a case file.
+    """
     evidence: KeptForVolume[Any] = field(default_factory=KeptForVolume, repr=False, compare=False)
-    """What the CT shows of airways beyond those found, for edits; found when first needed, the same after each edit."""
+    """Cached evidence in the CT for further airways, used by edits.
+
+    The evidence is computed at first use and shared by all edited versions of the airways.
+    """
 
     def __post_init__(self) -> None:
+        """Check the types and ranges of the fields."""
         check_fields(
             self,
             lumen_zyx=mask_array(),
@@ -110,11 +131,13 @@ class Airways:
         )
 
     def __copy__(self) -> Airways:
+        """Return a shallow copy, which shares the arrays."""
         return replace(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor and the values from which a pickle restores the airways; masks are compressed."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
-        # On the grid of the CT the lumen is that of the tracker.
+        # If the lumen is the tracker's own array (same grid), it is not stored twice.
         is_same = self.lumen_zyx is self.tracker.lumen_zyx
         values["lumen_zyx"] = None if is_same else PackedMask.of(self.lumen_zyx)
         upper = self.upper_airway_zyx
@@ -122,11 +145,12 @@ class Airways:
         return _airways_of, (values,)
 
     def __repr__(self) -> str:
+        """Return one line with the tree, the root, the threshold and the number of edits."""
         edited = f", {len(self.edits)} edits" if self.edits else ""
         return f"Airways({self.tree!r}, root_lps={as_words(self.root_lps)}, threshold={self.threshold:g}{edited})"
 
     def _repr_html_(self) -> str:
-        """Return the tree as a drawing and a table, and the notes of the search, for a notebook."""
+        """Return an HTML drawing and table of the tree with the notes of the search, for a notebook."""
         badges = {note.words for note in self.badges}
         more = [note for note in self.notes if note not in badges]
         if self.edits:
@@ -139,12 +163,12 @@ class Airways:
 
     @property
     def absent(self) -> tuple[Absence, ...]:
-        """Lobes and segments that were not found, with what the CT shows; see :func:`carina.track.find_absent`."""
+        """Lobes and segments that were not found, with what the CT shows there (:func:`carina.track.find_absent`)."""
         return find_absent(self.tree, self.uncertain, self.tracker.grid.ct)
 
     @property
     def badges(self) -> tuple[Note, ...]:
-        """The lasting notes, such as a search that was stopped or a doubtful mask.
+        """Permanent notes, such as on a search that was stopped or on a doubtful mask.
 
         These notes stay with the tree through edits and exports; their texts are in ``notes`` too.
         """
@@ -152,20 +176,21 @@ class Airways:
 
     @property
     def calibrated_shares(self) -> CalibratedShares | None:
-        """Shares of airways that the search finds in slices as thick as these, by calibre; None in thin slices.
+        """Shares of the airways that the search finds in slices of this thickness, by calibre; None in thin slices.
 
-        They are None, too, for a segmentation from another tool, and for a tree that was stored before they were known.
+        The shares are also None for a segmentation from another tool, and for a tree that was stored before the
+        shares were introduced.
         """
         return shares_of(self.tree, self.tracker.grid.ct)
 
     @property
     def report(self) -> tuple[str, ...]:
-        """The notes."""
+        """Same as :attr:`notes`."""
         return self.notes
 
 
 def _airways_of(values: dict[str, Any]) -> Airways:
-    """Return the airways that a pickle holds."""
+    """Return the airways from the values in a pickle."""
     lumen, upper = values["lumen_zyx"], values["upper_airway_zyx"]
     values["lumen_zyx"] = values["tracker"].lumen_zyx if lumen is None else lumen.mask_zyx()
     values["upper_airway_zyx"] = None if upper is None else upper.mask_zyx()

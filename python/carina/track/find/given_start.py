@@ -1,4 +1,4 @@
-"""The start that a user gives: the air around the point, and whether this air belongs to the airways."""
+"""Start point given by the user: the air round it, and whether this air belongs to the airways."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 
 # The air of an airway is enclosed in a slice at one of these levels (HU); lung with emphysema is hardly brighter.
 ENCLOSED_HU = (-800.0, -900.0, -950.0)
-# The largest section of an airway in a slice: a main bronchus that runs along the slice.
+# Largest section of an airway in a slice: a main bronchus that runs along the slice.
 MOST_SECTION_MM2 = 1500.0
 # Largest distance from the middle of the trachea to its wall.
 IN_TRACHEA_MM = 18.0
@@ -37,18 +37,19 @@ ABOVE_MM = 5.0
 
 @dataclass(frozen=True, slots=True)
 class GivenStart:
-    """A start that a user gave in the trachea."""
+    """Start point that a user gave in the trachea."""
 
     given: Point
+    """Point that the user gave, LPS in mm."""
     point: Point
-    """The nearest voxel of the lumen."""
+    """Centre of the nearest voxel of the lumen, LPS in mm."""
     snapped_mm: float
-    """Distance of the given point from the lumen; 0 in the lumen."""
+    """Distance of the given point from the lumen; 0 inside the lumen."""
     trachea_is_doubted: bool
-    """The trachea lacks one of its usual features, so it may be a bronchus."""
+    """Whether the trachea lacks one of its usual features, so that it may be a bronchus."""
 
     def notes_if_moved_to(self, root: Point) -> list[str]:
-        """Return the notes if the tree begins at the upper end of the trachea."""
+        """Return the notes for a tree that begins at the upper end of the trachea."""
         moved_mm = float(np.linalg.norm(np.subtract(root, self.given)))
         if moved_mm <= SNAP_MM:
             return []
@@ -56,7 +57,7 @@ class GivenStart:
         return [f"the point {where} is in the trachea: the start was moved {moved_mm:.0f} mm to its upper end"]
 
     def notes_if_kept(self) -> list[str]:
-        """Return the notes if the tree begins at the given start."""
+        """Return the notes for a tree that begins at the given start."""
         return [f"the start was moved {self.snapped_mm:.1f} mm to the nearest lumen voxel"] if self.snapped_mm else []
 
 
@@ -81,7 +82,7 @@ def air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, i
         raise NoResultError(msg, code="track.outside-lumen")
     nearest = points[air][int(np.argmin(distance[air]))]
     chosen = air & (np.linalg.norm(points - nearest, axis=1) <= 2.0)
-    # The nearest first: it is the root.
+    # The nearest voxel comes first: it is the root.
     order = np.argsort(np.linalg.norm(points[chosen] - nearest, axis=1), kind="stable")
     return [(int(i), int(j), int(k)) for i, j, k in voxels[chosen][order]]
 
@@ -118,7 +119,7 @@ def is_in_trachea(volume: Volume, trachea: Trachea, top: TopOfTrachea | None, po
 
 
 def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[int, int, int]) -> None:
-    """Refuse a root in the lung or in the air outside the body.
+    """Raise an error for a root in the lung or in the air outside the body.
 
     Raises
     ------
@@ -144,17 +145,21 @@ def refuse_open_air(volume: Volume, scale: AirScale, root: Point, voxel: tuple[i
 
 
 def refuse_air_beside_the_airways(root: Point, trachea: Trachea, top: Point) -> None:
-    """Refuse a root in air beside the airways: in the gullet, the bowel or a bulla.
+    """Raise an error for a root in air beside the airways: in the oesophagus, the bowel or a bulla.
 
     Parameters
     ----------
+    root
+        The given root, LPS in mm.
+    trachea
+        The trachea that was found.
     top
-        The upper end of the trachea.
+        Upper end of the trachea, LPS in mm.
 
     Raises
     ------
     NoResultError
-        If a trachea beyond doubt was found, with which the root is not connected.
+        If a trachea was found without doubts and the root is not connected to it.
     """
     is_sure = not trachea.notes and trachea.split_mm is not None and trachea.split_mm >= SURE_TRACHEA_MM
     if is_sure and root[2] <= top[2] + ABOVE_MM:

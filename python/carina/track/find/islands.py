@@ -1,4 +1,4 @@
-"""Air in the chest that no path reaches: pieces of airway beyond an obstruction, and where each of them ends."""
+"""Islands of air in the chest that no path reaches: pieces of airway beyond an obstruction, and their ends."""
 
 from __future__ import annotations
 
@@ -18,55 +18,67 @@ Points = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 ROUND_TREE_MM = 30.0
-"""Air farther than this from the box of the tree is no airway of its."""
+"""Air farther than this from the bounding box of the tree does not belong to an airway of the tree."""
 LEAST_MM3 = 15.0
 LEAST_VOXELS = 8
 LEAST_LONG_MM = 6.0
 MOST_MM3 = 60_000.0
-"""All airways beyond a main bronchus hold less; a stomach, the air round the patient and large bullae hold more."""
+"""Largest island.
+
+All airways beyond a main bronchus are smaller; the stomach, air outside the body and large bullae are larger.
+"""
 MOST_ISLANDS = 80
 MOST_ENDS = 12
 DARK_NEIGHBOURS = 3
-"""Of its six neighbours a voxel of air has at least so many that are air: alone it is noise."""
+"""A voxel of air needs at least this many air voxels among its six neighbours; otherwise it counts as noise."""
 MOST_DARK = 4_000_000
-"""More dark voxels than this are emphysema, and nothing can be told by darkness."""
+"""More dark voxels than this are emphysema, in which islands cannot be distinguished by their darkness."""
 CELL_MM = 2.0
-"""Ways inside an island lead from cell to cell of about this edge."""
+"""Least edge length of the cells between which paths inside an island run; at least one voxel."""
 AXIS_MM, ONWARD_MM = 3.0, 9.0
-"""The axis of an end runs between the middles of its first stretch of this length, or of one radius, and of the next:
-long enough to hold both of two branches, whose middle lies on the axis of their trunk."""
+"""Lengths of the first and second stretch of an end, in mm; its axis joins the centres of the two.
+
+The first stretch is at least one radius long. The second is long enough to contain both of two branches, whose
+common centre is on the axis of their trunk.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IslandEnd:
-    """Where an island ends, and how it lies there."""
+    """End of an island: position, direction and radius."""
 
     axis_lps: Points
-    """(3,) a place on its axis just inside the end."""
+    """Point (3,) on the axis just inside the end, LPS in mm."""
     outward: Points
-    """(3,) unit vector out of the island."""
+    """Unit vector (3,) that points out of the island, LPS."""
     radius_mm: float
-    """As the number of its voxels there has it."""
+    """Radius calculated from the number of voxels near the end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Island:
-    """One piece of air."""
+    """Connected piece of air that does not touch the lumen."""
 
     points_lps: Points
-    """(n, 3) centres of its voxels."""
+    """Centres (n, 3) of the voxels, LPS in mm."""
     ends: tuple[IslandEnd, ...]
+    """Ends of the piece."""
 
 
 def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points, darkest: float) -> list[Island]:
-    """Pieces of connected voxels at most as bright as ``darkest`` that do not touch the lumen; the largest first.
+    """Find connected voxels at most as bright as ``darkest`` that do not touch the lumen; the largest piece first.
 
     Parameters
     ----------
+    volume
+        The CT.
     lumen_zyx
-        (nz, ny, nx) not 0 inside what was found.
+        (nz, ny, nx), nonzero inside the found airways.
     tree_lps
-        (n, 3) its centrelines: pieces are looked for in their box and 30 mm round it.
+        (n, 3) points of the centrelines of the tree, LPS in mm. Pieces are searched in their bounding box and 30 mm
+        round it.
+    darkest
+        Highest value of air, in the numbers of the volume.
     """
     voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
     pieces = find_pieces_of_air(
@@ -92,7 +104,7 @@ def find_islands(volume: Volume, lumen_zyx: NDArray[np.uint8], tree_lps: Points,
 
 
 def _box(volume: Volume, tree_lps: Points) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """Its first voxel, and the first beyond it."""
+    """Return the first voxel (i, j, k) of the searched box and the first voxel beyond it."""
     ijk = volume.to_ijk(tree_lps)
     reach = ROUND_TREE_MM / np.array(volume.spacing_mm)
     last = np.array(volume.shape_zyx[::-1]) - 1
@@ -102,7 +114,7 @@ def _box(volume: Volume, tree_lps: Points) -> tuple[tuple[int, int, int], tuple[
 
 
 def _edges(flat: Ints, ijk: Ints, volume: Volume) -> Ints:
-    """(m, 2) pairs of places in ``flat``, which is sorted, of voxels that share a face."""
+    """Return (m, 2) index pairs into ``flat`` (sorted) of the voxels that share a face."""
     nz, ny, nx = volume.shape_zyx
     pairs = []
     for axis, (stride, size) in enumerate(((1, nx), (nx, ny), (nx * ny, nz))):
@@ -114,7 +126,7 @@ def _edges(flat: Ints, ijk: Ints, volume: Volume) -> Ints:
 
 
 def _ends(points: Points, edges: Ints, coarsest_mm: float, voxel_mm3: float) -> tuple[IslandEnd, ...]:
-    """Ends of a piece: places far from each other along ways inside it."""
+    """Return the ends of a piece: points far from each other along paths inside the piece."""
     edge_mm = max(CELL_MM, coarsest_mm)
     _, cell = np.unique(np.floor(points / edge_mm).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.ravel()
@@ -146,7 +158,7 @@ def _ends(points: Points, edges: Ints, coarsest_mm: float, voxel_mm3: float) -> 
 
 
 def _end_at(points: Points, away_mm: Points, voxel_mm3: float) -> IslandEnd | None:
-    """The axis of an end from the middles of the stretches next to it."""
+    """Return an end with its axis, from the centres of the two stretches next to it."""
     first = away_mm <= 2.0 * AXIS_MM
     radius_mm = float(np.sqrt(first.sum() * voxel_mm3 / (2.0 * AXIS_MM) / np.pi))
     length_mm = max(AXIS_MM, radius_mm)
@@ -160,7 +172,7 @@ def _end_at(points: Points, away_mm: Points, voxel_mm3: float) -> IslandEnd | No
 
 
 def _ways_mm(neighbours: list[list[tuple[int, float]]], start: int) -> Points:
-    """Length of the way to every cell from one."""
+    """Return the length (mm) of the shortest path from one cell to every cell."""
     length = np.full(len(neighbours), np.inf)
     length[start] = 0.0
     waiting = [(0.0, start)]

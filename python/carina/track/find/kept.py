@@ -1,4 +1,4 @@
-"""What is found in one volume when it is first asked for, and kept for the next who asks."""
+"""Cache of a value that is computed from one volume at first use."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Found = TypeVar("Found")
 
 
 class KeptForVolume(Generic[Found]):
-    """Something that was found in a volume; shared by the airways that edits make of each other."""
+    """Cached value that was computed from a volume; the airways before and after an edit share the cache."""
 
     __slots__ = ("_found", "_lock", "_values")
 
@@ -27,11 +27,15 @@ class KeptForVolume(Generic[Found]):
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # What was found is computed again where it is needed: it is large.
+        """Return an empty cache: the value is not pickled."""
+        # The cached value is large, so it is not pickled but computed again when needed.
         return KeptForVolume, ()
 
     def of(self, volume: Volume, find: Callable[[], Found]) -> Found:
-        """What was found in a volume, or is found now; of another volume it is never kept."""
+        """Return the cached value for a volume, or compute it with ``find``.
+
+        A value that was computed from another volume is replaced.
+        """
         with self._lock:
             if self._found is None or self._values is not volume.hu_zyx:
                 self._found = find()

@@ -1,4 +1,4 @@
-"""How sharp a CT's reconstruction kernel is, read off the volume: what an edge-enhancing one leaves beside edges."""
+"""Sharpness of a CT's reconstruction kernel, measured by the undershoot that an edge-enhancing kernel leaves."""
 
 from __future__ import annotations
 
@@ -12,36 +12,40 @@ from carina.volume.model import Volume
 __all__ = ["edge_undershoot_hu", "undershoots_hu"]
 
 TISSUE_HU, EDGE_HU = -300.0, -500.0
-# A kernel's undershoot lies within this of the edge; from the second distance to the third the lung is as it is.
+# The undershoot of a kernel is within the first distance of the edge; undisturbed lung is between the other two.
 RIM_MM = 2.3
 LUNG_FROM_MM, LUNG_TO_MM = 4.0, 7.0
-# Voxels longer than this average the undershoot away, or do not show it.
+# Longer voxels average the undershoot away or do not show it.
 MOST_VOXEL_MM = 1.6
-# Edges looked at along an axis lie in so many voxels, and so many of them are needed.
+# Approximate number of voxels per axis in which edges are searched, and least number of edges.
 NUM_VOXELS = 400_000
 MIN_EDGES = 150
 
 
 def edge_undershoot_hu(volume: Volume, scale: AirScale) -> float | None:
-    """How much darker lung is just beside soft tissue than a few millimetres farther on, HU.
+    """Measure how much darker lung is just beside soft tissue than a few millimetres farther away, in HU.
 
-    Blur makes it brighter, so a CT with a soft kernel has none (about 0, or less). An edge-enhancing kernel lays a dark
-    rim along every vessel and along the pleura: a connected sheet that is closed by tissue on one side and by brighter
-    lung on the other, as the inside of a small airway is. Its depth is what such a rim pretends.
+    Blur makes lung beside tissue brighter, so a CT with a soft kernel has no undershoot (about 0, or less). An
+    edge-enhancing kernel produces a dark rim along every vessel and along the pleura. Like the lumen of a small
+    airway, the rim is closed by tissue on one side and by brighter lung on the other; its depth is the contrast by
+    which it resembles an airway.
 
     Returns
     -------
     float or None
-        Median over edges along the two axes that show most of it; None where there are too few edges or voxels are too
-        long.
+        Mean of the medians over edges along the two axes with most undershoot; None if there are too few edges or
+        the voxels are too long.
     """
     found = sorted(depth for depth in undershoots_hu(volume, scale) if depth is not None)
-    # A kernel sharpens in the slice; across slices there may be less of it.
+    # A kernel sharpens in the slice; across slices there may be less undershoot.
     return None if not found else float(np.mean(found[-2:]))
 
 
 def undershoots_hu(volume: Volume, scale: AirScale) -> tuple[float | None, float | None, float | None]:
-    """The same along i, j and k, one each; None where there are too few edges or voxels are too long."""
+    """Measure the undershoot beside soft tissue along i, j and k, in HU.
+
+    A value is None if there are too few edges or the voxels are too long.
+    """
     x, y, z = (
         _along(volume.hu_zyx, 2 - axis, spacing_mm, scale) if spacing_mm <= MOST_VOXEL_MM else None
         for axis, spacing_mm in enumerate(volume.spacing_mm)
@@ -53,7 +57,7 @@ def _along(values: NDArray[np.int16], axis: int, voxel_mm: float, scale: AirScal
     lines = np.moveaxis(values, axis, -1)
     every = max(int(np.sqrt(lines.size / NUM_VOXELS)), 1)
     lines = np.ascontiguousarray(lines[every // 2 :: every, every // 2 :: every])
-    # At least two voxels of rim, and it ends before the lung begins.
+    # The rim has at least two voxels and ends before the lung begins.
     num_rim = max(int(RIM_MM / voxel_mm), 2)
     first = max(int(np.ceil(LUNG_FROM_MM / voxel_mm)), num_rim + 1)
     last = max(int(LUNG_TO_MM / voxel_mm), first + 1)
@@ -64,7 +68,7 @@ def _along(values: NDArray[np.int16], axis: int, voxel_mm: float, scale: AirScal
         return None
     depths = []
     for way in (lines, lines[..., ::-1]):
-        # Tissue, at most one voxel in between, then what is no tissue.
+        # An edge is tissue, then at most one voxel in between, then a voxel that is not tissue.
         is_tissue = way >= tissue
         ahead = way < edge
         steps = is_tissue[..., : length - last - 1] & ~is_tissue[..., 1 : length - last]

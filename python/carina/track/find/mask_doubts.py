@@ -1,4 +1,4 @@
-"""Whether a lumen from another tool is that of this CT: looked at branch by branch, along its whole length."""
+"""Check of a lumen from another tool against the CT, branch by branch along the whole length."""
 
 from __future__ import annotations
 
@@ -15,30 +15,35 @@ from carina.volume.model import Note, Volume
 __all__ = ["DOUBTED", "mask_evidence", "unnamed_where_doubted", "with_mask_doubts"]
 
 DOUBTED = "track.mask-doubted"
-"""Code of the lasting note of a mask that does not fit its CT."""
+"""Code of the permanent note on a mask that does not match its CT."""
 
 Points = NDArray[np.float64]
 
 STEP_MM = 1.0
 NUM_SIDES = 16
 NUM_STEPS = 14
-# The middle of the lumen is what lies within this share of its radius; its wall is looked for up to so far beyond it.
+# The middle of the lumen is within this share of its radius; the wall is searched up to this distance beyond the
+# radius.
 MIDDLE = 0.35
 WALL_REACH_MM = 2.0
-# A wall rises above the lumen by this many deviations of the noise, and by at least so much; most sides have one.
+# A wall is brighter than the lumen by this many standard deviations of the noise, and by at least this many HU; it must
+# be visible on this share of the sides.
 RISE_SIGMA, LEAST_RISE_HU = 4.0, 80.0
 MIN_WALLED = 0.6
-# Brighter than half-way to soft tissue is no air.
+# Voxels brighter than half-way between air and soft tissue are not air.
 AIR_HU = -500.0
-# A branch is in doubt where less of its length than this has evidence; a mask, where so much of its length is.
+# A branch is doubtful if a smaller share of its length has evidence; a mask, if more of its length is doubtful.
 MIN_EVIDENCE = 0.4
 MOST_DOUBTED = 0.2
-# Wide airways stay dark under a mask that is some mm off: the small ones tell.
+# Wide airways stay dark under a mask that is displaced by some mm, so only small ones are judged.
 MOST_RADIUS_MM = 7.0
 
 
 def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float, scale: AirScale) -> list[Points]:
-    """For each branch, (n,) at places 1 mm apart: the share of its sides with wall where its middle is dark, else 0."""
+    """Return the evidence for each branch at points 1 mm apart, (n,): the share of sides with a wall.
+
+    The share is 0 where the middle of the lumen is not dark.
+    """
     places, across_u, across_v, radii, counts = [], [], [], [], []
     for branch in branches:
         at, along, radius = _places(branch)
@@ -68,7 +73,7 @@ def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float,
 
 
 def _places(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]]:
-    """Places of a branch beyond the fork that it comes from, the way it runs there, and its radius."""
+    """Return points of a branch beyond the fork at its start, the unit direction there, and the radius in mm."""
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     first = min(float(branch.radius[0]), 0.5 * along[-1])
@@ -87,16 +92,28 @@ def _places(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]]:
 def with_mask_doubts(
     volume: Volume, tree: AirwayTree, noise_hu: float, scale: AirScale
 ) -> tuple[AirwayTree, Note | None]:
-    """The tree of a mask with the confidence of its doubtful branches, and the lasting note of one that does not fit.
+    """Return the tree of a mask with the confidence of its doubtful branches, and a note if the mask is doubtful.
 
-    A branch whose middle is dark, with wall on most sides, along its whole length has a share of 1; one that lies in
-    tissue or in lung without wall 0. A mask drawn at the outer side of the walls fits as well: middles stay dark, walls
-    are near. The share is the confidence of branches that lack evidence, and of all where the mask does not fit.
+    The share of a branch is the part of its length with a dark middle and a wall on most sides: 1 if this is so
+    along the whole branch, 0 for a branch in tissue or in lung without a wall. A mask drawn at the outer side of the
+    walls matches as well. The share becomes the confidence of branches without enough evidence, and of all branches
+    if the mask does not match.
 
     Parameters
     ----------
+    volume
+        The CT.
+    tree
+        The tree of the mask.
     noise_hu
         Standard deviation of the values in the widest airway, HU.
+    scale
+        Conversion from HU to the values of the volume.
+
+    Returns
+    -------
+    AirwayTree, Note or None
+        The tree, and the permanent note on a mask that does not match the CT.
     """
     found = mask_evidence(volume, tree.branches, noise_hu, scale)
     shares = [float((walled >= MIN_WALLED).mean()) for walled in found]
@@ -116,7 +133,7 @@ def with_mask_doubts(
         )
         note = Note(DOUBTED, words, badge=True)
     branches = tuple(
-        # What another tool found is taken as it is where nothing speaks against it.
+        # A branch from another tool is accepted as it is if there is no evidence against it.
         dataclasses.replace(branch, confidence=round(share, 3)) if note is not None or share < MIN_EVIDENCE else branch
         for branch, share in zip(tree.branches, shares, strict=True)
     )
@@ -124,7 +141,7 @@ def with_mask_doubts(
 
 
 def unnamed_where_doubted(tree: AirwayTree) -> AirwayTree:
-    """A tree whose names go no farther than its evidence: the name of a branch is no surer than the branch."""
+    """Return a tree in which the confidence of each name is at most that of its branch."""
     return dataclasses.replace(tree, branches=tuple(_less_sure(branch) for branch in tree.branches))
 
 

@@ -1,7 +1,7 @@
-"""Streaks of metal: which part of a CT they change.
+"""Detection of metal streaks: the part of a CT that they change.
 
-Streaks lie in the slices that contain metal and are straight lines from it. On circles round the metal they alternate
-between dark and bright, in the same way at every distance; nothing in a chest does so (docs/decisions/0115).
+Streaks are in the slices that contain metal and are straight lines from it. On circles round the metal, dark and
+bright alternate in the same way at every distance; nothing in a chest has this pattern (docs/decisions/0115).
 """
 
 from __future__ import annotations
@@ -19,41 +19,46 @@ Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
 
 METAL_HU = 2000.0
-"""Clips are brighter, also where a voxel contains only a part of one; so are dense contrast medium and enamel."""
+"""Lowest value of metal. Clips are brighter, even as partial volume; so are dense contrast medium and tooth enamel."""
 LEAST_METAL_HU = 1000.0
-"""Of a file that ends at a lower value than metal, voxels at its greatest value may be metal, down to this."""
+"""Lowest value of metal in a file with a smaller range of values.
+
+Voxels at the highest value of such a file may be metal if that value is at least this.
+"""
 LEAST_METAL_MM2 = 0.4
 JOINED_MM = 4.0
-"""Metal so close together is one piece."""
+"""Voxels of metal within this distance belong to one piece."""
 MOST_PIECES = 5
-"""The largest pieces of a slice are looked at."""
+"""Number of largest pieces per slice that are examined."""
 
 NUM_DIRECTIONS = 180
 FROM_MM, TO_MM, STEP_MM = 3.0, 120.0, 1.0
 LOWEST_HU, HIGHEST_HU = -1024.0, 300.0
-"""Values beyond these, of metal and bone, count as these."""
+"""Range of values; higher and lower values, of metal and bone, are clipped to it."""
 ROUND_DEG = 24.0
-"""The value of a direction is compared with the median of the directions within this angle."""
+"""The value of a direction is compared with the median over this angle round it."""
 ALONG_MM = 20.0
-"""A streak is as much darker or brighter than these over such a distance (median)."""
+"""Distance over which a streak must differ from its surroundings (median)."""
 STREAK_HU = 60.0
-# Share of the directions with a streak: beside the metal, and where the changed part ends. In 552 slices of four CTs
-# with dense contrast medium, calcium and catheters, 5 % at most beside it and 9 % from 18 to 38 mm; with noise of
+# Least share of directions with a streak, beside the metal and at the end of the changed part. In 552 slices of four
+# CTs with dense contrast medium, calcium and catheters: at most 5 % beside it and 9 % from 18 to 38 mm; with noise of
 # 180 HU 16 % beside it; beside most clips 20 % or more.
 BESIDE_MM = 18.0
 LEAST_SHARE = 0.18
 LEAST_SHARE_FAR = 0.2
 SAME_MM = 2.0
-"""Slices so near to streaks contain a part of them."""
+"""Slices within this distance of streaks contain a part of them."""
 
 
 def find_streaks(volume: Volume, scale: AirScale) -> Mask | None:
-    """Return the part (nz, ny, nx) of a CT that streaks of metal change; None where there are no streaks.
+    """Find the part (nz, ny, nx) of a CT that metal streaks change; return None if there are no streaks.
 
     Parameters
     ----------
     volume
-        In canonical order: slices from the feet up.
+        Volume in canonical order: slices from the feet up.
+    scale
+        Conversion from HU to the values of the volume.
     """
     metal = min(scale.level(METAL_HU), volume.value_range[1])
     if metal < scale.level(LEAST_METAL_HU):
@@ -102,8 +107,8 @@ def _pieces(metal: Mask, step_mm: tuple[float, float]) -> list[tuple[float, floa
 def _radius_mm(
     plane: Plane, centre: tuple[float, float], step_mm: tuple[float, float], scale: AirScale
 ) -> float | None:
-    """Return how far the streaks of a piece of metal reach in a slice; None where it has no streaks."""
-    # Most metal has no streaks, which is seen close to it: the rest of the slice is not looked at.
+    """Return the radius (mm) within which a piece of metal causes streaks in a slice; None if it causes none."""
+    # Most metal causes no streaks: test close to it first, to avoid sampling the rest of the slice.
     close = np.arange(FROM_MM, BESIDE_MM + ALONG_MM, STEP_MM)
     share = _share_of_streaks(plane, centre, close, step_mm, scale)
     if share[close <= BESIDE_MM].mean() < LEAST_SHARE:
@@ -121,7 +126,7 @@ def _share_of_streaks(
     step_mm: tuple[float, float],
     scale: AirScale,
 ) -> NDArray[np.float64]:
-    """Return the share of the directions that are brighter or darker than those beside them, at each distance."""
+    """Return the share of directions that are brighter or darker than the directions beside them, at each distance."""
     turns = 2.0 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
     j = np.rint(centre[0] + np.sin(turns)[:, None] * away / step_mm[0]).astype(int)
     i = np.rint(centre[1] + np.cos(turns)[:, None] * away / step_mm[1]).astype(int)

@@ -1,8 +1,8 @@
-"""Airways whose air narrows although their wall does not: a level of fluid, secretions along the wall.
+"""Detection of airways whose air narrows while the wall does not: a fluid level, or secretions along the wall.
 
-The air of a branch is narrow over a stretch and wide again beyond. Across that stretch the calibre from before and
-beyond is laid as a circle round the air: what it holds beside the air is tissue where something lines or half fills the
-bronchus. A bronchus that is narrow with its wall has lung inside that circle, and is measured as a stenosis.
+The air of such a branch is narrow along a part of it and wide again beyond. A circle with the calibre before and
+beyond is fitted round the narrow air. If material lines or half fills the bronchus, the rest of the circle is
+tissue. If the wall narrows too, there is lung inside the circle; the branch is then measured as a stenosis.
 """
 
 from __future__ import annotations
@@ -20,29 +20,36 @@ Points = NDArray[np.float64]
 Floats = NDArray[np.float64]
 
 NARROW = 0.88
-"""Air this much narrower than before and beyond is looked at. Half of the height filled leaves 0.71."""
+"""Air narrower than this share of the calibre before and beyond is examined.
+
+A bronchus that is filled to half its height has 0.71.
+"""
 LEAST_LONG_MM = 4.0
 NEAR_MM = 25.0
-"""Wide again within this distance."""
+"""The air must be wide again within this distance."""
 FINE_MM, FINE_VOX = 2.5, 3.0
 MOST_SHARE = 0.9
-"""A branch is nowhere wider than this share of it: forks flare."""
+"""Quantile of the width that counts as the widest part of a branch: forks flare."""
 INNER = 0.85
-"""Blur and an axis that bends leave so much of the radius that is surely inside the wall."""
+"""Share of the radius that is certainly inside the wall, despite blur and a bent axis."""
 LEAST_FILLED, MOST_LUNG = 0.1, 0.1
-"""Of the circle inside the wall."""
+"""Least share of filling and largest share of lung in the circle inside the wall."""
 ONE_SIDED = 0.15
 EACH_MM = 1.0
 LEAST_TOLD = 4
-"""Sections in which something lies between air and wall."""
+"""Smallest number of sections with material between air and wall."""
 MOST_SHIFT = 0.9
 
 
 def find_narrowed(look: Across, tree: AirwayTree, voxel_mm: float) -> list[Uncertainty]:
-    """Stretches of branches in which something lies between the air and the wall.
+    """Find the parts of branches that have material between the air and the wall.
 
     Parameters
     ----------
+    look
+        Sampler of the CT.
+    tree
+        The airway tree.
     voxel_mm
         Mean edge of a voxel.
     """
@@ -73,7 +80,7 @@ def _of_branch(look: Across, tree: AirwayTree, branch: Branch, voxel_mm: float) 
         told = [(mm, middle) for mm in sampled if (middle := _middle(look, branch, at, mm, calibre)) is not None]
         if len(told) < LEAST_TOLD or told[-1][0] - told[0][0] < LEAST_LONG_MM:
             continue
-        # Beyond by itself it may be measured in the flare of a fork.
+        # A calibre from the peripheral side alone may be measured in the flare of a fork.
         error = max(voxel_mm, ONE_SIDED * after_mm) if before_mm is None else 0.5 * abs(before_mm - after_mm)
         error = max(error, 0.5 * voxel_mm)
         found.append(
@@ -99,20 +106,20 @@ def _median(values: Floats) -> float | None:
 
 
 def _smoothed(values: Floats) -> Floats:
-    """The median of each three neighbours."""
+    """Return the median of each value and its two neighbours."""
     padded = np.pad(values, 1, mode="edge")
     result: Floats = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
     return result
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last place of each run of true."""
+    """Return the first and last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
 def _middle(look: Across, branch: Branch, at: Floats, place_mm: float, calibre_mm: float) -> Points | None:
-    """The middle from wall to wall; None where nothing lies between air and wall."""
+    """Return the centre between the walls (LPS, mm), or None if there is no material between air and wall."""
 
     def on_axis(mm: float) -> Points:
         return np.array([np.interp(mm, at, branch.points[:, a]) for a in range(3)])
@@ -123,7 +130,7 @@ def _middle(look: Across, branch: Branch, at: Floats, place_mm: float, calibre_m
         return None
     radius = 0.5 * calibre_mm
     plane = look.plane(centre, direction, (1.0 + MOST_SHIFT) * radius + 2.0 * look.step_mm)
-    # Thin walls that the blur has darkened still part air from lung at this level.
+    # Even thin walls that are darkened by blur separate air from lung at this level.
     dark = plane.values <= look.lung
     air = _connected(dark, radius, plane)
     lung = dark & ~air
@@ -132,7 +139,7 @@ def _middle(look: Across, branch: Branch, at: Floats, place_mm: float, calibre_m
     for shift in _shifts(radius):
         away = np.hypot(plane.off_mm[..., 0] - shift[0], plane.off_mm[..., 1] - shift[1])
         inside = away <= INNER * radius
-        # All of the air, and no lung.
+        # The best circle contains all of the air and no lung.
         wrong = float((air & (away > radius)).sum() + (lung & inside).sum()) + 1e-3 * float(np.hypot(*shift))
         if best is None or wrong < best[0]:
             best = wrong, shift
@@ -153,7 +160,7 @@ def _shifts(radius: float) -> list[Floats]:
 
 
 def _connected(dark: NDArray[np.bool_], radius: float, plane: Plane) -> NDArray[np.bool_]:
-    """What of the dark hangs together with the middle of a plane."""
+    """Return the dark pixels that are connected to the centre of a plane."""
     middle = len(dark) // 2
     near = np.hypot(plane.off_mm[..., 0], plane.off_mm[..., 1]) <= max(0.3 * radius, 1.5 * plane.step_mm)
     found = dark & near

@@ -1,4 +1,4 @@
-"""Voxels without data: the constant value that a rotated or cropped volume has where nothing was scanned."""
+"""Detection of padding: the constant value of a rotated or cropped volume where nothing was scanned."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from carina.volume.model import Volume
 __all__ = ["padding_near"]
 
 REACH_MM = 30.0
-"""Padding is searched for so far from the trachea."""
+"""Padding is searched within this distance of the trachea."""
 BLOCK_KJI = (3, 5, 5)
-"""The smallest block of one value that is padding; noise makes no such block."""
+"""Smallest block (k, j, i) of one value that counts as padding; noise does not produce such a block."""
 LEAST_MM3 = 60_000.0
-"""Padding near the trachea is larger than a wide trachea, in which a scanner may have cut off the values of air."""
+"""Least volume of padding: larger than a wide trachea, in which a scanner may have clipped the values of air."""
 MOST_EQUAL = 0.25
-"""If more neighbours in the lower trachea have the same value, the air has no noise: padding looks like it."""
+"""If a larger share of the lower trachea has equal neighbours, its air has no noise and looks like padding."""
 
 
 def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray[np.bool_] | None:
@@ -29,7 +29,7 @@ def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray
     Parameters
     ----------
     volume
-        The CT with its noise.
+        The original CT, with its noise.
     trachea
         Voxels (i, j, k) of the trachea's air, from the top down. The upper ones may be padding.
 
@@ -75,7 +75,7 @@ def padding_near(volume: Volume, trachea: list[tuple[int, int, int]]) -> NDArray
 
 
 def _share_of_equal_neighbours(volume: Volume, voxels: NDArray[np.int64]) -> float:
-    """Return the share of voxels (n, 3) of (i, j, k) with the value of the next voxel along i or along j."""
+    """Return the share of voxels (n, 3) of (i, j, k) with the same value as the next voxel along i or along j."""
     _, ny, nx = volume.shape_zyx
     i, j, k = voxels.T
     values = volume.hu_zyx
@@ -89,9 +89,13 @@ def _spread(mask: NDArray[np.bool_], block: tuple[int, int, int], before: int) -
 
     Parameters
     ----------
+    mask
+        (nz, ny, nx) mask.
+    block
+        Size of a block along each axis, in voxels.
     before
-        Voxels of a block before the mask's voxel along each axis, which are cut off at the border. With 0 the result is
-        larger than the mask by what a block is longer than a voxel.
+        Number of voxels of a block before the mask's voxel along each axis; the block is cut off at the border. With
+        0 the result is larger than the mask by the block size less 1.
     """
     for axis, size in enumerate(block):
         width = [(0, 0)] * 3

@@ -1,4 +1,4 @@
-"""Whether the root that was found is the top of the trachea: what the tree grown from it says."""
+"""Checks that the root of a grown tree is the top of the trachea."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ __all__ = [
     "refuse_a_root_of_one_lung",
 ]
 
-# Inspiration to expiration, emphysema in part: there must be some of it on both sides of the trachea's split.
+# Range of values of lung from inspiration to expiration, partly with emphysema; there must be lung on both sides of the
+# trachea's division.
 LUNG_HU = (-950.0, -600.0)
-# A path that rises this much before it falls as much goes up first.
+# A path goes up first if it rises by this before it falls by this.
 UP_FIRST_MM = 10.0
-# A tube as long as this above its split is the trachea: the longest other one, the left main bronchus, has 40 to 55 mm.
+# A tube this long above its division is the trachea: the next longest, the left main bronchus, has 40 to 55 mm.
 SURE_TRACHEA_MM = 60.0
-# Ends this near to the middle between the lungs belong to neither side.
+# Ends within this distance of the middle between the lungs belong to neither side.
 MIDDLE_MM = 10.0
-# Of the ends that lie to a side, the least share on the side that has fewer: an upper lobe without its bronchi is more.
+# Least share of the lateral ends on the side with fewer ends: an upper lobe without its bronchi leaves more.
 LEAST_SIDE = 0.05
-# Lung is told from the air outside on blocks of about this size: noise and the skin's blurred edge go under.
+# Lung is distinguished from air outside the body on blocks of this size, which suppress noise and blurred skin edges.
 BLOCK_MM = 4.0
-# The standard deviation (HU) in a block of lung is at most this; it is larger in the blurred edge between air and skin.
-# A smaller volume is not lung: air cells of the mastoid, or bowel.
+# Highest standard deviation (HU) in a block of lung; the blurred edge between air and skin has more. A volume below
+# ``LEAST_LUNG_MM3`` is not lung but mastoid air cells or bowel.
 EVEN_HU = 150.0
 LEAST_LUNG_MM3 = 40_000.0
 
 
 def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...]) -> None:
-    """Refuse a root from which branches in the lung are reached by going up first: a lower bronchus, not the trachea.
+    """Raise an error if branches in the lung go up from the root: it is then in a bronchus, not the trachea.
 
-    Throat, nose and oesophagus above the root end in soft tissue.
+    Branches in throat, nose and oesophagus above the root do not count: they end in soft tissue.
 
     Raises
     ------
     NoResultError
-        If that is so.
+        If at least three tips in the lung are reached by going up first.
     """
     root_z = float(branches[0].points[0][2])
     upward: list[bool | None] = []
     tips = []
-    # Parents come before their children.
     for branch in branches:
         first = None if branch.parent is None else upward[branch.parent]
         if first is None:
@@ -72,23 +72,25 @@ def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...])
 
 
 def refuse_a_root_of_one_lung(volume: Volume, branches: tuple[Branch, ...], trachea_mm: float) -> None:
-    """Refuse a root that splits in two but leads into one lung only: a bronchus, not the trachea.
+    """Raise an error if a root divides in two but leads into one lung only: it is a bronchus, not the trachea.
 
-    A main or lower bronchus splits as the trachea does, and has lung on both sides of it. What hangs on it stays on
-    its side of the middle between the lungs. A trachea longer than any bronchus is believed without this, whatever has
-    become of a lung.
+    A main or lower bronchus divides as the trachea does and has lung on both sides, but its branches stay on one
+    side of the middle between the lungs. A tube longer than any bronchus is accepted as the trachea without this
+    check, because a lung may be missing.
 
     Parameters
     ----------
+    volume
+        The CT.
     branches
         The tree grown from the root.
     trachea_mm
-        Length of the tube above its split.
+        Length of the tube above its division.
 
     Raises
     ------
     NoResultError
-        If that is so.
+        If nearly all ends are on one side.
     """
     if trachea_mm >= SURE_TRACHEA_MM:
         return
@@ -96,7 +98,7 @@ def refuse_a_root_of_one_lung(volume: Volume, branches: tuple[Branch, ...], trac
     if middle is None:
         return
     ends = np.array([branch.points[-1][0] for branch in branches if not branch.children])
-    # +x is the patient's left.
+    # In LPS, +x is the patient's left.
     right, left = int((ends < middle - MIDDLE_MM).sum()), int((ends > middle + MIDDLE_MM).sum())
     if min(right, left) <= LEAST_SIDE * (right + left):
         side = "right" if right > left else "left"
@@ -110,7 +112,7 @@ def refuse_a_root_of_one_lung(volume: Volume, branches: tuple[Branch, ...], trac
 
 
 def _middle_between_the_lungs(volume: Volume) -> float | None:
-    """Return the LPS x half-way between the outer parts of the lungs; None where there is no lung."""
+    """Return the LPS x coordinate half-way between the outer parts of the lungs; None if there is no lung."""
     size = np.maximum(np.rint(BLOCK_MM / np.array(volume.spacing_mm)), 1).astype(int)
     counts = np.array(volume.shape_zyx[::-1]) // size
     if not counts.all():
@@ -130,7 +132,7 @@ def _middle_between_the_lungs(volume: Volume) -> float | None:
 
 
 def has_lung(volume: Volume, scale: AirScale) -> bool:
-    """Return whether a CT shows lung: enough evenly dark tissue, without the edges between air and tissue."""
+    """Return whether a CT shows lung: enough uniformly dark tissue, without the edges between air and tissue."""
     size = np.maximum(np.rint(BLOCK_MM / np.array(volume.spacing_mm)), 1).astype(int)
     counts = np.array(volume.shape_zyx[::-1]) // size
     low, high = scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])
@@ -147,7 +149,7 @@ def has_lung(volume: Volume, scale: AirScale) -> bool:
 
 
 def _is_in_lung(volume: Volume, point: NDArray[np.float64], scale: AirScale) -> bool:
-    """Lung is the most common thing within 8 mm."""
+    """Return whether more than half of the voxels within 8 mm of a point (LPS, mm) have values of lung."""
     centre = volume.to_ijk(point)
     reach = np.ceil(8.0 / np.array(volume.spacing_mm))
     shape = np.array(volume.shape_zyx[::-1])

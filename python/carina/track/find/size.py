@@ -11,30 +11,34 @@ from carina.volume.model import Volume
 __all__ = ["ADULT_MM", "WIDE_PART", "longest_trachea_mm", "search_size", "thread_confidence", "usual_trachea_mm"]
 
 ADULT_MM = 16.0
-"""Trachea from which on the lengths of the search are those of an adult."""
+"""Smallest diameter of the trachea for which the lengths of the search are those of an adult."""
 WIDE_PART = 75.0
-"""Percentile of the trachea's diameters: a stenosis along less than three quarters of the trachea does not count."""
-# The edge of a spot of air lies inside the wall by so much of a voxel (phantoms with voxels of 0.8 to 4 mm).
+"""Percentile of the trachea's diameters that is used: a stenosis along less than three quarters of it has no effect."""
+# The measured edge of an air space is inside the true wall by this share of a voxel (phantoms with voxels of 0.8 to 4
+# mm).
 EDGE_VOXELS = 0.5
-# A trachea of 4 mm is a newborn's.
+# Lower limit: a trachea of 4 mm is that of a newborn.
 LEAST_SIZE = 0.25
-# An adult's trachea is 100 to 140 mm long, and in proportion longer if it is wider than usual, up to so many times.
+# Longest and usual trachea of an adult (most are 100 to 140 mm long). Both are longer in proportion if the trachea is
+# wider than usual, up to the factor ``MOST_LONGER``.
 LONGEST_TRACHEA_MM, USUAL_TRACHEA_MM = 150.0, 110.0
 USUAL_DIAMETER_MM = 17.3
 MOST_LONGER = 1.2
-# The thinnest airways were verified in adult chests only: their confidence falls over so much of the size.
+# The thinnest airways were verified in adult chests only: their confidence falls over this reduction of the size.
 THREAD_FALL = 0.04
 UNPROVEN_THREAD = 0.5
 
 
 def search_size(volume: Volume, diameters_mm: NDArray[np.float64]) -> float:
-    """Return the size of the chest relative to an adult one: 1 from a trachea of :data:`ADULT_MM` on, else less.
+    """Return the size of the chest relative to an adult one: 1 if the trachea has :data:`ADULT_MM` or more, else less.
 
     The search for small airways compares the lumen with the tissue within fixed distances. In a smaller chest the
-    neighbouring vessels lie within these distances and look like the wall of an airway.
+    neighbouring vessels are within these distances and look like the wall of an airway.
 
     Parameters
     ----------
+    volume
+        The CT.
     diameters_mm
         (n,) equivalent diameter of the trachea in each of its slices.
     """

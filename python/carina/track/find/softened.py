@@ -1,4 +1,4 @@
-"""A CT with a sharp reconstruction kernel as a softer one would show it: what the kernel raised is lowered again."""
+"""Compensation of a sharp reconstruction kernel: copies of a CT in which the enhancement of detail is reversed."""
 
 from __future__ import annotations
 
@@ -19,58 +19,61 @@ from carina.volume.model import Volume
 
 __all__ = ["Softened", "as_it_is", "softened"]
 
-# How wide the seam is that a kernel lays beside an edge (sigma): 0.6 to 1.1 mm is made good by this. None is narrower
-# than the voxels.
+# Width (sigma) of the seam that a sharp kernel produces beside an edge; this width compensates seams of 0.6 to 1.1 mm.
+# No seam is narrower than the voxels.
 SEAM_MM = 0.7
 SEAM_VOXELS = 1.1
-# Undershoot up to this is what CTs with soft kernels show, with as much as 60 HU of noise: patients -24 to -2 HU,
-# phantoms -9 to 2. A softened CT is left with it: more softening only takes small airways away (docs/decisions/0113).
+# CTs with soft kernels show undershoot up to this, with as much as 60 HU of noise: patients -24 to -2 HU, phantoms -9
+# to 2 HU. A softened CT keeps this undershoot: more softening only removes small airways (docs/decisions/0113).
 SOFT_HU = 3.0
-# A copy that leaks with such rims is softened so much: what is left of its noise opens walls.
+# If the softened copy leaks too, the next copy is softened down to this undershoot: the remaining noise opens walls.
 SOFTEST_HU = -8.0
-# No kernel in use raises fine detail more than so many times; beyond, noise is all that there is.
+# Largest factor by which a kernel in use enhances fine detail; above it there is only noise.
 MOST_RAISED = 3.2
 STEPS = 5
-# The amount is found on so much of the middle of the volume.
+# The amount of softening is determined on a slab of this thickness in the middle of the volume.
 SLAB_MM = 40.0
 LEAST_SLAB = 24
-# Most files end here. Where one goes on, what is darker inside a small tube is air all the same.
+# Lowest value of most files. If a file has lower values, darker voxels inside a small tube are still air.
 FLOOR_HU = -1024.0
 AIR_HU = -1000.0
-# A wall's rise over a lumen that was cut off; a rim beside tissue has lung on its other sides.
+# Rise of the wall over a clipped lumen; a rim beside tissue has lung on its other sides.
 WALL_RISE_HU = 250.0
-# So much above air the softened CT is air for certain: so many deviations of its noise, or this.
+# Limit of certain air above the value of air: this many standard deviations of the noise, or this many HU.
 CERTAIN_NOISES = 2.5
 CERTAIN_HU = 40.0
 
 
 @dataclass(frozen=True, slots=True)
 class Softened:
-    """What the airways are searched in."""
+    """CT that is searched for airways, with a record of how it was softened or smoothed."""
 
     volume: Volume
-    """As a soft kernel would show it; the CT itself where its kernel is soft."""
+    """CT as a soft kernel would show it; the original if its kernel is soft."""
     undershoot_hu: float | None
-    """How much darker lung is beside edges in the CT; None where that was not to be found."""
+    """Undershoot beside edges in the original CT (how much darker lung is there); None if it could not be measured."""
     raised: float
-    """How much the kernel raises the finest detail, as a factor less 1; 0 where it is soft."""
+    """Factor, less 1, by which the kernel enhances the finest detail; 0 if the kernel is soft."""
     smoothed_mm: float
-    """Sigma of the Gaussian that took noise away; 0 where there was no need."""
+    """Sigma of the Gaussian that removed noise, in mm; 0 if the volume was not smoothed."""
     _sharp: Volume
     _values: NDArray[np.int16] | None
-    """Those of ``volume``, to write to; None where it is the CT itself."""
+    """Values of ``volume``, writable; None if ``volume`` is the original CT."""
     left_hu: float | None = None
-    """How much darker lung is beside edges in a softened ``volume``, before lumen that was cut off is restored, which
-    the measurement would take for rims; None where ``volume`` was not softened."""
+    """Undershoot that remains in a softened ``volume``; None if ``volume`` was not softened.
+
+    The undershoot is measured before clipped lumen is restored, because the measurement would take that lumen for
+    rims.
+    """
     can_be_softened: bool = False
     """Whether the caller searches a softened copy if this search leaks."""
     divided: DividedSlices | None = None
-    """The slices of the CT that were divided to make ``volume``; None where it has the CT's own."""
+    """Division of the slices of the CT that made ``volume``; None if ``volume`` has the original slices."""
     disturbed: Disturbed | None = None
-    """Parts of the CT whose values prove no small airway; None where they were not searched for."""
+    """Parts of the CT whose values do not prove a small airway; None if they were not searched for."""
 
     def smoothed(self, sigma_mm: float) -> Softened:
-        """Return a copy smoothed by a Gaussian of ``sigma_mm``, or of as many voxels if they are larger than 1 mm."""
+        """Return a copy smoothed by a Gaussian of ``sigma_mm`` (in units of the voxel size if voxels exceed 1 mm)."""
         sigma_mm *= max(min(self.volume.spacing_mm), 1.0)
         values = mix_with_blurs(
             self.volume.hu_zyx,
@@ -83,7 +86,7 @@ class Softened:
         return dataclasses.replace(self, volume=volume, smoothed_mm=sigma_mm, _values=None, left_hu=None)
 
     def walled(self, wall: Callable[[NDArray[np.int16]], None]) -> Softened:
-        """Return a copy in which ``wall`` has made some air tissue; it changes the values (nz, ny, nx) in place."""
+        """Return a copy in which ``wall`` has replaced air by tissue; it changes the values (nz, ny, nx) in place."""
         values = self.volume.hu_zyx.copy()
         wall(values)
         volume = dataclasses.replace(self.volume, hu_zyx=values)
@@ -96,15 +99,17 @@ class Softened:
         )
 
     def keep_cut_off_lumen(self, scale: AirScale, noise: float) -> None:
-        """Make air of the airways' lumen that was cut off at the least value of the CT.
+        """Restore the lumen of airways that was clipped at the lowest value of the CT.
 
-        The kernel made it darker than air, so what lay below the least value is missing, and lowering what the kernel
-        raised leaves it brighter than it is.
+        The kernel made this lumen darker than air, so the values below the lowest value of the CT are missing, and the
+        compensation of the kernel makes the lumen brighter than it is.
 
         Parameters
         ----------
+        scale
+            Conversion from HU to the values of the volume.
         noise
-            In the trachea of ``volume``, in its numbers.
+            Standard deviation of the air in the trachea of ``volume``, in the numbers of the volume.
         """
         if self._values is None:
             return
@@ -122,24 +127,24 @@ class Softened:
 
 
 def as_it_is(volume: Volume, undershoot_hu: float | None = None) -> Softened:
-    """Return the CT itself, whatever its kernel.
+    """Return the original CT for a search, whatever its kernel is.
 
     Parameters
     ----------
     volume
         The CT.
     undershoot_hu
-        Depth of its rims, if a softened copy is to be searched where the search of the CT itself leaks along them.
+        Depth of its rims, if a softened copy is to be searched after a leak along the rims; otherwise None.
     """
     return Softened(volume, undershoot_hu, 0.0, 0.0, volume, None, can_be_softened=undershoot_hu is not None)
 
 
 def softened(volume: Volume, scale: AirScale, most_hu: float = SOFT_HU) -> Softened:
-    """Return the CT without what its kernel raised, if the kernel is an edge-enhancing one.
+    """Return the CT without the enhancement of its kernel, if the kernel is edge-enhancing.
 
-    The kernel is taken for one that raises detail by ``1 + a (1 - g)``, where g is a Gaussian's transfer (its blur:
-    :data:`SEAM_MM`). The inverse never raises anything, noise least of all. ``a`` is the least with which the dark rims
-    beside soft tissue are at most ``most_hu`` deep, in the plane or the direction in which there are rims.
+    The kernel is modelled as ``1 + a (1 - g)``, where g is the transfer function of a Gaussian (its sigma:
+    :data:`SEAM_MM`). The inverse never amplifies anything, in particular no noise. ``a`` is the smallest value for
+    which the dark rims beside soft tissue are at most ``most_hu`` deep, along the axes that have rims.
     """
     undershoot = edge_undershoot_hu(volume, scale)
     if undershoot is None or undershoot <= SOFT_HU:
@@ -185,9 +190,10 @@ def _seam_mm(volume: Volume) -> float:
 
 @lru_cache(maxsize=64)
 def inverse_of(raised: float, seam_mm: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return two Gaussians that sum to the inverse of ``1 + a (1 - g)`` less ``1 / (1 + a)``: weight and sigma in mm.
+    """Return weight and sigma (mm) of two Gaussians that approximate the inverse of ``1 + a (1 - g)``.
 
-    The exact inverse is an infinite sum of Gaussians. Two of them differ from it by at most 0.005 at any frequency.
+    The sum of the Gaussians is the inverse less ``1 / (1 + a)``. The exact inverse is an infinite sum of Gaussians;
+    two of them differ from it by at most 0.005 at any frequency.
     """
     frequency = np.linspace(0.0, 1.2 / seam_mm, 300)
 
@@ -196,7 +202,7 @@ def inverse_of(raised: float, seam_mm: float) -> tuple[tuple[float, float], tupl
         return result
 
     rest = 1.0 / (1.0 + raised * (1.0 - transfer(seam_mm))) - 1.0 / (1.0 + raised)
-    # Even values must stay as they are.
+    # The weights must keep uniform values unchanged.
     total = raised / (1.0 + raised)
     narrow, wide = seam_mm * np.linspace(0.7, 1.3, 31), seam_mm * np.linspace(1.15, 2.8, 34)
     of_wide = transfer(wide)

@@ -1,4 +1,4 @@
-"""The top of the trachea where the scan goes on above it, or where a tube lies in it."""
+"""Upper end of the trachea in a scan that continues above the trachea or shows a tube in it."""
 
 from __future__ import annotations
 
@@ -36,43 +36,53 @@ AIR_END_HU = -800.0
 WALL_HU = 40.0
 AT_CARINA_MM = 10.0
 MOST_BELOW = 0.85
-# The seeds are in a bronchus if the way above them has so many times its area and is as long as a trachea alone is.
+# The seeds are in a bronchus if the sections above them are larger by this factor and at least as long as a trachea.
 WIDER_ABOVE = 1.5
-# More air than a throat holds is the world outside.
+# More air than a throat contains is air outside the body.
 MOST_THROAT_MM3 = 150_000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopOfTrachea:
+    """Upper end of the trachea, and the parts of the CT that were removed to separate the trachea from other air."""
+
     seeds: list[tuple[int, int, int]]
     """Voxels (i, j, k) of the trachea, from its top down."""
     start: Point
+    """Uppermost voxel of the trachea, LPS in mm."""
     searched: Softened
-    """With tissue in place of what is no trachea."""
+    """CT with tissue in place of air that is not trachea."""
     upper_zyx: NDArray[np.uint8] | None
-    """(nz, ny, nx), 1 in larynx and throat; None where the scan ends below them."""
+    """Mask (nz, ny, nx), 1 in larynx and throat; None if the scan ends below them."""
     sections: list[Section]
-    """Those of the trachea that a tube lies in."""
+    """Sections of the trachea that contain a tube."""
     tip_lps: NDArray[np.float64] | None
-    """The tube's tip; None where there is no tube."""
+    """Tip of the tube, LPS in mm; None if there is no tube."""
     cut: list[Section]
-    """Those beside an opening, where the lumen is no wider than they are."""
+    """Sections beside an opening, where the lumen is limited to the section."""
     starts_in_it: bool
-    """The lowest section already lies in the tube."""
+    """Whether the lowest section is already inside the tube."""
     is_open: bool
-    """Open to the air outside in front of the neck."""
+    """Whether the trachea is open to the air outside through the front of the neck."""
     cords: Cords | None
+    """Vocal cords; None if the scan ends below them."""
 
 
 def top_of_trachea(
     soft: Softened, seeds: list[tuple[int, int, int]], scale: AirScale, stage: Stages
 ) -> TopOfTrachea | None:
-    """Where the trachea really begins, and what it is open to; None where it begins where it was found.
+    """Find the upper end of the trachea and any opening to other air, or return None if the given end is correct.
 
     Parameters
     ----------
+    soft
+        CT that is searched.
     seeds
         Voxels (i, j, k) of the trachea as it was found, from the top down; larynx and throat may be among them.
+    scale
+        Conversion from HU to the values of the volume.
+    stage
+        Receives progress and cancels the search.
     """
     stage.begin("finding the upper end of the trachea")
     volume = soft.volume
@@ -157,7 +167,10 @@ def _above_a_bronchus(
 def without_its_tube(
     top: TopOfTrachea, lowest: tuple[int, int, int], scale: AirScale, stage: Stages
 ) -> NDArray[np.int16]:
-    """Return the searched values (nz, ny, nx) with air for a tube's wall, also below ``lowest`` (i, j, k)."""
+    """Return a copy of the searched values (nz, ny, nx) with air in place of the tube wall.
+
+    The tube is also removed below ``lowest`` (i, j, k).
+    """
     volume = top.searched.volume
     values = volume.hu_zyx.copy()
     below = follow_up(volume, scale, scale.level(AIR_END_HU), lowest, stage, down=True)
@@ -167,17 +180,20 @@ def without_its_tube(
 
 
 def _leaves_with_its_tube(trachea: list[Section], tube: Tube | None) -> bool:
-    """Return whether a tube ends below the top of the trachea, with air that continues in front of its upper end."""
+    """Return whether a tube ends below the top of the trachea and air leaves in front of the tube's upper end."""
     if tube is None or tube.last + 3 >= len(trachea):
         return False
     beside = trachea[max(tube.last - 3, 0) : tube.last + 4]
-    # Not where fluid stands round it.
+    # Exclude sections where fluid surrounds the tube.
     usual = float(np.median([section.area_mm2 for section in trachea]))
     return beside[-1].area_mm2 >= 0.6 * usual and any(section.leaves_in_front for section in beside)
 
 
 def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: int) -> NDArray[np.uint8]:
-    """Return the air connected to the sections above the trachea, or only the sections if that air is open."""
+    """Return a mask of the air connected to the sections above the trachea.
+
+    If this air is open to the outside, the mask contains only the sections.
+    """
     mask = np.zeros(volume.shape_zyx, dtype=np.uint8)
     if not above:
         return mask
@@ -201,7 +217,7 @@ def _upper_airway(volume: Volume, scale: AirScale, above: list[Section], top_k: 
 
 
 def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
-    """Return the lasting notes about the top of the trachea."""
+    """Return the permanent notes about the top of the trachea."""
     notes: list[Note] = []
     if top.cords is not None and top.cords.root_above_carina_mm is not None:
         words = (
@@ -222,7 +238,7 @@ def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
         above_mm = _to_carina(branches, top.tip_lps)
         tip = f"its tip {above_mm:.0f} mm above the carina"
         if top.starts_in_it:
-            # Its tip lies below where the trachea was followed from, which is the carina unless the search went wrong.
+            # The tip is below the lowest followed section, which is at the carina unless the search went wrong.
             tip = "its tip at or below the carina" if above_mm < AT_CARINA_MM else f"{tip} or lower"
         words = f"{name} is in the trachea, {tip}; what is in it and around it is treated as one trachea"
         notes.append(Note(TUBE, words, badge=True))
@@ -236,12 +252,13 @@ def notes_of(top: TopOfTrachea, branches: tuple[Branch, ...]) -> list[Note]:
 
 
 def _to_carina(branches: tuple[Branch, ...], point: NDArray[np.float64]) -> float:
-    """Along the trachea from the place nearest to a point to the carina, mm.
+    """Return the length (mm) along the trachea from the place nearest to a point down to the carina.
 
-    A stub beside a tube is no carina: the trachea goes on as long as one child holds nearly all that is below.
+    A short stub beside a tube is not the carina: the trachea continues as long as one child carries nearly all branches
+    below.
     """
     size = [1] * len(branches)
-    # Parents come before their children.
+    # Parents come before their children, so the reversed order adds each child before its parent.
     for branch in reversed(branches):
         if branch.parent is not None:
             size[branch.parent] += size[branch.id]

@@ -1,4 +1,4 @@
-"""Whether an airway tree can be one at all: totals that no chest has, or a trachea that leads nowhere."""
+"""Plausibility check of an airway tree: totals larger than in any chest, or a trachea that leads nowhere."""
 
 from __future__ import annotations
 
@@ -8,21 +8,26 @@ from carina.volume.model import Note
 
 __all__ = ["doubt_of_totals"]
 
-# All airways that CTs show are 1 to 4 m long, in 100 to 600 branches of up to 10 to 16 generations.
+# Upper limits of a tree. The airways that CTs show are 1 to 4 m long in total, in 100 to 600 branches of up to 10 to 16
+# generations.
 MOST_LENGTH_MM = 12_000.0
 MOST_BRANCHES = 2_500
 MOST_GENERATION = 40
-# Both main bronchi with their lobar bronchi are longer than this, beyond a trachea that splits.
+# Beyond a trachea that divides, both main bronchi with their lobar bronchi are longer than this in total.
 LEAST_BEYOND_MM = 150.0
 
 
 def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | None:
-    """The lasting note of a tree that holds more than a chest does, or hardly anything beyond a trachea that splits.
+    """Return the permanent note on a tree that is too large for a chest, or too small beyond a trachea that divides.
+
+    Returns None if the totals are plausible.
 
     Parameters
     ----------
+    branches
+        Branches of the tree.
     splits
-        The trachea was found by its split into two main bronchi, with lung on both sides.
+        Whether the trachea was found by its division into two main bronchi, with lung on both sides.
     """
     length_mm = float(sum(branch.length_mm for branch in branches))
     deepest = max(branch.generation for branch in branches)

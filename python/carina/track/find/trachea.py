@@ -1,4 +1,4 @@
-"""The trachea's lumen, slice by slice."""
+"""Corrections of the trachea's lumen, slice by slice."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from carina.volume.model import Volume
 
 __all__ = ["add_sections", "fill_trachea"]
 
-# Wider than any trachea.
+# Half the side of the examined window: more than the radius of any trachea.
 MAX_TRACHEA_RADIUS_MM = 18.0
-# Voxels.
+# Margin round a section within which the lumen is limited to it, in voxels.
 BESIDE = 8
-# A notch this wide between a tube and the wall that it lies on, and the rest of the trachea, is part of it.
+# Largest notch that is filled between a tube on the wall and the rest of the trachea.
 NOTCH_MM = 4.5
 
 
 def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int_]) -> None:
-    """Fill, in each slice of the trachea, what its lumen encloses: a ventilator's tube is no wall between two airways.
+    """Fill the holes of the trachea's lumen in each slice: a ventilator tube must not divide it into two airways.
 
     Parameters
     ----------
+    volume
+        The CT.
     lumen
         (nz, ny, nx) uint8, 1 inside; changed in place.
     seeds
@@ -31,7 +33,7 @@ def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int
     up = np.abs(volume.lps_from_ijk[2, :3]) / np.array(volume.spacing_mm)
     axis = int(np.argmax(up))
     across = [a for a in range(3) if a != axis]
-    # Slices of the lumen, first index along the trachea; a view, so that what is filled is filled in the lumen.
+    # A view with the first index along the trachea: changes to it change the lumen.
     slices = lumen.transpose(2, 1, 0).transpose(axis, *across)
     reach = [int(np.ceil(MAX_TRACHEA_RADIUS_MM / volume.spacing_mm[a])) for a in across]
     for seed in seeds:
@@ -56,28 +58,32 @@ def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int
 def add_sections(
     lumen: NDArray[np.uint8], spacing_mm: tuple[float, float, float], sections: list[Section], cut: list[Section]
 ) -> None:
-    """Make one lumen of a tube's air, the air round it and the tube between them: one on the wall encloses none.
+    """Join the air in a tube, the air round the tube and the tube itself into one lumen.
+
+    The step is needed for a tube that touches the wall, because the air round it then does not enclose the tube.
 
     Parameters
     ----------
     lumen
         (nz, ny, nx) uint8, 1 inside, in canonical order; changed in place.
     spacing_mm
-        Of its voxels, along x, y and z.
+        Size of the voxels along x, y and z.
+    sections
+        Sections of the trachea that contain the tube.
     cut
-        Sections beside an opening in the neck: the lumen there ends where they end.
+        Sections beside an opening in the neck: the lumen is limited to these sections.
     """
     notch = disc(NOTCH_MM, (spacing_mm[1], spacing_mm[0]))
     for section in sections:
         window = section.window_of(lumen)
         window[section.whole] = 1
-        # Where a tube lies on the trachea's wall, air runs out into two horns beside it: no airways.
+        # Beside a tube that touches the wall, the air forms two narrow horns, which are not airways: fill the notches.
         beside = spread(section.whole, notch)
         window[beside & ~spread(~spread((window != 0) & beside, notch), notch)] = 1
     for section in cut:
         window = section.window_of(lumen)
         at = np.argwhere(section.whole)
-        # Not beyond what can hang together with it in its slice.
+        # Limit the change to the part of the slice that can be connected to the section.
         low, high = np.maximum(at.min(axis=0) - BESIDE, 0), at.max(axis=0) + BESIDE + 1
         near = (slice(low[0], high[0]), slice(low[1], high[1]))
         window[near][~section.whole[near]] = 0

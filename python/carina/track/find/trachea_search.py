@@ -1,4 +1,4 @@
-"""The search for the trachea: by its anatomy, then along its air so that all of it is found."""
+"""Search for the trachea by its anatomy, then along its air so that its whole length is found."""
 
 from __future__ import annotations
 
@@ -29,9 +29,8 @@ from carina.volume.model import Volume
 
 __all__ = ["NO_LUNGS", "Trachea", "found_trachea", "trachea_in", "trachea_round", "whole_trachea"]
 
-# HU levels, read on the volume's own scale (AirScale).
-# The search uses the first level that shows a trachea: a lower one if its wall to the lung is thin, a higher one if the
-# slices blur it.
+# HU levels. AirScale converts each one to the values of the volume. The search uses the first level that shows a
+# trachea: a lower one if the wall between trachea and lung is thin, a higher one if the slices blur the trachea.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
 TISSUE_HU = -450.0
 
@@ -53,7 +52,7 @@ TRACHEA_DOUBTS = {
 }
 
 # The lowest voxels of a trachea may be in one main bronchus. The air is followed down from a place this far above those
-# voxels, so that both main bronchi are met.
+# voxels, so that the path reaches both main bronchi.
 SURELY_ABOVE_MM = 20.0
 
 NO_LUNGS = (
@@ -64,17 +63,20 @@ NO_LUNGS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trachea:
-    """The trachea as the search found it."""
+    """Trachea that the search found."""
 
     seeds: list[tuple[int, int, int]]
     """Voxels (i, j, k) of the trachea's air, from the top down."""
     top: Point
+    """Uppermost voxel of the trachea, LPS in mm."""
     notes: list[str]
+    """Doubts about the trachea, as texts."""
     split_mm: float | None
-    """Length above the carina; None where a main bronchus or a lung is missing."""
+    """Length above the carina; None if a main bronchus or a lung is missing."""
     diameters_mm: NDArray[np.float64]
-    """(n,) equivalent diameter in each slice."""
+    """Equivalent diameter in each slice, (n,)."""
     carina_lps: NDArray[np.float64]
+    """Carina, LPS in mm."""
 
 
 def trachea_in(
@@ -87,7 +89,7 @@ def trachea_in(
     values
         (nz, ny, nx) on the volume's grid: the volume's values, or a copy in which some air was replaced by tissue.
     painted
-        The values are a drawn lumen, which shows no lungs.
+        Whether the values are a drawn lumen, which shows no lungs.
 
     Raises
     ------
@@ -112,7 +114,7 @@ def trachea_in(
             continue
         if found is None or (
             len(other["doubts"]) < len(found["doubts"])
-            # Not a bronchus of the same airway, which may look the part better.
+            # Reject a bronchus of the same airway, which may have fewer doubts than the trachea.
             and _top_z(volume, other) >= _top_z(volume, found) - UP_FIRST_MM
         ):
             found = other
@@ -124,7 +126,7 @@ def trachea_in(
         raise NoResultError(problem)
     voxels = found["voxels_ijk"]
     points = volume.to_lps(voxels)
-    # Higher up it is larynx and throat.
+    # Voxels higher up are larynx and throat.
     longest_mm = longest_trachea_mm(float(np.median(found["diameters_mm"])))
     near = np.linalg.norm(points - found["carina_lps"], axis=1) <= longest_mm
     voxels, points = voxels[near], points[near]
@@ -161,8 +163,9 @@ def found_trachea(volume: Volume, scale: AirScale, stage: Stages) -> Trachea:
 def whole_trachea(volume: Volume, scale: AirScale, trachea: Trachea, stage: Stages) -> Trachea:
     """Correct a trachea that was found to end above the carina or to begin below its top.
 
-    Beside a leaning trachea, air in the gullet or in the top of a lung diverges from the trachea like a main bronchus.
-    The trachea's own air is followed down to the carina, and the search is repeated without the air beside the trachea.
+    Beside an oblique trachea, air in the oesophagus or in the top of a lung diverges from the trachea like a main
+    bronchus. The trachea's own air is therefore followed down to the carina, and the search is repeated without the air
+    beside it.
     """
     area = float(np.pi / 4.0 * np.median(trachea.diameters_mm) ** 2)
     heights = volume.to_lps(np.array(trachea.seeds, dtype=np.float64))[:, 2]

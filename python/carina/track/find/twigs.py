@@ -1,4 +1,4 @@
-"""Remove twigs of wide airways: tips that do not leave the section of the airway that they branch from."""
+"""Removal of twigs of wide airways: tips that do not leave the section of their parent airway."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ Points = NDArray[np.float64]
 NEAR_TOP = 3.0
 """A cut end leaves the trachea within this many radii of its upper end."""
 INSIDE = 1.5
-"""A cut end stays within this many radii of the trachea's axis; a bronchus leaves them."""
+"""A cut end stays within this many radii of the trachea's axis; a bronchus leaves this range."""
 LEAST_FALL_MM = 2.0
-"""A branch that goes down by more is a bronchus."""
+"""A branch that descends by more than this is a bronchus."""
 LEAST_BULGING_MM = 3.0
-"""Radius of an airway whose wall may bulge; in thinner ones a voxel decides."""
+"""Least radius of an airway whose bulges are removed; in thinner airways the bulge may be a single voxel."""
 AXIS_MM = 15.0
-"""The axis above the upper end continues the first part of the trachea, of this length."""
+"""The axis above the upper end is extrapolated from the first part of the trachea, of this length."""
 
 
 def without_twigs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the compiled tracker's rows of branches without twigs of wide airways.
 
-    Where the scan or the search cuts the trachea obliquely, its section is longer than wide. The centreline starts in
-    one end of it, and the other end looks like a branch. A bulge of the wall of a wide airway looks like a short branch
+    If the scan or the search cuts the trachea obliquely, the section of the trachea is longer than wide. The
+    centreline starts in one end of the section, and the other end looks like a branch. A bulge of the wall of a wide
+    airway looks like a short branch
     that ends inside the airway's own section. The two parts of the airway at the fork become one branch, and the
     generation of every branch below is lower by one.
 
     Parameters
     ----------
     rows
-        One dict for each branch: ``parent`` (place in the list), ``generation``, ``points``, ``radius_mm``,
+        One dict for each branch: ``parent`` (index in the list), ``generation``, ``points``, ``radius_mm``,
         ``wall_mm``, ``cost`` and ``nodes``. The first one is the root. Not modified.
     """
     rows = list(rows)
@@ -93,13 +94,13 @@ def _length_mm(points: Points) -> float:
 
 
 def _without(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
-    """Return the rows without a leaf; its parent takes the only other child in, if there is one."""
+    """Return the rows without a leaf; if only one other child remains, the parent and this child are merged."""
     above = rows[twig]["parent"]
     kept = [number for number, row in enumerate(rows) if row["parent"] == above and number != twig]
     merged = kept[0] if len(kept) == 1 else None
     below = set() if merged is None else {merged}
     for number, row in enumerate(rows):
-        # Parents come first.
+        # Parents come before their children.
         if row["parent"] in below:
             below.add(number)
     gone = {twig, merged}
@@ -124,7 +125,7 @@ def _without(rows: Sequence[dict[str, Any]], twig: int) -> list[dict[str, Any]]:
 
 def _joined(above: dict[str, Any], below: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of one branch made of two; the second one starts at the last point of the first one."""
-    # The fork's node may be in both lists.
+    # The node of the fork may be in both lists.
     nodes = list(dict.fromkeys(int(node) for node in (*above["nodes"], *below["nodes"])))
     joined: dict[str, Any] = {"nodes": np.array(nodes, dtype=np.uint32), "cost": below["cost"]}
     for field in ("points", "radius_mm", "wall_mm"):

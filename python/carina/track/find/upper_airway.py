@@ -1,4 +1,4 @@
-"""Where the trachea ends upwards: at the cricoid, below the vocal cords; and what tube keeps it open."""
+"""Detection of the upper end of the trachea (at the cricoid, below the vocal cords) and of a tube in the trachea."""
 
 from __future__ import annotations
 
@@ -26,103 +26,115 @@ __all__ = [
     "tube_in",
 ]
 
-# The cords are not looked for nearer to the carina than so many diameters of the trachea: an adult's lie 7 of them up,
-# a newborn's 8.
+# The vocal cords are searched at least this many diameters of the trachea above the carina. The cords of an adult are 7
+# diameters above it, those of a newborn 8.
 LEAST_DIAMETERS = 4.0
-# What is followed from a place in a tube begins above its tip, some way above the carina.
+# The same for sections that start inside a tube: these begin above the tip of the tube, some way above the carina.
 LEAST_DIAMETERS_IN_A_TUBE = 2.0
-# If little trachea is visible, only its lowest part is compared with the sections above.
+# If little of the trachea is visible, only its lowest part is compared with the sections above.
 SHORT_MM = 15.0
-# Narrower than this share of the trachea, from side to side or in area: the cone under the cords, or a stenosis.
+# A section with a smaller share of the trachea's width or area is the cone below the cords, or a stenosis.
 NARROW_WIDTH = 0.7
 NARROW_AREA = 0.6
-# A slit: this much narrower from side to side than from front to back.
+# A section is a slit if the ratio of its width (left-right) to its depth (front-back) is at most this.
 SLIT = 0.6
-# The throat is this much wider than the trachea.
+# The throat is wider than the trachea by at least this factor.
 THROAT_WIDTH = 1.3
-# What lies above is looked at so far up; a trachea again as long as this makes the narrow place a stenosis.
+# Sections up to this height above a narrow place are examined; if they contain a trachea of this length, the narrow
+# place is a stenosis.
 ABOVE_MM = 45.0
 TRACHEA_AGAIN_MM = 20.0
 AGAIN_BY_A_TUBE_MM = 9.0
-# From the cone under the true cords to the wide part of the vestibule; that from the cords on.
+# Longest larynx, from the cone below the true cords to the wide part of the vestibule, and the part of it above the
+# cords.
 LONGEST_MM = 40.0
 ABOVE_CORDS_MM = 20.0
-# The cords lie this far above the lower border of an adult's cricoid, and in proportion in smaller and larger people.
+# Range of heights of an adult's cords above the lower border of the cricoid; scaled in smaller and larger people.
 CORDS_ABOVE_CRICOID_MM = (18.0, 25.0)
-# The tree begins below the cricoid: this far below an adult's cords, in proportion in smaller people. In larger people
-# the tree begins at the middle of the places that are less than 9 mm below the cricoid wherever the cords are.
+# The tree begins below the cricoid: this far below an adult's cords, scaled in smaller people. In larger people it
+# begins at the middle of the heights that are less than 9 mm below the cricoid for every position of the cords.
 BELOW_THE_CORDS_MM = 26.5
 LESS_BELOW_CRICOID_MM = 9.0
-# An adult's trachea, and the height of its cords above the lowest section, which lies just below the carina.
+# Adult values: diameter of the trachea, and height of the cords above the lowest section (just below the carina).
 ADULT_DIAMETER_MM = 17.3
 ADULT_CORDS_MM = 146.0
-# Between these sizes the larynx has an adult's size; outside them it scales with the trachea.
+# Between these relative sizes the larynx has an adult's size; outside them it scales with the trachea.
 ADULT_SIZES = (0.92, 1.0)
 SIZES = (0.4, 1.2)
-# A CT of a neck or a head, a child's too, shows more than this from side to side and from front to back.
+# Smallest extent (left-right and front-back) of a CT of a neck or a head, also of a child's.
 LEAST_NECK_MM = 90.0
-# The cone under the cords begins to narrow so far below them, at most.
+# Largest distance below the cords at which the cone below them begins to narrow.
 CONE_MM = 9.0
-# Above the carina each section has this share of the median section's area; gaps of so much are noise.
+# Range of areas of sections above the carina, as shares of the median area; longer gaps than this end the trachea.
 AREAS_OF_TRACHEA = (0.6, 1.6)
 CARINA_GAP_MM = 4.0
-# A tube lies in the trachea for at least this.
+# Smallest length of a tube in the trachea.
 LEAST_TUBE_MM = 12.0
-# Plastic between air is at least so bright (median), blurred by thick slices, too. Noise that crosses the air's limit
-# is just above this limit of -800 HU.
+# Smallest median value of plastic between air and air, also after blur by thick slices. Noise that crosses the upper
+# limit of air (-800 HU) is only just above that limit.
 LEAST_PLASTIC_HU = -600.0
-# A tube whose wall lies on the trachea's all round: so bright all along, so narrow, for so long.
+# Limits for a tube whose wall touches the wall of the trachea all round: brightness, area and length.
 LINE_HU = 500.0
 LINE_NOISES = 8.0
-"""The line is so many standard deviations of the noise brighter than water."""
+"""The radiopaque line of a tube is brighter than water by at least this many standard deviations of the noise."""
 TIGHT_AREA = 0.55
 LEAST_TIGHT_MM = 25.0
-# Sections beside such an opening that reach forward are deeper than the trachea by this factor.
+# A section beside an opening in front is deeper than the trachea by this factor.
 DEEPER = 1.12
 WHOLE_AGAIN = 1.3
 DENT_MM = 8.0
-# Fluid round a tube leaves less than this share of the trachea's area.
+# Fluid round a tube leaves less air than this share of the trachea's area.
 LITTLE_AREA = 0.8
-# An opening in the front of the neck: followed forward so far, and up and down so far, in air as dark as this.
+# Extent of the search for an opening in the front of the neck, and the highest value of the air in it.
 FORWARD_MM = 160.0
 ASIDE_MM = 25.0
 UP_DOWN_MM = 30.0
 OPEN_AIR_HU = -900.0
-# The mean of the world outside in blocks of this size, so far in front of the trachea's middle; that of lung is higher.
+# Air outside the body: the mean of a block of this size is below this value (that of lung is higher), at least this far
+# in front of the middle of the trachea.
 PURE_AIR_HU, PURE_AIR_MM = -940.0, 7.0
 FRONT_MM = 25.0
-# A section this many times as large as the trachea's is lung: noise has opened the wall between them.
+# A section larger than the trachea by this factor is lung: noise has opened the wall between them.
 LUNG_AREA = 5.0
-# Beside the trachea's own air this much of it is the world outside.
+# Air outside the body has at least this volume, without the trachea's own air.
 OUTSIDE_MM3 = 12_000.0
 
 
 @dataclass(frozen=True, slots=True)
 class Cords:
+    """Position of the vocal cords in a stack of sections, and the root of the tree below them."""
+
     at: int
-    """Place of the cords among the sections."""
+    """Index of the section at the cords."""
     begins_at: int
-    """Of the first section below the cricoid: where the tree begins."""
+    """Index of the first section below the cricoid, where the tree begins."""
     above_root_mm: float
+    """Height of the section ``at`` above the root, in mm."""
     root_above_carina_mm: float | None = None
-    """None where the cords are seen. Else only the length shows that what was followed is more than a trachea."""
+    """Height of the root above the carina if the cords were not seen; None if they were seen.
+
+    Without visible cords, only the length shows that more than the trachea was followed.
+    """
     size: float = 1.0
     """Size of the larynx relative to an adult's."""
 
     @property
     def are_seen(self) -> bool:
+        """Whether the cords were seen in the sections."""
         return self.root_above_carina_mm is None
 
     @property
     def cricoid_above_root_mm(self) -> float:
-        """Expected height of the cricoid's lower border above the root."""
+        """Expected height of the lower border of the cricoid above the root, in mm."""
         return self.above_root_mm - 0.5 * sum(CORDS_ABOVE_CRICOID_MM) * self.size
 
 
 @dataclass(frozen=True, slots=True)
 class Tube:
+    """Tube in the trachea, as a range of sections."""
+
     first: int
-    """Places of its tip and of its upper end among the sections."""
+    """Index of the section at the tip (lowest section) of the tube; ``last`` is that of its upper end."""
     last: int
 
 
@@ -142,10 +154,10 @@ def _typical(
 
 
 def tube_in(sections: list[Section]) -> Tube | None:
-    """Return the tube among the sections, from its tip up; None if there is no tube.
+    """Return the tube among the sections, or None if there is no tube.
 
-    Plastic or metal between the air in it and the air round it; or, where it fills the trachea, a narrow round lumen
-    with something as bright as its line all along. Both must be brighter than noise between the air or beside it.
+    A tube shows as plastic or metal between the air in it and the air round it. If it fills the trachea, it shows as a
+    narrow round lumen with a line as bright as its radiopaque marker all along. Both must be brighter than the noise.
     """
     heights = _heights(sections)
     open_all = float(np.median([s.area_mm2 for s in sections[: max(len(sections) // 3, 1)]]))
@@ -168,18 +180,21 @@ def tube_in(sections: list[Section]) -> Tube | None:
 
 
 def _is_bright(peaks: NDArray[np.float64], length_mm: float) -> bool:
-    """Whether plastic or metal shows: in many slices, or in some of a long way, where blur hides its line."""
+    """Return whether a tube shows as plastic or metal in most slices, or in some slices of a long tube."""
     share = 0.9 if length_mm >= LEAST_TIGHT_MM else 0.6
     return bool(np.quantile(peaks, share) >= SEPTUM_HU)
 
 
 def _is_plastic(septum_hu: NDArray[np.float64]) -> bool:
-    """Return whether what is between the air is brighter than noise; true for a tube whose wall is on the trachea's."""
+    """Return whether the material between air and air is brighter than noise.
+
+    Without such material the result is True: the wall of the tube then touches the wall of the trachea.
+    """
     return not len(septum_hu) or bool(np.median(septum_hu) >= LEAST_PLASTIC_HU)
 
 
 def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: float) -> list[tuple[int, int]]:
-    """First and last places of the runs of signs; smaller gaps are bridged."""
+    """Return the first and last indices of each run of True values; gaps up to ``gap_mm`` are bridged."""
     runs: list[tuple[int, int]] = []
     for n in np.flatnonzero(signs):
         if runs and (heights[n] - heights[runs[-1][1]] <= gap_mm or n == runs[-1][1] + 1):
@@ -190,28 +205,30 @@ def _runs(signs: NDArray[np.bool_], heights: NDArray[np.float64], *, gap_mm: flo
 
 
 def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
-    """Return the vocal cords among the sections; None if the scan or its air ends below them.
+    """Return the vocal cords among the sections, or None if the scan or its air ends below them.
 
-    Going up, the trachea narrows from side to side to a slit, or to nothing where the cords are shut, and what follows
-    is no trachea again. A stenosis is followed by trachea; where the scan ends just above a narrow place, only a slit
-    is the cords. Where no cords are seen on a way that is longer than any trachea, the tree begins at a trachea's usual
-    length.
+    Upwards, the trachea narrows to a slit, or to nothing where the cords are closed, and no trachea follows. A
+    stenosis, in contrast, is followed by trachea. If the scan ends just above a narrow place, only a slit counts as
+    cords. If no cords are visible and the sections are longer than any trachea, the tree begins at the usual length of
+    a trachea.
     """
     heights = _heights(sections)
     typical = _typical(sections, heights, tube)
     diameter = 2.0 * float(np.sqrt(typical[2] / np.pi))
     least = LEAST_DIAMETERS_IN_A_TUBE if tube is not None and tube.first == 0 else LEAST_DIAMETERS
     for first, last in _larynges(sections, tube, typical, least * diameter):
-        # The true cords: the first least area, for the false ones lie above; not far above where the cone begins.
+        # The true cords have the first minimum of the area, since the false cords are above them, and are close above
+        # the cone.
         areas = np.array([s.area_mm2 for s in sections[first : last + 1]])
         near = heights[first : last + 1] - heights[first] <= CONE_MM
         at = first + int(np.flatnonzero(near & (areas <= 1.1 * areas[near].min()))[0])
         if tube is not None and heights[last] - heights[first] > LONGEST_MM:
-            # Fluid up to the cords: the upper end of the larynx is all that shows.
+            # Fluid reaches up to the cords: only the upper end of the larynx is visible.
             at = int(np.flatnonzero(heights <= heights[last] - ABOVE_CORDS_MM)[-1])
         starts_in_it = tube is not None and tube.first == 0
         size = _larynx_size(diameter, None if starts_in_it else float(heights[at] - heights[0]))
-        # Below the cricoid wherever the cords are, and nearest to the wanted place: slices may be thick.
+        # The root is below the cricoid for every position of the cords, and nearest to the wanted height: slices may be
+        # thick.
         below = np.flatnonzero(heights <= heights[at] - CORDS_ABOVE_CRICOID_MM[1] * size)
         if len(below):
             wanted = heights[at] - root_below_cords_mm(size)
@@ -226,7 +243,7 @@ def the_cords(sections: list[Section], tube: Tube | None) -> Cords | None:
 
 
 def carina_of(sections: list[Section]) -> int:
-    """Return the index of the lowest section of the trachea; sections of bronchi may lie below it."""
+    """Return the index of the lowest section of the trachea; sections of bronchi may be below it."""
     heights = _heights(sections)
     areas = np.array([section.area_mm2 for section in sections])
     low, high = np.array(AREAS_OF_TRACHEA) * np.median(areas)
@@ -239,16 +256,18 @@ def carina_of(sections: list[Section]) -> int:
 
 
 def root_below_cords_mm(size: float) -> float:
-    """Return how far below the cords the tree begins, for a size of the larynx relative to an adult's."""
+    """Return the distance (mm) of the root below the cords, for a size of the larynx relative to an adult's."""
     low, high = CORDS_ABOVE_CRICOID_MM
     return min(BELOW_THE_CORDS_MM * size, 0.5 * (high * size + low * size + LESS_BELOW_CRICOID_MM))
 
 
 def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
-    """Return the size of the larynx relative to an adult's, from the trachea's diameter and the height of the cords.
+    """Return the size of the larynx relative to an adult's.
 
     Parameters
     ----------
+    diameter_mm
+        Diameter of the trachea.
     cords_mm
         Height of the cords above the lowest section; None if the lowest section is not at the carina.
     """
@@ -260,9 +279,9 @@ def _larynx_size(diameter_mm: float, cords_mm: float | None) -> float:
 
 
 def sees_a_larynx(volume: Volume, sections: list[Section]) -> bool:
-    """Return whether sections from a place in the trachea up pass a larynx; the scan may show little trachea.
+    """Return whether sections from the trachea upwards contain a larynx, even if the scan shows little of the trachea.
 
-    A volume that is smaller than a neck shows no larynx: it is a part of a chest, a specimen or a model.
+    A volume smaller than a neck contains no larynx: it is a part of a chest, a specimen or a model.
     """
     width_mm, depth_mm = (n * mm for n, mm in zip(volume.shape_zyx[:0:-1], volume.spacing_mm[:2], strict=True))
     if len(sections) < 3 or min(width_mm, depth_mm) < LEAST_NECK_MM:
@@ -274,13 +293,13 @@ def sees_a_larynx(volume: Volume, sections: list[Section]) -> bool:
 def _larynges(
     sections: list[Section], tube: Tube | None, typical: tuple[float, float, float], least_mm: float
 ) -> list[tuple[int, int]]:
-    """Return the first and last index of each narrow stretch that is like a larynx, at least this far up."""
+    """Return the first and last index of each narrow part that is like a larynx, at least ``least_mm`` up."""
     heights = _heights(sections)
     width, depth, area = typical
     up = heights - heights[0]
     found: list[tuple[int, int]] = []
     narrow = np.array([s.width_mm < NARROW_WIDTH * width or s.area_mm2 < NARROW_AREA * area for s in sections])
-    # Cords that are shut show as missing slices.
+    # Closed cords show as missing slices.
     steps = np.diff(heights)
     usual = float(np.median(steps)) if len(steps) else 0.0
     for n in np.flatnonzero(steps > 2.5 * usual):
@@ -293,7 +312,7 @@ def _larynges(
         above = [s for s, z in zip(sections[last + 1 :], heights[last + 1 :], strict=True) if z - end <= ABOVE_MM]
         if _is_trachea_again(above, width, depth, area):
             continue
-        # Fluid that stands on a tube's cuff leaves the tube's own lumen alone; above it there is some trachea again.
+        # Fluid above the cuff of a tube leaves only the tube's own lumen; some trachea follows above the fluid.
         if tube is not None and number + 1 < len(runs):
             following = heights[runs[number + 1][0]] - end
             if AGAIN_BY_A_TUBE_MM <= following <= ABOVE_MM:
@@ -325,15 +344,15 @@ def _is_trachea_again(above: list[Section], width: float, depth: float, area: fl
 def as_one_trachea(
     volume: Volume, sections: list[Section], tube: Tube | None, stop: int, *, is_open: bool
 ) -> tuple[list[Section], list[tuple[Section, NDArray[np.bool_]]]]:
-    """Return the first ``stop`` sections, each reduced or completed to the trachea's own air.
+    """Return the first ``stop`` sections, each reduced or completed to the air of the trachea alone.
 
-    Where an opening leaves the trachea its air reaches forward, and where fluid stands round a tube only the tube's own
-    lumen is left. There the trachea is as in the sections below and above, put where the line between them passes.
+    Where an opening leaves the trachea, the air reaches forward; where fluid surrounds a tube, only the tube's own
+    lumen remains. Such sections are replaced by the sections below and above, moved to the line between those two.
 
     Returns
     -------
     list, list
-        The sections, and of each that reached forward the air that was cut off.
+        The sections, and each section that reached forward with the air that was cut off.
     """
     heights = _heights(sections)
     _, depth, area = _typical(sections, heights, tube)
@@ -347,12 +366,12 @@ def as_one_trachea(
         first, last = begin, end
         reaches = any(s.leaves_in_front for s in sections[first : last + 1]) and is_open
         if reaches:
-            # The tube's wall already dents the front below, and still does above.
+            # The wall of the tube dents the front of the trachea a little below and above the opening too.
             first = int(np.flatnonzero(heights >= heights[first] - DENT_MM)[0])
             last = min(int(np.flatnonzero(heights <= heights[last] + DENT_MM)[-1]), stop - 1)
         first = max(first, 1)
         low = sections[first - 1]
-        # The tree may begin beside the opening: the next section above that is whole again.
+        # The tree may begin beside the opening, so the next complete section may be above ``stop``.
         whole = (s for s in sections[last + 1 :] if not s.leaves_in_front and s.depth_mm <= WHOLE_AGAIN * depth)
         high = next(whole, None)
         for n in range(first, last + 1):
@@ -382,7 +401,7 @@ def as_one_trachea(
 
 
 def _put(volume: Volume, section: Section, middle: tuple[float, float], into: Section) -> NDArray[np.bool_]:
-    """Return a section's mask with its middle moved to (j, i), in the window of another section."""
+    """Return the mask of a section with its centre moved to ``middle`` (j, i), in the window of another section."""
     i, j, _ = volume.to_ijk(section.centre_lps)
     shift = np.rint(np.subtract(middle, (j, i))).astype(int) + section.corner - into.corner
     cells = np.argwhere(section.whole) + shift
@@ -400,8 +419,8 @@ def opening_in_front(
     Returns
     -------
     tuple of slices, numpy.ndarray
-        A part [z, y, x] of the volume, and which of its voxels are that air, none of the trachea's own; None where
-        there is no such opening.
+        A part [z, y, x] of the volume, and a mask of the voxels in it that are air of the opening or outside, without
+        the trachea's own air. None if there is no such opening.
     """
     cut = [s for s in sections if s.leaves_in_front]
     if not cut:
@@ -446,7 +465,7 @@ def opening_in_front(
                 wider[tuple(behind)] |= reached[tuple(ahead)]
             reached = wider & free
     pure = _is_pure_air(volume.hu_zyx[part], (dz, dy, dx), scale)
-    # Nearer to the trachea the air may be its own, where noise hides a part of it.
+    # Exclude air near the trachea: it may be the trachea's own air, of which noise hides a part.
     pure[:, max(middle_j - int(FRONT_MM / dy) - part[1].start, 0) :] = False
     if size * dx * dy * dz < OUTSIDE_MM3 or int((reached & pure).sum()) * dx * dy * dz < OUTSIDE_MM3:
         return None

@@ -1,4 +1,4 @@
-"""The extent of the trachea in a scan: its air followed to the carina, and the scan without the air beside it."""
+"""Extent of the trachea in a scan: its air is followed to the carina, and the air beside it is removed."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ __all__ = [
 
 AIR_END_HU = -800.0
 WALL_HU = 40.0
-# Each of two main bronchi has at least this area. They are this far apart from side to side, and diverge by this much
-# over this distance.
+# Least area of each main bronchus, their least distance from side to side, the length over which they diverge, and the
+# least divergence over that length.
 LEAST_PART_MM2 = 12.0
 LEAST_APART_MM = 7.0
 FOLLOWED_MM = 6.0
 DIVERGE_MM = 2.0
 # A main bronchus has less than this share of the trachea's area.
 LEAST_AREA = 0.7
-# The search by anatomy misses the trachea's exact ends by less than this.
+# Largest error of the ends of the trachea in the search by anatomy.
 MISSED_MM = 10.0
 # Least and largest area of a section of the trachea, as shares of the trachea's area.
 LIKE_IT = (0.6, 1.5)
-# Share of the sections above that are like the trachea's where it goes on.
+# Least share of the sections above that are like the trachea, if the trachea continues there.
 MOSTLY = 0.65
-# The trachea's wall, which is left as it is; air in the gullet and in the lung is farther away.
+# Thickness of the trachea's wall, which is not changed; air in the oesophagus and in the lung is farther away.
 OWN_WALL_MM = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class DownToCarina:
-    """The trachea's air below a place in it."""
+    """Air of the trachea below a given voxel."""
 
     sections: list[Section]
-    """Sections from the given place down to the last one above the carina."""
+    """Sections from the given voxel down to the last one above the carina."""
     divides: bool
     """Whether two main bronchi follow below; False if the air ends, narrows or leaves the scan first."""
 
@@ -58,8 +58,7 @@ def down_to_the_carina(
 ) -> DownToCarina | None:
     """Follow the trachea's air from a voxel (i, j, k) down to the carina.
 
-    Air in the gullet or in the top of a lung is beside the trachea; this air is not followed, so it cannot be mistaken
-    for a main bronchus.
+    Air in the oesophagus or in the top of a lung is not followed, so it cannot be mistaken for a main bronchus.
 
     Parameters
     ----------
@@ -124,6 +123,10 @@ def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
     ----------
     sections
         Sections from the carina up.
+    top_k
+        Slice of the upper end that the search found.
+    area_mm2
+        Area of the trachea's section.
     """
     z = next((s.centre_lps[2] for s in sections if s.k >= top_k), None)
     if z is None or z - sections[0].centre_lps[2] > _longest_mm(area_mm2) - MISSED_MM:
@@ -131,13 +134,13 @@ def begins_late(sections: list[Section], top_k: int, area_mm2: float) -> bool:
     above = [s for s in sections if s.k > top_k and s.centre_lps[2] - z <= 3.0 * MISSED_MM]
     if not above or above[-1].centre_lps[2] - z < MISSED_MM:
         return False
-    # A short stenosis, which the search by anatomy does not pass, may lie between.
+    # A short stenosis, at which the search by anatomy stops, may be in between.
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
     return sum(low <= section.area_mm2 <= high for section in above) >= MOSTLY * len(above)
 
 
 def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> list[Section]:
-    """Return the sections up to a slice, and those above the slice up to a long stretch that is unlike the trachea."""
+    """Return the sections up to a slice, and those above it up to a long part that is unlike the trachea."""
     low, high = LIKE_IT[0] * area_mm2, LIKE_IT[1] * area_mm2
     last = 0
     for n, section in enumerate(sections):
@@ -153,7 +156,8 @@ def sections_like_it(sections: list[Section], top_k: int, area_mm2: float) -> li
 def only_the_air_of(volume: Volume, scale: AirScale, sections: list[Section]) -> NDArray[np.int16]:
     """Return the values (nz, ny, nx) with soft tissue in place of all air beside the sections.
 
-    Air in the gullet, in the top of a lung or outside the body then cannot be mistaken for a part of the trachea.
+    Air in the oesophagus, in the top of a lung or outside the body then cannot be mistaken for a part of the
+    trachea.
     """
     values = volume.hu_zyx.copy()
     dx, dy, _ = volume.spacing_mm

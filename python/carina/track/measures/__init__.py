@@ -1,1 +1,1 @@
-"""What airways measure: sections, branches, forks."""
+"""Measurements of airways: sections, branches and forks."""

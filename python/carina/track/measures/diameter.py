@@ -1,8 +1,8 @@
-"""The diameter of an airway: of a branch, the narrowest one of a branch, and the narrowest one of a route.
+"""Diameters of airways: of a branch, the narrowest of a branch, and the narrowest of a route.
 
 A diameter is that of the circle with the area of the lumen across the airway, from the sections of
-:func:`~carina.track.measure_tree`. Nothing else is called a diameter: :attr:`carina.track.Branch.radius` is the radius
-of the lumen that the search found.
+:func:`~carina.track.measure_tree`. No other value is called a diameter: :attr:`carina.track.Branch.radius` is the
+radius of the lumen that the search found.
 """
 
 from __future__ import annotations
@@ -28,55 +28,60 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 DEVIATIONS_95 = 1.96
-"""Standard deviations on each side of a mean that hold 95 % of a normal distribution."""
+"""Standard deviations on each side of a mean that contain 95 % of a normal distribution."""
 SCATTER_SHARE = 0.5
-"""Share of the 95 % interval of a branch's scatter that is added to its error; the error by the model has the rest."""
+"""Share of the 95 % interval of a branch's scatter that is added to its error; the model error contains the rest."""
 NARROW_REACH_DIAMETERS = 0.5
-"""The narrowest diameter is the least median of the sections within this many diameters before and behind a place."""
+"""A running median covers the sections within this many diameters before and behind a point."""
 PASSAGE_ERROR = 0.03
-"""Part of the error of what a branch lets pass, as a share of it: a section through a fork shows both lumens, and so
-hides that an airway narrows there (``carina_bench.plan_widths``: it lifts the coverage in painted patients by 4 %)."""
+"""Additional error of the passage of a branch, as a share of its diameter.
+
+A section through a fork contains both lumens and so hides a narrowing there. (``carina_bench.plan_widths``: this
+error raises the coverage in painted patients by 4 %.)
+"""
 LEAST_FOR_SCATTER = 5
-"""Fewer sections do not tell how much they scatter."""
+"""Fewer sections do not suffice to estimate their scatter."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Diameter:
-    """A diameter, mm, with half of an interval meant to hold the truth in 95 of 100 cases."""
+    """Diameter in mm, with half of an interval that is to contain the true value in 95 of 100 cases."""
 
     mm: float
     error_mm: float
+    """Half of the 95 % interval."""
     branch_id: int | None = None
-    """The branch in which the narrowest place is; None for the diameter of a whole branch."""
+    """ID of the branch that contains the narrowest place; None for the diameter of a whole branch."""
     at_mm: float | None = None
-    """Way along that branch to the narrowest place."""
+    """Distance of the narrowest place along that branch."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Passage:
-    """The diameters that one branch lets pass, along its centreline.
+    """Largest diameter that can pass each point of one branch, along its centreline.
 
-    At a place it is the median over one diameter of the sections' least widths, or what two of them agree on where that
-    lies below the median by more than the error. In a round lumen the least width is the diameter; at a fork and in a
-    slit it is the narrow side, where the circle of equal area is wider than what passes.
+    The diameter at a point is the median over one diameter of the sections' least widths, or the value on which two
+    sections agree, if it is below the median by more than the error. In a round lumen the least width is the
+    diameter. At a fork and in a slit it is the narrow side, where the circle of equal area is wider than what
+    passes.
     """
 
     branch_id: int
     at_mm: Floats
-    """(n,) way along the branch."""
+    """Distance (n,) along the branch."""
     diameter_mm: Floats
-    """(n,)"""
+    """Passable diameter (n,) in mm."""
     error_mm: Floats
-    """(n,) half of an interval meant to hold the truth in 90 of 100 cases."""
+    """Half (n,) of an interval that is to contain the true value in 90 of 100 cases."""
     unmeasured: NDArray[np.intp]
-    """Points of the centreline without a section: drawn parts, bridges, the end of the CT, walls that do not show."""
+    """Indices of centreline points without a section: drawn parts, bridges, the end of the CT, invisible walls."""
 
     def until(self, mm: float) -> Passage:
-        """Return the part up to a place along the branch, and the next section where the place has none of its own.
+        """Return the passage up to a length along the branch, with the next section if there is none at that length.
 
-        Where a branch leaves its parent its own sections begin some way along it.
+        At the start of a branch the first section of its own may be some way along it.
         """
         own = np.concatenate([[True], self.at_mm < mm - 1e-6])[: len(self.at_mm)]
         return Passage(self.branch_id, self.at_mm[own], self.diameter_mm[own], self.error_mm[own], self.unmeasured)
@@ -92,20 +97,24 @@ def passage_of(
     at_junction: NDArray[np.bool_],
     has_fork: bool,
 ) -> Passage:
-    """Return what a branch lets pass, from its sections, all (n,).
+    """Return the passage of a branch from its sections, all (n,).
 
-    Where a branch begins in the lumen of its parent, sections show both, obliquely: they do not count. Where it ends in
-    a fork their least width is that of the branch. A branch so short that it has no other sections has the mean of
-    both figures, with half of their difference as a further error.
+    At the start of a branch, inside the lumen of the parent, oblique sections contain both lumens and are not used.
+    At its end, in a fork, their least width is that of the branch. A branch so short that it has no other sections
+    gets the mean of both figures, with half of their difference as an additional error.
 
     Parameters
     ----------
+    branch_id
+        ID of the branch.
+    at_mm
+        Distance along the branch.
     equivalent, least
         Diameters of equal area and least widths, each with its error.
     is_measured
         Whether there is a section.
     at_junction
-        Whether it cuts through a fork.
+        Whether the section cuts through a fork.
     has_fork
         Whether the branch ends in a fork.
     """
@@ -121,7 +130,7 @@ def passage_of(
     if has_fork:
         used = is_measured & (~at_junction | (at_mm[-1] - at_mm <= middle))
     if used.any():
-        # A round lumen looks flat by noise: its narrow side counts where it exceeds its error.
+        # Noise makes a round lumen look flat: the narrow side is only used beyond its error.
         value = np.where(at_junction, narrow_mm, np.fmin(equal_mm, least_mm + least_error_mm))
         error = np.where(at_junction, np.fmax(equal_error_mm, least_error_mm), equal_error_mm)
     else:
@@ -133,7 +142,7 @@ def passage_of(
     rows = [np.sort(value[row]) for row in near]
     medians = np.array([np.median(row) for row in rows])
     model = np.array([np.median(error[row]) for row in near])
-    # One narrow section may be an error; two that lie beyond the error are a narrowing shorter than the median sees.
+    # One narrow section may be an error. Two beyond the error are a narrowing that is too short for the median.
     agreed = np.array([row[min(1, len(row) - 1)] for row in rows])
     diameter = np.fmin(medians, np.fmax(agreed + model, value))
     dip = diameter - np.fmin(diameter, np.array([row[0] for row in rows]))
@@ -142,9 +151,10 @@ def passage_of(
 
 
 def narrowest_of_passages(passages: Sequence[Passage]) -> Diameter | None:
-    """Return the narrowest diameter of a route from what its branches let pass; None where nothing was measured.
+    """Return the narrowest diameter of a route from the passages of its branches; None if nothing was measured.
 
-    Its error also covers every place that may be narrower still: whose diameter less its error is less.
+    The error of the diameter also covers every other place that may be narrower, that is, whose diameter less its
+    error is smaller.
     """
     places = [one for one in passages if len(one.at_mm)]
     if not places:
@@ -163,9 +173,9 @@ def narrowest_of_passages(passages: Sequence[Passage]) -> Diameter | None:
 
 
 def with_scatter(at_mm: Floats, diameter_mm: Floats, error_mm: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """Return the errors (n,) of single sections: those by the model, with the scatter of the branch's usable sections.
+    """Return the errors (n,) of single sections: the model errors plus the scatter of the usable sections.
 
-    The scatter is robust, so that a narrowing does not count as scatter.
+    The scatter is estimated robustly, so that a narrowing does not count as scatter.
     """
     return error_mm + DEVIATIONS_95 * _robust_scatter_mm(at_mm[usable], diameter_mm[usable])
 
@@ -173,8 +183,8 @@ def with_scatter(at_mm: Floats, diameter_mm: Floats, error_mm: Floats, usable: N
 def branch_diameter(at_mm: Floats, diameter_mm: Floats, error_mm: Floats) -> Diameter | None:
     """Return the median diameter of a branch from its usable sections, all (n,); None without any.
 
-    Neighbouring sections share their voxels and the blur, so their errors by the model do not average out. What they
-    scatter about a straight taper averages out, by the number of sections that are one diameter apart.
+    Neighbouring sections share their voxels and the blur, so their model errors do not average out. The scatter of
+    the sections about a straight taper averages out, by the number of sections that are one diameter apart.
     """
     if not len(at_mm):
         return None
@@ -190,8 +200,8 @@ def narrowest_diameter(
 ) -> Diameter | None:
     """Return the narrowest diameter of a branch from its usable sections, all (n,); None without any.
 
-    It is the least of running medians: the least section would be the one with the largest error. Its error is that of
-    a single section.
+    The narrowest diameter is the smallest running median, because the smallest section would be the one with the
+    largest error. The error is that of a single section.
     """
     if not len(at_mm):
         return None
@@ -211,7 +221,7 @@ def _scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:
 
 
 def _robust_scatter_mm(at_mm: Floats, diameter_mm: Floats) -> float:
-    """Return the standard deviation about a straight line by the median deviation; 0 for few sections."""
+    """Return the standard deviation about a straight line, from the median deviation; 0 for few sections."""
     if len(at_mm) < LEAST_FOR_SCATTER or np.ptp(at_mm) <= 0.0:
         return 0.0
     one, other = np.triu_indices(len(at_mm), k=1)

@@ -1,4 +1,4 @@
-"""Where branches part: the carina between two of them, their angles, and which sections belong to the fork."""
+"""Forks of the airways: the carina between two branches, their angles, and the sections that belong to a fork."""
 
 from __future__ import annotations
 
@@ -18,33 +18,35 @@ __all__ = ["ForkMeasures", "angle_deg", "directions", "find_forks", "junction_fl
 Points = NDArray[np.float64]
 
 CHORD_DIAMETERS = 2.0
-"""An angle is taken between the chords of this many diameters on both sides of the fork."""
+"""An angle is measured between the chords of this many diameters on both sides of the fork."""
 LOOK_MM = 0.25
-"""Two branches are compared at places this far apart."""
+"""Distance between the points at which two branches are compared."""
 BEYOND_CARINA_RADII = 0.5
-"""The lumen is a tube again this many radii beyond the carina: its edge is an arch, not a knife."""
+"""The lumen is a tube again this many radii beyond the carina: the edge of the carina is an arch, not a knife edge."""
 BEFORE_FORK_RADII = 1.0
-"""A lumen begins to widen about one radius before its axis meets those of its branches."""
+"""A lumen begins to widen about one radius before its axis meets the axes of its children."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ForkMeasures:
-    """The end of a branch that divides."""
+    """Measurements of the fork at the end of a branch."""
 
     branch_id: int
-    """The branch that ends there."""
+    """ID of the branch that ends in the fork."""
     children: tuple[int, ...]
+    """IDs of the branches that begin at the fork."""
     fork_lps: tuple[float, float, float]
-    """Where the centrelines part: the meeting point of the tubes' axes."""
+    """Point at which the centrelines part (LPS, mm): where the axes of the tubes meet."""
     carina_lps: tuple[float, float, float] | None
-    """The ridge of the wall between the first two children that part; None where no wall comes between them."""
+    """Ridge of the wall between the first two children that part (LPS, mm); None if no wall separates them."""
     fork_to_carina_mm: float | None
+    """Distance from ``fork_lps`` to ``carina_lps``; None without a carina."""
     angle_between_deg: float | None
-    """Between the chords of the two widest children; None where one has no length."""
+    """Angle between the chords of the two widest children; None if one has no length."""
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
+        """Return the measurements as JSON values."""
         return {
             "branch": self.branch_id,
             "children": list(self.children),
@@ -56,21 +58,28 @@ class ForkMeasures:
 
 
 def run_mm(points: Points) -> NDArray[np.float64]:
-    """(n,) way along points, mm."""
+    """Return the (n,) cumulative length along points, in mm."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def point_at(points: Points, at_mm: NDArray[np.float64] | float) -> Points:
-    """(..., 3) places along a polyline; its ends beyond them."""
+    """Return (..., 3) points at given lengths (mm) along a polyline, clamped to its ends."""
     along = run_mm(points)
     return np.stack([np.interp(at_mm, along, points[:, axis]) for axis in range(3)], axis=-1)
 
 
 def directions(points: Points, radius_mm: NDArray[np.float64], before: Points | None = None) -> Points:
-    """(n, 3) unit tangents at the points of a branch, each over about a diameter.
+    """Return (n, 3) unit tangents at the points of a branch, each over about one diameter.
 
-    ``before`` is the point before the first one, on the parent: a branch that is a single point has its direction from
-    it. Zeros where there is none.
+    Parameters
+    ----------
+    points
+        (n, 3) centreline, LPS in mm.
+    radius_mm
+        (n,) radius.
+    before
+        Point before the first one, on the parent, from which a branch of a single point gets its direction. Without
+        it the tangents of such a branch are zero.
     """
     along = run_mm(points)
     reach = np.clip(radius_mm, 1.0, 4.0)
@@ -83,10 +92,11 @@ def directions(points: Points, radius_mm: NDArray[np.float64], before: Points | 
 
 
 def angle_deg(parent: Branch, child: Branch) -> float | None:
-    """Angle between a branch and its parent, 0 where it goes straight on.
+    """Return the angle between a branch and its parent; 0 for a straight continuation.
 
-    Between the chord of the parent's last two diameters and that of the child's first two, diameters by the median
-    distance to the wall; shorter where a branch is shorter. None where one has no length.
+    The angle is measured between the chord of the parent's last two diameters and that of the child's first two,
+    with diameters from the median distance to the wall; shorter branches give shorter chords. Returns None if one of
+    them has no length.
     """
     one = _chord(parent, at_end=True)
     other = _chord(child, at_end=False)
@@ -109,7 +119,7 @@ def _between_deg(one: Points, other: Points) -> float:
 
 
 def find_forks(volume: Volume, lumen_zyx: NDArray[np.uint8], tree: AirwayTree) -> tuple[ForkMeasures, ...]:
-    """Every fork of a tree, in the order of its branches."""
+    """Measure every fork of a tree, in the order of its branches."""
     by_id = {branch.id: branch for branch in tree.branches}
     forks = []
     for branch in tree.branches:
@@ -146,9 +156,10 @@ def _as_tuple(point: Points) -> tuple[float, float, float]:
 
 
 def _carina(volume: Volume, lumen_zyx: NDArray[np.uint8], one: Branch, other: Branch) -> tuple[float, Points] | None:
-    """How far from the fork the wall comes between two branches, and where it begins.
+    """Return the distance (mm) from the fork at which the wall separates two branches, and the ridge point there.
 
-    Points as far from the fork on both are joined by straight lines; the first that leaves the lumen crosses the ridge.
+    Points at the same distance from the fork on both branches are joined by straight lines; the first line that
+    leaves the lumen crosses the ridge. Returns None if none does.
     """
     length = min(one.length_mm, other.length_mm)
     if length <= 0.0:
@@ -158,7 +169,7 @@ def _carina(volume: Volume, lumen_zyx: NDArray[np.uint8], one: Branch, other: Br
     share = np.linspace(0.0, 1.0, 41)
     lines = a[:, None] + share[None, :, None] * (b - a)[:, None]
     inside = _lumen_at(volume, lumen_zyx, lines)
-    # The points themselves lie in the lumen, in their voxels if not between them.
+    # The points themselves are in the lumen, possibly only by their own voxel: leave them out.
     walls = inside[:, 1:-1].min(axis=1) < 0.5
     if not walls.any():
         return None
@@ -170,7 +181,7 @@ def _carina(volume: Volume, lumen_zyx: NDArray[np.uint8], one: Branch, other: Br
 
 
 def _lumen_at(volume: Volume, lumen_zyx: NDArray[np.uint8], points: Points) -> NDArray[np.float64]:
-    """How much of the lumen is round each (..., 3) point, 0 to 1: linear between voxels, 0 outside the volume."""
+    """Return the share of lumen (0..1) at each (..., 3) point: linear between voxels, 0 outside the volume."""
     ijk = volume.to_ijk(points)
     base = np.floor(ijk).astype(np.int64)
     share = ijk - base
@@ -193,10 +204,10 @@ def junction_flags(
     fork_after: ForkMeasures | None,
     parent_radius_mm: float | None,
 ) -> NDArray[np.bool_]:
-    """(n,) sections of a branch that cut through a fork: their lumen is not the branch's alone.
+    """Return (n,) flags of the sections of a branch that cut through a fork and so contain another lumen.
 
-    At the branch's beginning those whose plane has not passed the carina by half a radius yet (without a carina: within
-    a parent's radius of the fork); at its end those within a radius of the fork.
+    At the start of the branch these are the sections whose plane is not yet half a radius beyond the carina (without
+    a carina: within a parent's radius of the fork); at its end those within a radius of the fork.
     """
     points = branch.points
     along = run_mm(points)
@@ -207,7 +218,7 @@ def junction_flags(
             reach = parent_radius_mm if parent_radius_mm is not None else radius
             flags |= along < reach
         else:
-            # The plane has passed the carina where the carina lies behind it.
+            # A plane has passed the carina if the carina is behind it.
             passed = ((points - np.array(fork_before.carina_lps)) * tangents).sum(axis=1)
             beyond = passed >= BEYOND_CARINA_RADII * radius
             first = int(np.argmax(beyond)) if beyond.any() else len(points)

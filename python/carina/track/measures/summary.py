@@ -1,4 +1,4 @@
-"""One branch in a few figures: mean and least lumen, taper, and a narrowing against what is healthy."""
+"""Summary of one branch: mean and least lumen, taper, and a narrowing relative to the healthy diameter."""
 
 from __future__ import annotations
 
@@ -26,100 +26,115 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 HEALTHY_SHARE = 0.9
-"""A section counts as healthy where it has at least this share of its branch's wide part."""
+"""A section counts as healthy if it has at least this share of the wide part of its branch."""
 WIDE_PERCENTILE = 80.0
 LEAST_HEALTHY_MM = 3.0
-"""So much healthy branch, at least, makes a reference of its own."""
+"""Least length of healthy branch that is used as a reference on its own."""
 MURRAY_POWER = 3.0
 """Murray (1926): the cubes of the diameters of two branches add up to that of their parent."""
 NEIGHBOURS_ERROR = 0.15
-"""Airways keep to Murray's law within about this share (one standard deviation)."""
+"""Airways deviate from Murray's law by about this share (one standard deviation)."""
 EQUAL_DAUGHTER = 2.0 ** (-1.0 / MURRAY_POWER)
 """Diameter of each of two equal daughters over that of their parent, by Murray's law."""
 DIAMETERS_TO_FORK = 3.0
 """Mean length of an airway from fork to fork over its diameter (Weibel 1963)."""
 DEVIATIONS_95 = 1.96
-"""Standard deviations on each side of a mean that hold 95 % of a normal distribution."""
+"""Standard deviations on each side of a mean that contain 95 % of a normal distribution."""
 SECTION_REACH_MM = 1.5
-"""A section also contains values of the airway this far above and below its plane, by blur and voxels."""
+"""A section also contains values of the airway this far above and below its plane, by blur and voxel size."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Stenosis:
-    """The narrowest place of a branch against its healthy neighbourhood."""
+    """Narrowest place of a branch relative to its healthy surroundings."""
 
     percent: float
-    """How much narrower it is than the reference, by diameter: 0 is healthy, 100 closed. Below 0 it is wider."""
+    """Reduction of the diameter relative to the reference: 0 is healthy, 100 closed; below 0 it is wider."""
     percent_error: float
-    """Half of an interval meant to hold the truth in 95 of 100 cases."""
+    """Half of an interval that is to contain the true value in 95 of 100 cases."""
     area_percent: float
-    """The same by area."""
+    """Reduction of the area, in percent."""
     at_mm: float
-    """Where, along the branch."""
+    """Distance of the narrowest place along the branch."""
     min_mm: float
-    """Equivalent diameter there."""
+    """Equivalent diameter at the narrowest place."""
     reference_mm: float
-    """What the diameter there would be."""
+    """Expected healthy diameter at the narrowest place."""
     reference_from: str
-    """``branch``: the healthy parts of the branch itself; ``neighbours``: its parent, siblings and children."""
+    """Source of the reference: ``branch``, its own healthy parts, or ``neighbours``, its parent, siblings and children.
+    """
 
     @property
     def exceeds_error(self) -> bool:
-        """Whether it is reported: healthy, 0 %, lies below its 95 % interval."""
+        """Whether the stenosis is reported: 0 % (healthy) is below its 95 % interval."""
         return self.percent > self.percent_error
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
+        """Return the stenosis as JSON values."""
         return {name: _rounded(value) for name, value in dataclasses.asdict(self).items()}
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ReferenceDiameter:
-    """The diameter that a healthy branch would have at one place."""
+    """Diameter that a healthy branch would have at one place."""
 
     mm: float
+    """Expected diameter."""
     error: float
     """Half of the 95 % interval, as a share of ``mm``."""
     source: str
-    """As :attr:`Stenosis.reference_from`."""
+    """Source as in :attr:`Stenosis.reference_from`."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class BranchSummary:
-    """A branch in a few figures, from its sections away from forks and from the volume's faces; None without any."""
+    """Summary of a branch, from its sections away from forks and from the volume's faces; None without any."""
 
     length_mm: float = 0.0
+    """Length of the centreline."""
     angle_deg: float | None = None
-    """To the parent, 0 straight on: between the chords of two diameters on both sides of the fork."""
+    """Angle to the parent (0: straight on), between the chords of two diameters on both sides of the fork."""
     num_sections: int = 0
-    """Sections that count."""
+    """Number of sections that are used."""
     mean_mm: float | None = None
-    """Diameter of the branch (:mod:`carina.track.measures.diameter`): the median; the mean from earlier versions."""
+    """Diameter of the branch (:mod:`carina.track.measures.diameter`): the median.
+
+    In measurements of earlier versions it is the mean.
+    """
     mean_error_mm: float | None = None
+    """Error of ``mean_mm``: half of a 95 % interval."""
     min_mm: float | None = None
-    """Its narrowest diameter: the least of running medians; the least section from earlier versions."""
+    """Narrowest diameter: the smallest running median.
+
+    In measurements of earlier versions it is the smallest section.
+    """
     min_error_mm: float | None = None
-    """None from earlier versions."""
+    """Error of ``min_mm``; None in measurements of earlier versions."""
     min_at_mm: float | None = None
+    """Distance of the narrowest place along the branch."""
     taper: float | None = None
-    """Change of the equivalent diameter per mm of way (mm/mm): below 0 where the branch narrows."""
+    """Change of the equivalent diameter per mm of length (mm/mm); below 0 if the branch narrows."""
     wall_mm: float | None = None
     """Median thickness of the wall."""
     wall_error_mm: float | None = None
+    """Error of ``wall_mm``: half of a 95 % interval."""
     measured_stenosis: Stenosis | None = dataclasses.field(default=None, repr=False)
-    """As measured or read. Case files of earlier versions also hold stenoses within their errors: read ``stenosis``."""
+    """Stenosis as measured or read.
+
+    Case files of earlier versions also contain stenoses within their errors: use ``stenosis``.
+    """
 
     @property
     def stenosis(self) -> Stenosis | None:
-        """The stenosis that is reported: None where it does not exceed its error."""
+        """Stenosis that is reported; None if it does not exceed its error."""
         own = self.measured_stenosis
         return own if own is not None and own.exceeds_error else None
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
+        """Return the summary as JSON values."""
         values = {
             field.name: _rounded(getattr(self, field.name))
             for field in dataclasses.fields(self)
@@ -141,7 +156,21 @@ def summed_up(
     angle_deg: float | None,
     stenosis: Stenosis | None,
 ) -> BranchSummary:
-    """The summary of a branch from its sections, all (n,): diameters and walls with their errors, mm."""
+    """Return the summary of a branch from its sections, all (n,).
+
+    Parameters
+    ----------
+    at_mm
+        Distance along the branch.
+    equivalent, wall
+        Diameters and wall thicknesses, each with its errors, mm.
+    usable
+        Whether a section is used.
+    angle_deg
+        Angle to the parent.
+    stenosis
+        Stenosis of the branch, if measured.
+    """
     (equivalent_mm, error_mm), (wall_mm, wall_error_mm) = equivalent, wall
     length = float(at_mm[-1])
     if not usable.any():
@@ -167,7 +196,7 @@ def summed_up(
 
 
 def _slope(at: Floats, values: Floats) -> float | None:
-    """Median of the slopes between all pairs (Theil 1950, Sen 1968); None over less than 5 mm or 5 sections."""
+    """Return the median slope of all pairs (Theil 1950, Sen 1968); None over less than 5 mm or 5 sections."""
     if len(at) < 5 or at[-1] - at[0] < 5.0:
         return None
     one, other = np.triu_indices(len(at), k=1)
@@ -177,10 +206,10 @@ def _slope(at: Floats, values: Floats) -> float | None:
 def diameter_by_neighbours(
     parent_mm: float | None, siblings_mm: Sequence[float | None], children_mm: Sequence[float | None]
 ) -> ReferenceDiameter | None:
-    """Return the diameter that a branch should have by Murray's law: from parent and siblings, children, or both.
+    """Return the diameter that a branch should have by Murray's law: from parent and siblings, from children, or both.
 
-    None where neither side is fully measured, and for a branch without children: a bronchus that the search did not
-    find may be missing among its siblings.
+    Returns None if neither side is fully measured, and for a branch without children, because a bronchus that the
+    search did not find may be missing among its siblings.
     """
     logs, errors = [], []
     if not children_mm:
@@ -209,16 +238,17 @@ def stenosis_of(
     *,
     expected: ReferenceDiameter | None,
 ) -> Stenosis | None:
-    """Return the narrowest usable section of a branch against its reference; None if it does not exceed its error.
+    """Return the stenosis of a branch: its narrowest usable section relative to a reference.
 
-    The reference is the line through the healthy sections of the branch itself (at least 0.9 of its wide part), taken
-    at the narrowest place, where they lie on both sides of it or are 3 mm long on one. The reference by
-    the neighbours applies if the branch has none, or if it exceeds the widest section of the branch by more than the
-    error of that reference: the branch is narrow all along.
+    Returns None if the stenosis does not exceed its error. The reference is the line through the healthy sections of
+    the branch itself (at least 0.9 of its wide part), taken at the narrowest place; such sections must be on both
+    sides of the place, or extend over 3 mm on one. The reference by the neighbours applies if the branch has no such
+    sections, or if it exceeds the widest section of the branch by more than the error of that reference: the whole
+    branch is then narrow.
 
-    The error is half of a 95 % interval. It contains the error of the narrowest section, which is the extreme of all
-    independent sections; that of the healthy sections and their scatter; and for a narrowing without a healthy section
-    beyond it the forks that may not have been found on the way (:func:`_missed_forks`).
+    The error is half of a 95 % interval. The error contains that of the narrowest section, which is the extreme of
+    all independent sections; the error of the healthy sections and their scatter; and, for a narrowing without a
+    healthy section beyond it, the forks that may have been missed in between (:func:`_missed_forks`).
     """
     if usable.sum() < 3:
         return None
@@ -267,10 +297,10 @@ def _own_reference(at: Floats, diameter: Floats, error: Floats, least: int) -> R
 
 
 def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
-    """Return the error of a reference that lies a distance before forks that were not found, as a share.
+    """Return the error of a reference, as a share, by forks that may have been missed between it and the stenosis.
 
-    One fork, and one more for each three diameters: in a CT that does not show the other daughter a healthy airway that
-    divides looks like one that narrows.
+    One fork is assumed, and one more for each three diameters: in a CT that does not show the other daughter, a
+    healthy airway that divides looks like one that narrows.
     """
     forks = 1.0 + distance_mm / (DIAMETERS_TO_FORK * diameter_mm)
     return float(EQUAL_DAUGHTER**-forks - 1.0)
@@ -279,8 +309,8 @@ def _missed_forks(distance_mm: float, diameter_mm: float) -> float:
 def _narrowest_error_mm(at: Floats, diameter: Floats, error: Floats, least: int) -> float:
     """Return half of the 95 % interval of the narrowest diameter, as the extreme of the branch's sections.
 
-    Sections one diameter apart count as independent (Bonferroni). A section also shows the wider airway beside it, so
-    the widening over that reach is part of the error.
+    Sections one diameter apart count as independent (Bonferroni). A section also contains the wider airway beside
+    it, so the widening over that reach is part of the error.
     """
     independent = max(1.0, float(np.ptp(at)) / float(np.median(diameter)))
     extreme = NormalDist().inv_cdf(1.0 - 0.025 / independent) / DEVIATIONS_95

@@ -1,4 +1,4 @@
-"""What the airways measure: a section across every point of every centreline, and what sums them up."""
+"""Measurement of an airway tree: a section across every centreline point, and summaries of branches and forks."""
 
 from __future__ import annotations
 
@@ -72,78 +72,87 @@ _SECTION_FIGURES = (
 FORMAT = "carina-measures"
 VERSION = 1
 METHOD = 2
-"""How sections are measured; 1: by the flat wall of versions before decision 0117."""
+"""Version of the method by which sections are measured; 1: flat wall, before decision 0117."""
 
 MIN_CONTRAST_HU = 100.0
-"""A wall rises at least this far above its lumen; 4 standard deviations of the noise where that is more."""
+"""Least rise of a wall above its lumen; or 4 standard deviations of the noise, if that is more."""
 BRIGHTEST_WALL_HU = 100.0
-"""Cartilage with lime and vessels with contrast medium count as so much: else the half-way level would be theirs."""
+"""Upper limit of wall values: calcified cartilage and enhanced vessels would otherwise determine the half-way level."""
 WALL_RISE_HU = 1020.0
-"""The wall of an airway, soft tissue of 20 HU, rises so far above air. A thinner wall shows less, by its thickness."""
+"""Rise of an airway wall (soft tissue of 20 HU) above air. A thinner wall shows less, in proportion to its thickness.
+"""
 USUAL_NOISE_HU = 25.0
 OPEN_SHARE = 0.9
-"""Where fewer rays than this meet a wall the lumen is open to another one: as at a fork."""
+"""If fewer rays than this share meet a wall, the lumen is open to another one, as at a fork."""
 RAYS_PER_MM = 1024.0
-"""Single rays are told in steps of 1/1024 mm, a hundredth of their error: what is kept of them takes a quarter."""
+"""Rays are rounded to 1/1024 mm, a hundredth of their error, which reduces their stored size to a quarter."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchMeasures(Tabular):
-    """The sections of one branch: one for every point of its centreline. NaN where there is no section.
+    """Sections of one branch, one for every point of its centreline; NaN where there is no section.
 
-    Errors are half of an interval meant to hold the truth in 95 of 100 cases. As a table (``to_pandas``, ``to_arrow``,
-    ``to_columns``) it has a row for each section, with the fields that hold one figure per section, the centre as
-    ``centre_x_mm``, ``centre_y_mm``, ``centre_z_mm`` (LPS), and ``is_usable``.
+    Errors are half of an interval that is to contain the true value in 95 of 100 cases. As a table (``to_pandas``,
+    ``to_arrow``, ``to_columns``) it has a row for each section, with the fields that contain one figure per section,
+    the centre as ``centre_x_mm``, ``centre_y_mm``, ``centre_z_mm`` (LPS), and ``is_usable``.
     """
 
     branch_id: int
     at_mm: Floats
-    """(n,) way along the branch."""
+    """Distance (n,) along the branch."""
     centre_lps: Floats
-    """(n, 3) centre of the lumen found, in the plane across the centreline."""
+    """Centre (n, 3) of the measured lumen, LPS in mm, in the plane across the centreline."""
     normal_lps: Floats
-    """(n, 3) unit vector along the branch."""
+    """Unit vector (n, 3) along the branch, LPS."""
     area_mm2: Floats
+    """Area (n,) of the lumen across the branch."""
     equivalent_mm: Floats
-    """(n,) diameter of the circle with the lumen's area."""
+    """Diameter (n,) of the circle with the area of the lumen."""
     min_mm: Floats
-    """(n,) least width through the centre."""
+    """Least width (n,) through the centre."""
     max_mm: Floats
+    """Greatest width (n,) through the centre."""
     wall_mm: Floats
-    """(n,) thickness of the wall where it has a far side: not where a vessel or the mediastinum lies against it."""
+    """Thickness (n,) of the wall where it has an outer side, that is, where no vessel or mediastinum touches it."""
     at_junction: NDArray[np.bool_]
-    """(n,) the section cuts through a fork; left out of the summary."""
+    """Flags (n,): whether the section cuts through a fork; such sections are left out of the summary."""
     at_edge: NDArray[np.bool_]
-    """(n,) rays left the volume before they met a wall: what is measured is a part. Left out of the summary."""
+    """Flags (n,): whether rays left the volume before they met a wall.
+
+    Such sections are incomplete and left out of the summary.
+    """
     area_error_mm2: Floats
     equivalent_error_mm: Floats
     min_error_mm: Floats
     max_error_mm: Floats
     wall_error_mm: Floats
     shift_mm: Floats
-    """(n,) how far the edges lie outside the half-maximum ones: the correction for the scanner's blur."""
+    """Displacement (n,) of the edges outwards from the half-maximum: the correction for the blur of the scanner."""
     edge_mm: Floats
-    """(n, 64) distance of the lumen's edge from the centre along rays at even angles from ``section_axes(normal)``, to
-    1/1024 mm."""
+    """Distance (n, 64) of the lumen's edge from the centre, rounded to 1/1024 mm.
+
+    The rays have equal angles, starting from ``section_axes(normal)``.
+    """
     outer_mm: Floats
-    """(n, 64) the same for the wall's far side."""
+    """Distance (n, 64) of the wall's outer side from the centre, on the same rays."""
     share: Floats
-    """(n,) rays that met a wall, 0 to 1."""
+    """Share (n,) of the rays that met a wall, 0 to 1."""
     summary: BranchSummary
+    """Summary of the branch."""
     found_by: str = CARINA_VERSION
-    """The version of Carina that measured the sections."""
+    """Version of Carina that measured the sections."""
     method: int = METHOD
-    """How they were measured: see :data:`METHOD`."""
+    """Method by which the sections were measured, see :data:`METHOD`."""
 
     @property
     def is_by_earlier_method(self) -> bool:
-        """Whether an earlier version measured the sections; its diameters of small airways differ by up to a third."""
+        """Whether an earlier method measured the sections; its diameters of small airways differ by up to a third."""
         return self.method != METHOD
 
     @property
     def is_usable(self) -> NDArray[np.bool_]:
-        """(n,) sections that count in the summary."""
+        """Flags (n,) of the sections that are used in the summary."""
         usable: NDArray[np.bool_] = np.isfinite(self.equivalent_mm) & ~self.at_junction & ~self.at_edge
         return usable
 
@@ -156,7 +165,7 @@ class BranchMeasures(Tabular):
         return columns | {name: ("flag", values.tolist()) for name, values in flags.items()}
 
     def diameter_near(self, point_lps: Floats) -> float | None:
-        """Return the diameter of the usable section nearest to a point, mm; None where no section counts."""
+        """Return the diameter (mm) of the usable section nearest to a point (LPS, mm); None if there is none."""
         used = np.flatnonzero(self.is_usable)
         if not len(used):
             return None
@@ -164,14 +173,14 @@ class BranchMeasures(Tabular):
         return float(self.equivalent_mm[used[int(np.argmin(away))]])
 
     def narrowest(self, until_mm: float = math.inf) -> Diameter | None:
-        """Return the narrowest diameter up to a place along the branch; None where no section counts."""
+        """Return the narrowest diameter up to a given length along the branch; None if no section is usable."""
         used = self.is_usable & (self.at_mm <= until_mm)
         return narrowest_diameter(
             self.at_mm[used], self.equivalent_mm[used], self.equivalent_error_mm[used], branch_id=self.branch_id
         )
 
     def passage(self, *, has_fork: bool) -> Passage:
-        """Return what the branch lets pass; ``has_fork`` states whether it ends in a fork."""
+        """Return the largest diameter that can pass along the branch; ``has_fork`` states whether it ends in a fork."""
         return passage_of(
             self.branch_id,
             self.at_mm,
@@ -183,7 +192,7 @@ class BranchMeasures(Tabular):
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values; None where there is no figure. Without the rays."""
+        """Return the sections as JSON values without the rays; None where there is no figure."""
         return {
             "branch": self.branch_id,
             "by_earlier_method": self.is_by_earlier_method,
@@ -199,11 +208,11 @@ class BranchMeasures(Tabular):
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeMeasures(Tabular):
-    """What a tree measures.
+    """Measurements of an airway tree: sections, forks and branch summaries.
 
     As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each branch: ``id``, ``name``,
-    ``generation``, ``parent``, ``kind``, the figures of `BranchSummary` by their names (``mean_mm`` is the diameter of
-    the branch), and ``stenosis_percent``, where there is a stenosis.
+    ``generation``, ``parent``, ``kind``, the figures of `BranchSummary` by their names (``mean_mm`` is the diameter
+    of the branch), and ``stenosis_percent``, which is None without a stenosis.
 
     Examples
     --------
@@ -215,18 +224,22 @@ class TreeMeasures(Tabular):
     """
 
     branches: tuple[BranchMeasures, ...]
-    """In the order of the tree's branches."""
+    """Measures of the branches, in the order of the tree."""
     forks: tuple[ForkMeasures, ...]
+    """Measurements of the forks, in the order of the branches."""
     blur_mm: tuple[float, float] | None
-    """The scan's blur within and across its slices, standard deviations; None where it could not be told. Then edges
-    are the half-maximum ones, and small lumens come out too small."""
+    """Blur of the scan within and across its slices, as standard deviations; None if it could not be measured.
+
+    Without it edges are placed at the half-maximum, and small lumens are underestimated.
+    """
     noise: float
-    """Standard deviation of the values in the trachea, in the volume's own numbers."""
+    """Standard deviation of the values in the trachea, in the numbers of the volume."""
     notes: tuple[str, ...] = ()
+    """Texts about the measurement, such as a blur that could not be measured."""
     _keys: tuple[bytes, ...] = dataclasses.field(default=(), repr=False)
-    """What each branch was measured from: see :func:`measure_tree`."""
+    """Cache key of each branch: the data from which it was measured (see :func:`measure_tree`)."""
     _measured: tuple[Branch, ...] = dataclasses.field(default=(), repr=False)
-    """The branches that were measured, in the same order: their names are in the table."""
+    """Branches that were measured, in the same order: the table contains their names."""
 
     @classmethod
     def made_before(
@@ -239,12 +252,19 @@ class TreeMeasures(Tabular):
         noise: float,
         notes: tuple[str, ...],
     ) -> TreeMeasures:
-        """What was measured of a tree and kept; an edit of it is measured from there.
+        """Return measures that were restored from storage; after an edit of the tree they are reused.
+
+        Parameters
+        ----------
+        tree
+            Tree that was measured.
+        branches, forks, blur_mm, noise, notes
+            Stored values.
 
         Raises
         ------
         UsageError
-            If the sections are not those of the tree's centrelines.
+            If the sections do not match the centrelines of the tree.
         """
         for branch, own in zip(tree.branches, branches, strict=True):
             if branch.id != own.branch_id or len(branch.points) != len(own.at_mm):
@@ -288,7 +308,7 @@ class TreeMeasures(Tabular):
         )
 
     def of(self, branch_id: int) -> BranchMeasures:
-        """The measures of a branch.
+        """Return the measures of a branch.
 
         Raises
         ------
@@ -302,11 +322,11 @@ class TreeMeasures(Tabular):
         raise UsageError(msg)
 
     def fork_of(self, branch_id: int) -> ForkMeasures | None:
-        """The fork at the end of a branch; None at a tip."""
+        """Return the fork at the end of a branch; None at a tip."""
         return next((fork for fork in self.forks if fork.branch_id == branch_id), None)
 
     def passage(self, branch_id: int) -> Passage:
-        """Return what a branch lets pass.
+        """Return the largest diameter that can pass along a branch.
 
         Raises
         ------
@@ -316,17 +336,17 @@ class TreeMeasures(Tabular):
         return self.of(branch_id).passage(has_fork=self.fork_of(branch_id) is not None)
 
     def narrowest_of_route(self, branch_ids: Iterable[int], until_mm: float = math.inf) -> Diameter | None:
-        """Return the narrowest diameter that the branches of a route let pass; None where nothing was measured.
+        """Return the narrowest diameter that can pass along a route; None if nothing was measured.
 
-        Its error is half of an interval meant to hold the truth in 90 of 100 cases. Stretches without sections do not
-        count; a planned route has them, too (:attr:`carina.plan.PlannedRoute.width`).
+        The error of the diameter is half of an interval that is to contain the true value in 90 of 100 cases. Parts
+        without sections are ignored; a planned route reports them too (:attr:`carina.plan.PlannedRoute.width`).
 
         Parameters
         ----------
         branch_ids
-            The branches of the route, from the trachea.
+            Branches of the route, from the trachea.
         until_mm
-            Way along the last branch to the end of the route.
+            Length along the last branch to the end of the route.
         """
         ids = list(dict.fromkeys(branch_ids))
         passages = [self.passage(branch_id) for branch_id in ids]
@@ -335,9 +355,9 @@ class TreeMeasures(Tabular):
         return narrowest_of_passages(passages)
 
     def to_json(self) -> dict[str, Any]:
-        """The document ``carina-measures`` version 1: LPS, mm, degrees; errors are half of a 95 % interval.
+        """Return the document ``carina-measures`` version 1: LPS, mm, degrees; errors are half of a 95 % interval.
 
-        A stenosis is null where it does not exceed its error, also in measurements of an earlier version.
+        A stenosis is null if it does not exceed its error, also in measurements of an earlier version.
         """
         return {
             "format": FORMAT,
@@ -372,30 +392,30 @@ def measure_tree(
     Parameters
     ----------
     volume
-        The CT that the airways were found in. Sections are measured in its values, also where the lumen is an imported
+        The CT in which the airways were found. Sections are measured in its values, even if the lumen is an imported
         mask.
     airways
-        Lumen and tree.
+        Airways with lumen and tree.
     previous
-        Measures of these airways before an edit: branches whose points are the same are taken over, with the blur and
-        the noise of the scan. Forks and summaries are always made anew. Measures by an earlier method are not used.
+        Measures of these airways before an edit: unchanged branches are reused, with the blur and the noise of the
+        scan. Forks and summaries are always computed again. Measures by an earlier method are not used.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the calculation stops when it returns True.
 
     Returns
     -------
     TreeMeasures
-        Sections (area, equivalent, least and greatest diameter, wall), forks and summaries. Branches that the CT does
-        not show (drawn by hand, bridges) have a length and no other figure. A stenosis is None where it does not exceed
-        its error.
+        Sections (area, equivalent, least and greatest diameter, wall), forks and summaries. Branches that the CT
+        does not show (drawn by hand, bridges) have a length and no other figure. A stenosis is None if it does not
+        exceed its error.
 
     Raises
     ------
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     See Also
     --------
@@ -403,8 +423,8 @@ def measure_tree(
 
     Notes
     -----
-    Edges lie half-way between the lumen's lowest value and the wall's peak along each of 64 rays, and are then
-    corrected for the scan's own blur: the tube of soft tissue is fitted whose blurred image has these edges and rises
+    Edges are half-way between the lumen's lowest value and the wall's peak along each of 64 rays. The edges are then
+    corrected for the blur of the scan: a tube of soft tissue is fitted whose blurred image has these edges and rises
     (``docs/decisions/0117``).
 
     Examples
@@ -453,7 +473,7 @@ def measure_tree(
             first = begins[fresh.index(number)]
             columns = _columns(rows, slice(first, first + len(branch.points)), normals[number])
             if branch.kind != "tracked":
-                # A calibre of what nobody sees would be an invention, and a narrowing beside it another.
+                # A calibre without evidence in the CT would be invented, and so would a narrowing beside it.
                 columns = {name: np.full_like(v, np.nan) if name in _FIGURES else v for name, v in columns.items()}
             columns |= {"at_mm": run_mm(branch.points), "found_by": CARINA_VERSION}
         parent = None if branch.parent is None else tree.branch(branch.parent)
@@ -511,7 +531,7 @@ def _go_on(cancel: Cancel | None) -> None:
 
 
 def _key(branch: Branch, tree: AirwayTree) -> bytes:
-    """What a branch's sections depend on: its kind and points, and for a single point where it comes from."""
+    """Return the cache key of a branch's sections: its ID, kind and points, and its parent's end for a single point."""
     before = b""
     if len(branch.points) == 1 and branch.parent is not None:
         before = tree.branch(branch.parent).points[-2:].tobytes()
@@ -519,7 +539,7 @@ def _key(branch: Branch, tree: AirwayTree) -> bytes:
 
 
 def _is_same(old: BranchMeasures, new: BranchMeasures) -> bool:
-    """Whether a branch that an edit left as it is also measures what it did beside its neighbours."""
+    """Return whether a branch's summary and junctions are the same as before an edit."""
     return old.summary == new.summary and np.array_equal(old.at_junction, new.at_junction)
 
 
@@ -529,7 +549,7 @@ def _normals(branch: Branch, tree: AirwayTree) -> Floats:
         points = tree.branch(branch.parent).points
         before = points[-2] if len(points) > 1 else None
     normals = directions(branch.points, branch.radius, before)
-    # A branch without a direction is cut across the slices; it has no length that could be wrong.
+    # A branch without a direction is cut along the slices; its length is 0, so no length can be wrong.
     normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 0.0, 1.0]
     return normals
 
@@ -545,7 +565,7 @@ def _cast(
     cancel: Cancel | None,
 ) -> SectionCasts:
     none = np.zeros((0, 3))
-    # The widest of a branch's own middle and the place itself: beside a fork the distance to the wall is no width.
+    # At least the median radius of the branch: beside a fork the distance to the wall is not a width.
     radius = [np.minimum(np.maximum(branch.radius, np.median(branch.radius)), 30.0) for branch in branches]
     return cast_sections(
         volume.hu_zyx,
@@ -563,7 +583,7 @@ def _cast(
 
 
 def _noise_in_trunk(volume: Volume, trunk: Branch, scale: AirScale) -> float:
-    """Standard deviation of the values well inside the trunk, by the median deviation: mucus does not count."""
+    """Return the standard deviation of values well inside the trunk, from the median deviation (robust to mucus)."""
     rest = []
     shape = np.array(volume.shape_zyx[::-1])
     for point, radius in zip(trunk.points, trunk.radius, strict=True):
@@ -593,7 +613,7 @@ def _columns(rows: dict[str, Any], which: slice, normals: Floats) -> dict[str, A
 
 
 def _errors_with_scatter(columns: dict[str, Any], at_junction: NDArray[np.bool_]) -> dict[str, Floats]:
-    """Return the errors of diameters and areas of a branch's sections, with their scatter."""
+    """Return the errors of diameters and areas of a branch's sections, including their scatter."""
     diameter = columns["equivalent_mm"]
     usable = np.isfinite(diameter) & ~at_junction & ~columns["at_edge"]
     error = with_scatter(columns["at_mm"], diameter, columns["equivalent_error_mm"], usable)
@@ -615,7 +635,7 @@ def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
         own = by_id[branch.id]
         parent = None if branch.parent is None else tree.branch(branch.parent)
         siblings = [] if parent is None else [child for child in parent.children if child != branch.id]
-        # What a person drew takes no air: its neighbours are judged as if it were not there.
+        # A drawn branch carries no air: its neighbours are judged as if it did not exist.
         siblings, children = ([n for n in ids if n not in drawn] for ids in (siblings, branch.children))
         expected = diameter_by_neighbours(
             None if parent is None else means[parent.id],

@@ -1,4 +1,4 @@
-"""Lobes and segments that a named tree lacks, and what the CT shows in their place."""
+"""Lobes and segments that are missing from a named tree, and the evidence of the CT in their place."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["Absence", "AbsenceKind", "find_absent"]
 
 AbsenceKind = Literal["outside", "resected", "blocked", "filled", "leak", "lost", "unnamed", "fine", "nothing"]
 
-# What carries a lobe, or segments of one, the nearest first; names of the usual side.
+# Airways from which a lobe, or its segments, may arise, the nearest first; names of an unmirrored chest.
 _LOBE_CARRIERS = {
     "RUL": ("RMB", "Trachea"),
     "RML": ("BI", "RMB", "Trachea"),
@@ -42,18 +42,19 @@ _TRUNKS = {
     **dict.fromkeys(("LB8", "LB9", "LB10"), "Left basal trunk"),
 }
 _LETTERS = "abcdeiv"
-# The right upper lobe's bronchus leaves a main bronchus that is longer than this at this distance.
+# In a right main bronchus longer than LONG_MAIN_MM, the bronchus of the upper lobe is expected at UPPER_LOBE_MM from
+# its start.
 UPPER_LOBE_MM = 20.0
 LONG_MAIN_MM = 30.0
-# A branch without a name that begins farther than this beyond the end of a carrier is a part of another segment.
+# An unnamed branch that begins farther than this beyond the end of a carrier belongs to another segment.
 FARTHEST_MM = 15.0
 USUAL_ORIGIN = 1.3
-"""Usual distances of bronchi from the carina, in the nearest ones."""
+"""Factor between the usual and the shortest distances of bronchi from the carina."""
 LEAST_MATCH = 0.5
-"""Cosine between the way beyond a filled place and the usual direction of a bronchus."""
-# A filled place and the end of the airway before it.
+"""Least cosine between the direction beyond a filled place and the usual direction of a bronchus."""
+# Largest distance between a filled place and the end of the airway before it.
 AT_END_MM = 4.0
-# A tip that is no longer than this may be the stump of a lobe's bronchus.
+# A tip up to this length may be the stump of a lobe's bronchus.
 STUMP_MM = 10.0
 _SWAP = {ord("R"): "L", ord("L"): "R"}
 MAY_BE_HIDDEN = ("lost", "fine", "nothing")
@@ -63,45 +64,47 @@ MAY_BE_HIDDEN = ("lost", "fine", "nothing")
 @one_line
 @dataclass(frozen=True, slots=True)
 class Absence:
-    """A lobe or a segment of which no named bronchus was found."""
+    """Lobe or segment of which no named bronchus was found."""
 
     name: str
-    """RML, RB4, ..."""
+    """Name of the lobe or segment, such as RML or RB4."""
     kind: AbsenceKind
-    """What the CT shows.
+    """Reason, from the evidence of the CT.
 
     ``outside``: its bronchus begins outside the scan. ``resected``: its bronchus is a stump. ``blocked`` and
-    ``filled``: soft tissue is in the bronchus that leads there. ``lost`` and ``leak``: the search lost the airway that
-    leads there; the CT proves no disease. ``unnamed``: a branch without a name is in its place. ``fine``: it may be
-    thinner than the CT shows. ``nothing``: no branch was found in its place. See :class:`Uncertainty` for the evidence.
+    ``filled``: soft tissue is in the bronchus that leads there. ``lost`` and ``leak``: the search lost the airway
+    that leads there; the CT proves no disease. ``unnamed``: a branch without a name is in its place. ``fine``: it
+    may be thinner than the CT shows. ``nothing``: no branch was found in its place. See :class:`Uncertainty` for the
+    evidence.
     """
     carrier: str
-    """The nearest named airway that leads there, or would."""
+    """Nearest named airway that leads there, or from which the bronchus would arise."""
     beyond_mm: float | None
-    """Distance of ``lps`` from the start of ``carrier``, along the airway; None where no place is known."""
+    """Distance of ``lps`` from the start of ``carrier``, along the airway; None if no place is known."""
     lps: tuple[float, float, float] | None
-    """Place where the airway ends, or where the tree should go on to it."""
+    """Place where the airway ends, or where the missing bronchus should arise, LPS in mm."""
     width_mm: float | None
-    """Diameter of the airway there; None where none ends there."""
+    """Diameter of the airway that ends there; None if no airway ends there."""
     branch_id: int | None
-    """Branch without a name that is in its place, or leads there."""
+    """ID of the unnamed branch in its place, or that leads there."""
     slice_number: int | None = None
     """Slice of ``lps``, counted from the feet, from 1."""
     num_slices: int | None = None
+    """Number of slices of the scan."""
     has_clips: bool = False
-    """Surgical clips are at the stump."""
+    """Whether surgical clips are at the stump."""
     hidden_by: CalibratedShares | None = None
-    """Thick slices that may hide it; None where the slices are thin or do not explain it."""
+    """Thick slices that may hide it; None if the slices are thin or do not explain the absence."""
 
     @property
     def reason(self) -> str:
-        """What the CT shows in its place; the window, the command line, reports and exports use this text."""
+        """Text on what the CT shows in its place; used by the window, the command line, reports and exports."""
         hidden = "" if self.hidden_by is None else miss_text(self.hidden_by, self.width_mm)
         return self._shown + hidden
 
     @property
     def _shown(self) -> str:
-        """What the CT shows in its place, without the effect of thick slices."""
+        """Text on what the CT shows in its place, without the effect of thick slices."""
         at = slice_text(self.slice_number, self.num_slices)
         where = f"{self.beyond_mm or 0.0:.0f} mm beyond the start of {self.carrier}"
         width = f"{self.width_mm or 0.0:.1f} mm wide{at}"
@@ -148,7 +151,7 @@ class Absence:
 
     @property
     def words(self) -> str:
-        """The sentence: the full name with its reason."""
+        """Sentence with the full name and the reason."""
         match self.kind:
             case "outside":
                 return f"{self.full_name} is {self.reason}"
@@ -161,7 +164,7 @@ class Absence:
 def find_absent(
     tree: AirwayTree, uncertain: Sequence[Uncertainty] = (), volume: Volume | None = None
 ) -> tuple[Absence, ...]:
-    """List the lobes and segments that a tree lacks, with what the CT shows in their place.
+    """List the lobes and segments that are missing from a tree, with what the CT shows in their place.
 
     A disease is named only where the CT proves it; see :class:`Absence`. A lobe of which nothing was found is listed
     once, without its segments. In a mirrored chest the three-lobed lung is the left one.
@@ -169,7 +172,7 @@ def find_absent(
     Parameters
     ----------
     tree
-        With names. The list is empty where neither main bronchus has a name, or where the tree does not look like a
+        Tree with names. The list is empty if neither main bronchus has a name, or if the tree does not look like a
         human one.
     uncertain
         Ends of its airways, with their evidence: :attr:`carina.track.Airways.uncertain`.
@@ -219,15 +222,15 @@ def find_absent(
 
 @dataclass(frozen=True, slots=True)
 class _Missing:
-    """A lobe or a segment that is not in a tree."""
+    """Lobe or segment that is missing from a tree."""
 
     name: str
     usual: str
-    """Its name in a chest that is not mirrored."""
+    """Name in a chest that is not mirrored."""
     carriers: tuple[str, ...]
-    """Names of the airways that lead there, the nearest first."""
+    """Names of the airways from which it may arise, the nearest first."""
     segments: frozenset[str]
-    """The segments that it stands for."""
+    """Segments that it comprises."""
 
 
 def _on_side(name: str, is_mirrored: bool) -> str:
@@ -247,7 +250,7 @@ def _segments(keys: Sequence[str]) -> Iterator[str]:
 
 
 class _Found:
-    """The named branches of a tree, and the evidence at their ends."""
+    """Named branches of a tree, and the evidence at their ends."""
 
     def __init__(
         self,
@@ -272,13 +275,13 @@ class _Found:
         }
         self._is_fine = any(place.kind == "fine" for place in uncertain)
         self._unnamed: dict[int, frozenset[str]] | None = None
-        # Without the letters of subsegments; LB1+2 of a mirrored chest is RB1+2, a stem by its name.
+        # Names without the letters of subsegments. LB1+2 of a mirrored chest is named RB1+2, like a common stem.
         self._segments = {name.rstrip(_LETTERS) for name in names if name is not None}
         known = [name_words(name) for name in names if name is not None]
         self.lobes = {one.lobe for one in known if one is not None and one.lobe is not None} - self._stumps()
 
     def _stumps(self) -> set[str]:
-        """Return the lobes of which only the short blind beginning of their bronchus was found."""
+        """Return the lobes of which only the short blind beginning of the bronchus was found."""
         by_lobe: dict[str, list[Branch]] = {}
         for branch in self._branches.values():
             known = name_words(self._names[branch.id] or "")
@@ -291,26 +294,26 @@ class _Found:
         }
 
     def _is_stump(self, branch: Branch) -> bool:
-        # Its first millimetres lie in the lumen of the airway that it leaves.
+        # The first millimetres of a branch are inside the lumen of its parent.
         inside_mm = 0.0 if branch.parent is None else float(self._branches[branch.parent].radius[-1])
         return not branch.children and branch.length_mm - inside_mm <= STUMP_MM
 
     def has(self, segment: str) -> bool:
-        """Return whether a segment is in the tree; LB1+2 is there where its two halves are."""
+        """Return whether a segment is in the tree; LB1+2 also counts if both of its halves are in the tree."""
         if segment in self._segments:
             return True
         halves = {f"{segment[:2]}1", f"{segment[:2]}2"}
         return segment.endswith("B1+2") and halves <= self._segments
 
     def stems_of(self, segment: str) -> list[str]:
-        """Return the names of common stems that hold a segment, those of the fewest first."""
+        """Return the names of common stems that carry a segment, those with the fewest segments first."""
         side, number = segment[:2], segment[2:]
         stems = {name for name in self._names.values() if name is not None and name.startswith(side) and "+" in name}
         holding = [stem for stem in stems if set(number.split("+")) <= set(stem[2:].rstrip(_LETTERS).split("+"))]
         return sorted((stem for stem in holding if stem != segment), key=lambda stem: (stem.count("+"), stem))
 
     def absence(self, one: _Missing, missing: Sequence[_Missing]) -> Absence:
-        """Return what the CT shows in the place of a bronchus, where these are missing."""
+        """Return the absence of a bronchus with the evidence of the CT, given all missing bronchi."""
         name, usual, carriers, segments = one.name, one.usual, one.carriers, one.segments
         carrier = next((known for known in carriers if known in self._names.values()), "the trachea")
         start = next((branch for branch in self._branches.values() if self._names[branch.id] == carrier), None)
@@ -355,10 +358,10 @@ class _Found:
     def _filled_for(
         self, one: _Missing, missing: Sequence[_Missing], chain: Sequence[Branch], last: Branch
     ) -> Uncertainty | None:
-        """Return the filled place that explains why a bronchus is missing; None without one.
+        """Return the filled place that explains why a bronchus is missing, or None.
 
-        The airway that leads there ends at the place, or air that no path reaches is beyond the place, in the direction
-        of this bronchus rather than of another missing one.
+        Either the airway that leads there ends at the place, or air that no path reaches is beyond the place, in the
+        direction of this bronchus rather than of another missing one.
         """
         if not last.children:
             near = [
@@ -379,7 +382,7 @@ class _Found:
         return None
 
     def _match(self, one: _Missing, place: Uncertainty) -> float:
-        """Return the cosine between the way beyond a filled place and the usual direction of a bronchus."""
+        """Return the cosine between the direction beyond a filled place and the usual direction of a bronchus."""
         direction = np.array(place.beyond_lps) - np.array(place.lps)
         return float(self._expected(one.usual) @ direction) / max(float(np.linalg.norm(direction)), 1e-9)
 
@@ -391,7 +394,7 @@ class _Found:
         return direction
 
     def _other_unnamed(self, chain: Sequence[Branch]) -> Branch | None:
-        """Return the largest branch without a name and without a reading that leaves a carrier."""
+        """Return the largest branch at a carrier that has neither a name nor a probable segment, or None."""
         found = [
             self._branches[child]
             for branch in chain
@@ -409,7 +412,7 @@ class _Found:
         return self._unnamed.get(branch_id, frozenset())
 
     def _holder(self, segments: frozenset[str], chain: Sequence[Branch], below: Sequence[Branch]) -> Branch | None:
-        """Return the branch without a name that leads to segments, the one nearest to them; None without one."""
+        """Return the unnamed branch nearest to the given segments that leads to them; None if there is none."""
         near = [
             branch
             for branch in below
@@ -423,7 +426,7 @@ class _Found:
         return whole[0] if whole else None
 
     def _stump_on(self, chain: Sequence[Branch], lobe: str) -> Uncertainty | None:
-        """Return the place where a lobe's bronchus ends in a stump: a short branch with its name or without a name."""
+        """Return the place at which a lobe's bronchus ends in a stump: a short branch that has its name or no name."""
         near = [*chain, *(self._branches[child] for branch in chain for child in branch.children)]
         for branch in near:
             place = self._ends.get(branch.id)
@@ -433,7 +436,7 @@ class _Found:
         return None
 
     def _chain(self, start: Branch) -> list[Branch]:
-        """Return the pieces of an airway of one name, which side branches cut."""
+        """Return the consecutive branches of one name, into which side branches divide an airway."""
         chain = [start]
         while True:
             name = self._names[start.id]
@@ -450,7 +453,7 @@ class _Found:
             waiting += branch.children
 
     def _origin(self, name: str, carrier: str, chain: Sequence[Branch]) -> NDArray[np.float64]:
-        """Return the place on its parent where a bronchus should begin."""
+        """Return the point on its parent at which a bronchus should begin, LPS in mm."""
         points = np.concatenate([branch.points for branch in chain])
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         # Without a fork, the right main bronchus and the bronchus intermedius are one branch.
@@ -459,7 +462,7 @@ class _Found:
         return np.asarray(points[-1])
 
     def along_mm(self, start: Branch, branch: Branch, point: NDArray[np.float64]) -> float:
-        """Return the distance of a point of a branch from the start of another one, along the airways."""
+        """Return the distance (mm) of a point of a branch from the start of another branch, along the airways."""
         index = int(np.argmin(np.linalg.norm(branch.points - point, axis=1)))
         length_mm = float(np.linalg.norm(np.diff(branch.points[: index + 1], axis=0), axis=1).sum())
         at = branch
@@ -469,17 +472,17 @@ class _Found:
         return length_mm
 
     def branch(self, branch_id: int) -> Branch:
-        """Return the branch with an id."""
+        """Return the branch with the given ID."""
         return self._branches[branch_id]
 
     def slice_of(self, point: NDArray[np.float64]) -> tuple[int, int] | tuple[None, None]:
-        """Return a point's slice and the number of slices; two times None without a CT."""
+        """Return the slice of a point and the number of slices; (None, None) without a CT."""
         return (None, None) if self._volume is None else slice_from_feet(self._volume, point)
 
 
 @dataclass(frozen=True, slots=True)
 class _Maker:
-    """Absences of one lobe or segment."""
+    """Factory of the absences of one lobe or segment."""
 
     found: _Found
     name: str
@@ -496,7 +499,7 @@ class _Maker:
         return Absence(self.name, kind, self.carrier, beyond_mm, lps, None, branch_id, number, count)
 
     def at_place(self, place: Uncertainty, *, kind: AbsenceKind | None = None, branch_id: int | None = None) -> Absence:
-        """Return an absence where an airway ends or is filled."""
+        """Return an absence at a place where an airway ends or is filled."""
         assert place.branch_id is not None
         branch = self.found.branch(place.branch_id)
         point = np.array(place.lps) if place.kind == "filled" else branch.tip_lps

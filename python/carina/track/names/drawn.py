@@ -1,4 +1,4 @@
-"""What a person drew without evidence says nothing of the anatomy: names are read from the tree without it."""
+"""Exclusion of branches drawn without evidence from naming: names are derived from the tree without them."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ __all__ = ["carried_names", "seen_part"]
 
 
 def seen_part(tree: AirwayTree) -> tuple[AirwayTree, dict[int, int]]:
-    """The tree without its ``manual`` branches and all that hangs on them, and where each other branch went.
+    """Return the tree without its ``manual`` branches and everything below them, and a map of branch IDs.
 
-    A branch that was split only for them is one again, as it was before: with the id of its upper piece.
+    A branch that was split only by manual branches is joined again and keeps the ID of its upper piece.
 
     Returns
     -------
     (AirwayTree, dict)
-        For each id that is left the id of its branch in the tree that is returned; ``tree`` itself where nothing was
-        drawn.
+        The reduced tree, and for each remaining ID the ID of its branch in the reduced tree. The result is ``tree``
+        itself if nothing was drawn.
     """
     if all(branch.kind != "manual" for branch in tree.branches[1:]):
         return tree, {branch.id: branch.id for branch in tree.branches}
     by_id = {branch.id: branch for branch in tree.branches}
     place_of = {tree.root.id: tree.root.id}
     made: dict[int, Branch] = {}
-    # Parents come first.
+    # Parents come before their children.
     for branch in tree.branches:
         if branch.id not in place_of:
             continue
@@ -46,14 +46,16 @@ def seen_part(tree: AirwayTree) -> tuple[AirwayTree, dict[int, int]]:
 
 
 def carried_names(tree: AirwayTree, named: AirwayTree, place_of: dict[int, int]) -> AirwayTree:
-    """A tree with the names of its seen part: pieces of one branch have one name, what was drawn has none.
+    """Return a tree with the names of its reduced tree: joined pieces share a name, drawn branches have none.
 
-    A person's names stay where they are.
+    Names given by the user are kept.
 
     Parameters
     ----------
+    tree
+        The complete tree.
     named, place_of
-        As :func:`seen_part` gave them, with names.
+        The reduced tree with names, and the map of branch IDs, both from :func:`seen_part`.
     """
     by_id = {branch.id: branch for branch in named.branches}
     made = []
@@ -78,7 +80,7 @@ def carried_names(tree: AirwayTree, named: AirwayTree, place_of: dict[int, int])
 
 
 def _is_same(upper: Branch, lower: Branch) -> bool:
-    """Whether two pieces of a line are one bronchus: of one kind, and a person told none of them apart."""
+    """Return whether two pieces of a line are one bronchus: of one kind, without a user's name on the lower one."""
     return upper.kind == lower.kind and lower.name_from != "person"
 
 

@@ -1,4 +1,4 @@
-"""How well a tree fits a human bronchial tree, whatever its size, and what that leaves of the confidence of names."""
+"""Goodness of fit between a tree and a human bronchial tree, and the confidence of names that follows from it."""
 
 from __future__ import annotations
 
@@ -19,30 +19,35 @@ Frame = NDArray[np.float64]
 
 MISFIT = "track.tree-unlike-human"
 POOR_FIT = 1.5
-"""A tree that fits less well is no human bronchial tree, or not in the orientation of its file: docs/decisions/0116."""
+"""Lowest goodness of fit of a human bronchial tree in the orientation of its file (docs/decisions/0116)."""
 AGAINST = 1.5
-"""What an advantage over the other orientations counts, beside the evidence itself."""
+"""Weight of the advantage over other orientations, relative to the evidence itself."""
 MIRRORED_FIT = 0.75
-"""Situs inversus is rare and a tree of any kind may fit a mirrored one: it must fit better by this much."""
+"""Additional goodness of fit that a mirrored reading needs.
+
+Situs inversus is rare, and a tree of any kind may fit a mirrored one.
+"""
 MIN_READ = 10
-"""Bronchi that carry a reading; with fewer the fit is chance."""
+"""Least number of bronchi with an assigned state; with fewer bronchi the fit is chance."""
 GOOD_FIT = 4.0
-"""A tree that fits better is as good as any."""
-# Log odds of a right name: at even odds of its reading, per log odds of the reading, per nat below a good fit. From
-# trees of phantoms (seeds 101 to 124: true ones, degraded and warped into other anatomies, and those found in CTs) and
-# judged on the seeds 201 to 224 (docs/decisions/0116; carina_bench.track_confidence makes them).
+"""Goodness of fit above which a better fit no longer raises the confidence."""
+# Log odds of a correct name: constant, factor of the log odds of the reading, and change per nat below a good fit.
+# Fitted on trees of phantoms of seeds 101 to 124, checked on seeds 201 to 224 (docs/decisions/0116;
+# carina_bench.track_confidence).
 NAME_ODDS = (0.295, 1.073, 0.706)
 SUREST = 0.995
-"""Readings are not taken for surer than this."""
+"""Upper limit of the share of a reading."""
 
 
 def calibrated(reading: float, fit: float | None) -> float:
-    """How often a name whose reading holds this share of all is right, in a tree that fits so well.
+    """Return the probability that a name is correct.
 
     Parameters
     ----------
+    reading
+        Share of all readings that support the name, 0..1.
     fit
-        From :func:`fit_of`; None counts as good.
+        Goodness of fit from :func:`fit_of`; None counts as good.
 
     Examples
     --------
@@ -55,7 +60,8 @@ def calibrated(reading: float, fit: float | None) -> float:
     even, slope, per_nat = NAME_ODDS
     poor = min(GOOD_FIT if fit is None else fit, GOOD_FIT) - GOOD_FIT
     share = 1.0 / (1.0 + math.exp(-(even + slope * math.log(part / (1.0 - part)) + per_nat * poor)))
-    # Where other readings hold more together no name is given, however often the likeliest of them is right.
+    # If other readings have the larger share together, no name is given, even if the likeliest reading is usually
+    # right.
     return share if reading >= 0.5 else min(share, reading)
 
 
@@ -68,18 +74,24 @@ def fit_of(
     mirrored: bool,
     max_forks: int,
 ) -> float | None:
-    """The goodness of fit of a tree, nats per bronchus; None where too few bronchi can be judged.
+    """Compute the goodness of fit of a tree, in nats per bronchus; None if too few bronchi can be judged.
 
-    Evidence over chance, per bronchus that carries a reading, of the central airways, and one and a half times what it
-    is above the best of the six orientations that no patient has (upside down, back to front, and those mirrored). It
-    is 4 to 5 in phantoms, 3.2 to 4.9 in the three patients it was seen in, below 2.5 in most trees that branch
-    at random, below 2.2 in vessels and below 1.5 in trees that stand on their heads. A phantom with plugs in two lobes
-    fits 1.8, so the bar lies below that, and most random trees and some vessels pass.
+    The fit is the log evidence over chance of the central airways, per bronchus that carries a reading, plus 1.5
+    times its excess over the best of the six orientations that no patient has (upside down, back to front, and those
+    mirrored). The fit is 4 to 5 in phantoms, 3.2 to 4.9 in three patients, below 2.5 in most randomly branching
+    trees, below 2.2 in vessels and below 1.5 in trees that are upside down. A phantom with plugs in two lobes has
+    1.8, so the limit is below 1.8, and most random trees and some vessels pass.
 
     Parameters
     ----------
+    grammar
+        The anatomical grammar.
+    bronchi, lungs
+        The bronchi of the tree, and their lungs.
     frame, mirrored
-        What the tree was read with.
+        Body axes and laterality with which the tree was read.
+    max_forks
+        Forks farther than this from the root are not read.
     """
 
     def solved(turn: Frame, *, flipped: bool = False) -> Solver:
@@ -96,7 +108,7 @@ def fit_of(
 
 
 def misfit_note() -> Note:
-    """The lasting note of a tree that fits too poorly."""
+    """Return the permanent note on a tree that fits too poorly."""
     words = (
         "this tree does not look like a human bronchial tree: the names of its branches are not reliable, and segments "
         "are not named. Check the orientation of the scan (upside down, back to front), whether what was segmented is "

@@ -13,25 +13,30 @@ __all__ = ["LetterRule", "letter_order"]
 
 
 class LetterRule(enum.StrEnum):
-    """In which order the subsegments of a segment get their letters."""
+    """Rule for the order in which the subsegments of a segment get their letters."""
 
     TOP_LATERAL_BACK = "top-lateral-back"
-    """Top before bottom, lateral before medial, back before front; the axis along which they lie farthest apart
-    decides. Usual in Japan and in surgery."""
+    """Top before bottom, lateral before medial, back before front.
+
+    The axis along which the subsegments are farthest apart decides. Usual in Japan and in surgery.
+    """
     BACK_FIRST = "back-first"
-    """a is the posterior one, b the anterior one."""
+    """a is the posterior subsegment, b the anterior one."""
 
 
 def letter_order(middles: Sequence[NDArray[np.float64]], rule: LetterRule) -> tuple[list[int], float]:
-    """The order in which siblings get their letters, and how sure it is (0..1).
+    """Return the order in which siblings get their letters, and the certainty of the order (0..1).
 
     Parameters
     ----------
     middles
-        Middles of what each supplies, body frame: x lateral, y posterior, z superior, mm.
+        Centre of the region that each sibling supplies, in the body frame: x lateral, y posterior, z superior, in
+        mm.
+    rule
+        Rule for the order.
     """
     points = np.array(middles)
-    # Larger comes first, along each axis.
+    # The sibling with the larger coordinate comes first, along each axis.
     spread = np.ptp(points, axis=0)
     axis = 1 if rule is LetterRule.BACK_FIRST else max((2, 0, 1), key=lambda a: (float(spread[a]), -a))
     order = sorted(range(len(points)), key=lambda k: (-float(points[k][axis]), k))
@@ -40,10 +45,10 @@ def letter_order(middles: Sequence[NDArray[np.float64]], rule: LetterRule) -> tu
         apart = points[before] - points[after]
         along = float(apart[axis]) ** 2
         if rule is LetterRule.BACK_FIRST:
-            # Side by side, the rule says little.
+            # Siblings that lie side by side are hardly ordered by this rule.
             against = 0.5 * float((apart**2).sum() - along)
         else:
-            # Another axis that says the opposite, nearly as loudly, makes it a matter of opinion.
+            # Another axis that implies the opposite order, with nearly the same distance, makes the order uncertain.
             against = float((np.minimum(apart, 0.0) ** 2).sum())
         sure = min(sure, along / max(along + against, 1e-9))
     return order, sure

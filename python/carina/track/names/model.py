@@ -1,15 +1,15 @@
-"""What anatomy expects of a bronchial tree: segments, where they lie, how they group on stems, and how often.
+"""Anatomical model of a bronchial tree: segments, their positions, their common stems, and their frequencies.
 
-Directions and places are those of anatomy atlases in words ("posterior and slightly up", "lowest, towards the back"),
-put into numbers by hand with wide tolerances; they are not fitted to any scan. Shares of variants are those of the
-studies named beside them. Everything is written for a body frame: x away from the midline (lateral), y
+Directions and positions are those of anatomy atlases in words ("posterior and slightly up", "lowest, towards the
+back"), converted by hand to numbers with wide tolerances; they are not fitted to any scan. Frequencies of variants
+are those of the studies named beside them. All vectors are in a body frame: x away from the midline (lateral), y
 posterior, z superior.
 
-The model is a grammar. A branch *carries* a set of segments; a fork divides the set between its two sides; a set of one
-segment is that segment's bronchus. States of the grammar:
+The model is a grammar. A branch *carries* a set of segments; a fork divides the set between its two sides; a set of
+one segment is the bronchus of that segment. The states of the grammar are:
 
-- an exact set of segments of one lobe ("RB9 and RB10, and these are all that is seen");
-- a lobe: any set of its segments, with the odds of one being absent or not found;
+- an exact set of segments of one lobe ("RB9 and RB10, and no others are visible");
+- a lobe: any set of its segments, with the odds of each segment being absent or not found;
 - trunks of several lobes: trachea, main bronchi, bronchus intermedius, and their uncommon forms.
 """
 
@@ -30,19 +30,20 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """One segment of the model."""
+    """Segment of the lung in the anatomical model."""
 
     key: str
-    """Its name: RB1 ... LB10; LB1 and LB2 are the two halves of LB1+2; RB*, LB* the subsuperior segment."""
+    """Name: RB1 ... LB10; LB1 and LB2 are the two halves of LB1+2; RB* and LB* are the subsuperior segments."""
     lobe: str
+    """Lobe of the segment, such as RUL."""
     direction: Vector
-    """Where its bronchus goes."""
+    """Direction of the bronchus, body frame."""
     place: Vector
-    """Where its territory lies in its lung, from the lung's middle, in about half lung heights."""
+    """Position of the territory in its lung, from the centre of the lung, in units of about half a lung height."""
     absent: float
-    """Odds that it is not on a good CT's tree: truly absent, or not found."""
+    """Probability that the segment is missing from the tree of a good CT: truly absent, or not found."""
     bulk: float = 1.0
-    """Its share of tree, beside other segments'."""
+    """Size of the segment's part of the tree, relative to other segments."""
 
 
 # Absent: RB7 6.1 %, B* present in 16 % (MESA, n = 3,169); no B9 in 18 % of 238 (Huang 2019); the rest: not found.
@@ -76,10 +77,10 @@ LOBES: dict[str, tuple[str, ...]] = {
     lobe: tuple(s.key for s in (*_RIGHT, *_LEFT) if s.lobe == lobe) for lobe in ("RUL", "RML", "RLL", "LUL", "LLL")
 }
 
-# How apt a group of segments is to share a stem; the others get the lobe's last figure. RUL: B1-B2-B3 together 59 %,
-# B1+2 18 %, two stems of another kind 12 %, B2+3 9 % (Huang 2019); a short common piece of three goes to any pair.
-# LUL: LB1+2 and LB3 76.1 %, three together 17.3 %, LB1+3 5.7 % (n = 10,000). RLL: common B8-B9-B10 9 %, B8+9 11 %
-# (Huang 2019), B9+10 the usual rest.
+# Weight of each group of segments as a common stem; other groups get the last figure of the lobe. RUL: B1-B2-B3
+# together 59 %, B1+2 18 %, two stems of another kind 12 %, B2+3 9 % (Huang 2019); a short common piece of three may be
+# followed by any pair. LUL: LB1+2 and LB3 76.1 %, three together 17.3 %, LB1+3 5.7 % (n = 10,000). RLL: common
+# B8-B9-B10 9 %, B8+9 11 % (Huang 2019), usually B9+10 in the rest.
 _STEMS: dict[str, tuple[dict[frozenset[str], float], float]] = {
     "RUL": ({frozenset({"1", "2"}): 0.40, frozenset({"2", "3"}): 0.28, frozenset({"1", "3"}): 0.26}, 0.1),
     "RML": ({}, 0.1),
@@ -121,7 +122,7 @@ _STEMS: dict[str, tuple[dict[frozenset[str], float], float]] = {
     ),
 }
 
-# Directions of trunks, x lateral (trachea and carina: x left).
+# Directions of trunks, x lateral (for the trachea: x to the left).
 _TRUNKS: dict[str, Vector] = {
     "RMB": (0.50, 0.10, -0.85),
     "BI": (0.25, 0.20, -0.95),
@@ -134,9 +135,9 @@ _TRUNKS: dict[str, Vector] = {
 }
 
 TRUNCATED = math.log(0.25)
-"""A stem of two whose branch ends before it divides."""
+"""Log odds of a stem of two segments whose branch ends before it divides."""
 TRUNCATED_MORE = -0.5
-"""For each further segment on it."""
+"""Log odds that are added for each further segment on the stem."""
 GROUP_LOST = 0.02
 GROUPS_LOST = (
     frozenset({"LB1", "LB2", "LB3"}),
@@ -145,54 +146,69 @@ GROUPS_LOST = (
     frozenset({"LB8", "LB9", "LB10"}),
 )
 DOUBLE = math.log(0.1)
-"""Two bronchi of one segment that leave the same fork side by side."""
+"""Log odds of two bronchi of one segment that leave the same fork side by side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Division:
-    """All ways in which a state divides in two, both orders, as arrays sorted by the dividing state."""
+    """All divisions of states in two, in both orders, as arrays sorted by the dividing state."""
 
     state: NDArray[np.intp]
+    """State (n,) that divides."""
     one: NDArray[np.intp]
+    """State (n,) of the first part."""
     two: NDArray[np.intp]
+    """State (n,) of the second part."""
     log_prior: NDArray[np.float64]
+    """Log probability (n,) of the division, from anatomy alone."""
     place: NDArray[np.float64]
-    """(n, 3) unit vector from the middle of ``two`` to that of ``one``."""
+    """Unit vector (n, 3) from the centre of ``two`` to that of ``one``."""
     direction: NDArray[np.float64]
-    """(n, 3) likewise of the bronchi's directions."""
+    """Unit vector (n, 3) along the difference of the two directions, ``one`` minus ``two``."""
     log_bulk: NDArray[np.float64]
+    """Log ratio (n,) of the sizes of the two parts, ``one`` over ``two``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grammar:
-    """The states and their rules, as arrays."""
+    """States and rules of the grammar, as arrays."""
 
     names: list[str]
-    """What a state is called."""
+    """Name of each state."""
     segments: list[frozenset[str]]
     """Keys of the segments that a state carries (nominally)."""
     lobe: list[str | None]
+    """Lobe of each state; None for trunks of several lobes."""
     kind: list[str]
-    """``segment``, ``set``, ``lobe`` or ``trunk``."""
+    """Kind of each state: ``segment``, ``set``, ``lobe`` or ``trunk``."""
     direction: NDArray[np.float64]
+    """Unit direction (n, 3) of each state's bronchus, in the body frame: x left, y posterior, z superior."""
     place: NDArray[np.float64]
+    """Position (n, 3) of each state's territory, in the body frame, in units of about half a lung height."""
     log_calibre: NDArray[np.float64]
-    """Log of its radius in radii of a bronchus of one segment: flow goes with the cube."""
+    """Log of the radius relative to a bronchus of one segment: flow is proportional to the cube of the radius."""
     side: NDArray[np.float64]
-    """-1 right, +1 left, 0 both."""
+    """Side of each state: -1 right, +1 left, 0 both."""
     terminal: NDArray[np.bool_]
+    """Whether each state is a single segment, which does not divide further."""
     division: Division
+    """All divisions of the states."""
     shrink: list[tuple[int, NDArray[np.intp], NDArray[np.float64]]]
-    """For each state that may stand for others: itself, those, log odds; in an order in which they can be summed up."""
+    """Rules for states that may replace other states: the state, the others, and their log odds.
+
+    The order allows the sums to be computed in one pass.
+    """
     root_log_prior: NDArray[np.float64]
+    """Log probability of each state at the root of a tree."""
     index: dict[str, int] = field(repr=False, default_factory=dict)
 
     def __len__(self) -> int:
+        """Return the number of states."""
         return len(self.names)
 
 
 def _stem_aptness(lobe: str, part: frozenset[str], seen: frozenset[str]) -> float:
-    """Of a stem that carries ``part`` of what is ``seen``: unseen segments may have been on it too."""
+    """Return the weight of a stem that carries ``part`` of the ``seen`` segments; it may also carry unseen ones."""
     if len(part) == 1:
         return 1.0
     if "*" in part and ("8" in seen - part or len(part - {"6"}) < 3):
@@ -262,7 +278,7 @@ def _exact(keys: frozenset[str]) -> str:
 
 
 def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
-    """Exact sets of a lobe's segments, how they divide, and the lobe itself."""
+    """Add the exact sets of a lobe's segments, their divisions, and the lobe itself."""
     keys = LOBES[lobe]
     sets = [frozenset(c) for size in range(1, len(keys) + 1) for c in itertools.combinations(keys, size)]
     for keys_of in sets:
@@ -274,7 +290,7 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
         if len(whole) == 1 or whole == {"LB1", "LB2"}:
             continue
         seen = frozenset(_short(key) for key in whole)
-        # Each unordered pair once: the part with the first key.
+        # Each unordered pair is added once: by the part with the first key.
         first = min(whole, key=keys.index)
         parts = [part for part in sets if part < whole and first in part]
         apt = [
@@ -288,12 +304,12 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
                 build.divide(_exact(whole), _exact(part), _exact(whole - part), weight / total)
 
     def odds(part: frozenset[str], of: tuple[str, ...]) -> float:
-        # LB1 without LB2 is a part of LB1+2 that was named on its own: hardly ever.
+        # LB1 without LB2 is very rare: it is a part of LB1+2 that was named separately.
         halves = len(part & {"LB1", "LB2"}) == 1
         share = math.prod(1.0 - segments[k].absent if k in part else segments[k].absent for k in of)
         for group in GROUPS_LOST:
             if group <= set(of) and not group & part:
-                # All of one stem is lost at once where the search stopped on it.
+                # All segments of one stem are lost at once if the search stopped on the stem.
                 rest = (k for k in of if k not in group)
                 share += GROUP_LOST * math.prod(
                     1.0 - segments[k].absent if k in part else segments[k].absent for k in rest
@@ -303,7 +319,7 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
     build.add(lobe, name=lobe, kind="lobe", keys=frozenset(keys), lobe=lobe, trunk=_TRUNKS[lobe])
     build.stands_for(lobe, [(_exact(part), odds(part, keys)) for part in sets])
     if lobe in {"RLL", "RUL"}:
-        # Without RB6, which left before; without RB1, which comes from the trachea or the main bronchus.
+        # Lobe without RB6, which arose above it, or without RB1, which arises from the trachea or the main bronchus.
         gone = "RB6" if lobe == "RLL" else "RB1"
         rest = tuple(key for key in keys if key != gone)
         name = "Right basal trunk" if lobe == "RLL" else "RUL"
@@ -313,7 +329,7 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
 
 @functools.cache
 def grammar() -> Grammar:
-    """The grammar of both lungs, usual and uncommon."""
+    """Return the grammar of both lungs, with usual and uncommon divisions."""
     segments = {s.key: s for s in (*_RIGHT, *_LEFT)}
     build = _Builder()
     for lobe in LOBES:
@@ -355,7 +371,7 @@ def grammar() -> Grammar:
         parts = [segments[key] for key in sorted(keys)]
         bulk[number] = sum(p.bulk for p in parts)
         sides = {-1.0 if p.key.startswith("R") else 1.0 for p in parts}
-        # x of the model is lateral: turn it to the patient's left.
+        # x of the model is lateral: convert it to the patient's left.
         mirror = [np.array([-1.0 if p.key.startswith("R") else 1.0, 1.0, 1.0]) for p in parts]
         weights = np.array([p.bulk for p in parts])
         off_middle = [np.array([0.75, 0.0, 0.0]) + p.place for p in parts]
@@ -373,7 +389,7 @@ def grammar() -> Grammar:
     toward = place[one] - place[two]
     turn = direction[one] - direction[two]
     root = np.full(count, -np.inf)
-    # A tree that does not begin in the trachea was given its root by a person, or the volume is cropped.
+    # If a tree does not begin in the trachea, the user gave its root, or the volume is cropped.
     for label, share in (
         ("Trachea", 0.93),
         ("RMB", 0.02),

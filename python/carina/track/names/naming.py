@@ -1,7 +1,8 @@
-"""Anatomical names for an airway tree: trachea to subsegments, with confidence and variants.
+"""Anatomical names for an airway tree, from trachea to subsegments, with confidence and variants.
 
-No weights and no scans: a grammar of anatomy (``model``), the shape of the tree (``shape``), and the sum
-over all ways to read one as the other (``solve``). docs/decisions/0116.
+Naming uses no trained weights and no scans: a grammar of anatomy (``model``), the shape of the tree (``shape``), and
+the sum over all readings of the tree (``solve``). A reading assigns a state of the grammar, such as a segment or a
+lobe, to each bronchus. docs/decisions/0116.
 """
 
 from __future__ import annotations
@@ -35,17 +36,20 @@ __all__ = [
 ]
 
 SURE_ENOUGH = 0.5
-"""A name is given where it is right at least this often; the lobe alone is told of the rest."""
+"""Least probability of a name; below it only the lobe of a branch is determined."""
 UNFIT = -40.0
-"""Log odds of a reading that a person's name contradicts."""
+"""Log odds of a reading that contradicts a user's name."""
 LOG_MIRRORED = math.log(1e-3)
-"""Log odds of a mirrored chest: situs inversus is one in 10,000, files with left and right exchanged are more."""
+"""Log odds of a mirrored chest.
+
+Situs inversus has a frequency of 1 in 10,000; files with left and right exchanged are more frequent.
+"""
 TURN_SPREAD_RAD = math.radians(15.0)
-"""How far patients lie turned and tilted on the table."""
+"""Standard deviation of a patient's rotation on the table."""
 MIN_BRANCHES = 12
-"""Trachea, two main, five lobar and some segmental bronchi: with fewer there is too little to tell lobes apart."""
+"""Trachea, two main, five lobar and some segmental bronchi: fewer branches do not suffice to distinguish the lobes."""
 COARSE_FORKS = 5
-"""Frame and side are chosen on the central airways."""
+"""Frame and side are chosen on the central airways, up to this number of forks."""
 LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
 
 _VARIANT_STEMS = {
@@ -67,7 +71,7 @@ _SWAP = str.maketrans("RL", "LR")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Named:
-    """One tree, read."""
+    """Bronchi of a tree with the states that were assigned to them."""
 
     bronchi: list[Bronchus]
     solution: Solution
@@ -75,7 +79,7 @@ class _Named:
     frame: NDArray[np.float64]
     mirrored: bool
     fit: float | None
-    """See :func:`carina.track.names.goodness.fit_of`."""
+    """Goodness of fit, see :func:`carina.track.names.goodness.fit_of`."""
 
     @property
     def is_misfit(self) -> bool:
@@ -85,30 +89,28 @@ class _Named:
 def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATERAL_BACK) -> AirwayTree:
     """Name the branches of an airway tree.
 
-    Laterality comes from LPS coordinates alone (-x is the patient's right). A chest whose pattern is mirrored is
-    called so in the root's ``variant``; its sides are still the patient's, as a surgeon would say them: the
-    three-lobed lung on the patient's left gets LB1 to LB10 and a lobe LML.
+    Laterality comes from LPS coordinates alone (-x is the patient's right). If the pattern of the chest is mirrored,
+    the ``variant`` of the root states this. Sides are always those of the patient: a three-lobed lung on the
+    patient's left gets LB1 to LB10 and a lobe LML.
 
     Parameters
     ----------
     tree
-        From :func:`find_airways` or any other source; also parts of a tree, or one that begins below the trachea.
+        From :func:`find_airways` or any other source; also parts of a tree, or a tree that begins below the trachea.
     letter_rule
-        Which subsegment is a, which b.
+        Rule for the letters of subsegments.
 
     Returns
     -------
     AirwayTree
-        The same branches, ids and geometry. ``name``, ``name_confidence`` and ``name_from`` ("anatomy") are new, but
-        for branches that a person named: those are kept, and what they say holds for the rest. Where the confidence
-        would be below 0.5 the name is None. Branches between which only a twig leaves share a name. ``variant`` says
-        what is uncommon at a branch. Where the tree does not look like a human bronchial tree, its ``notes`` say so
-        with what to check (``track.tree-unlike-human``), no segment is named, and no name has a confidence above 0.5.
-        Where the chest is mirrored, its ``notes`` say so (``track.mirrored``).
-        Where its notes state that its size was not calibrated (``track.size-not-calibrated``), the confidence of
-        branches and names is limited.
-        What was drawn without evidence (kind ``manual``), and what hangs on it, gets no
-        name, and the others have those that they would have without it.
+        The same branches, IDs and geometry with new ``name``, ``name_confidence`` and ``name_from`` ("anatomy").
+        Branches that the user named keep their names, which also constrain the other names. The name is None if its
+        confidence would be below 0.5. Branches between which only a twig leaves share a name. ``variant`` describes
+        uncommon anatomy at a branch. ``notes`` report a tree that does not look human (``track.tree-unlike-human``;
+        then no segment is named and no confidence exceeds 0.5) and a mirrored chest (``track.mirrored``). If the
+        notes state that the size was not calibrated (``track.size-not-calibrated``), the confidence of branches and
+        names is limited. Branches that were drawn without evidence (kind ``manual``), and branches below them, get
+        no name and do not change the other names.
 
     Examples
     --------
@@ -120,8 +122,8 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
 
     References
     ----------
-    Nomenclature, shares of variants: shared reference, features 5.4. Labelling by a grammar with sums over derivations:
-    docs/decisions/0116.
+    Nomenclature, frequencies of variants: shared reference, features 5.4. Labelling by a grammar with sums over
+    derivations: docs/decisions/0116.
     """
     seen, place_of = seen_part(tree)
     named = with_limited_confidence(_named_all(seen, letter_rule))
@@ -159,7 +161,7 @@ def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
 
 
 def _kept_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tuple[str | None, float]]:
-    """Of a tree that does not look like a human one no segment is named, and nothing told with more than 0.5."""
+    """Remove the names of segments and limit the confidence to 0.5, for a tree that is not like a human one."""
     return {
         number: (name, min(sure, SURE_ENOUGH))
         for number, (name, sure) in names.items()
@@ -168,10 +170,11 @@ def _kept_of_misfit(names: dict[int, tuple[str | None, float]]) -> dict[int, tup
 
 
 def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
-    """Return the lobe of each branch, by id: RUL, RML, RLL, LUL, LLL; None for trunks of several lobes and the unknown.
+    """Return the lobe of each branch by ID: RUL, RML, RLL, LUL, LLL, or None.
 
-    A lobe's own bronchus belongs to it. Persons' names in the tree hold. In a mirrored chest (see :func:`name_tree`)
-    the lobes of the three-lobed lung are LUL, LML and LLL.
+    Trunks of several lobes and unknown branches have None; a lobe's own bronchus belongs to the lobe. Names given by
+    the user take precedence. In a mirrored chest (see :func:`name_tree`) the lobes of the three-lobed lung are LUL,
+    LML and LLL.
     """
     whole = tree
     tree, place_of = seen_part(tree)
@@ -189,12 +192,13 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
 
 
 def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, float, tuple[int, ...]]]]:
-    """Return the data for the calibration of names: the fit of a tree, its segments and the shares of their readings.
+    """Return the data for the calibration of names: fit of a tree, and its segments with the shares of their readings.
 
     Returns
     -------
     (float or None, list of (str, float, tuple of int))
-        See :func:`carina.track.names.goodness.fit_of`; segment, share of all readings 0 to 1, ids of the branches.
+        Goodness of fit (:func:`carina.track.names.goodness.fit_of`); and for each segment its name, the share of all
+        readings (0..1) and the IDs of its branches.
     """
     read = _read(tree)
     found = []
@@ -209,9 +213,9 @@ def segment_readings(tree: AirwayTree) -> tuple[float | None, list[tuple[str, fl
 
 
 def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
-    """Return the segments to which each branch without a name leads, by branch id, in its likeliest reading.
+    """Return the segments to which each unnamed branch leads in its likeliest reading, by branch ID.
 
-    These readings are too uncertain for a name. Branches that lie inside a segment and twigs are left out.
+    The readings of these branches are too uncertain for a name. Branches inside a segment and twigs are left out.
     """
     tree, _ = seen_part(tree)
     read = _read(tree, judges_fit=False)
@@ -229,7 +233,7 @@ def segments_of_unnamed(tree: AirwayTree) -> dict[int, frozenset[str]]:
     return found
 
 
-# Reading.
+# Assignment of states to bronchi.
 
 
 def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
@@ -253,7 +257,7 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
     def refined(
         score: float, solver: Solver, frame: NDArray[np.float64], *, mirrored: bool = False
     ) -> tuple[float, NDArray[np.float64]]:
-        """Return the frame after the rotations that bring the named branches closer to their expected directions."""
+        """Return the score and the frame after rotations towards the expected directions of the named branches."""
         solution = solver.solution()
         for _ in range(2):
             closer = _closer_frame(rules, bronchi, solution, frame, mirrored=mirrored)
@@ -277,7 +281,7 @@ def _read(tree: AirwayTree, *, judges_fit: bool = True) -> _Named:
     score, frame = refined(score, best, first)
     if lungs:
         other, solver = attempt(first, mirrored=True)
-        # A turned patient may resemble a mirrored one until the frame is refined.
+        # A rotated patient may resemble a mirrored one until the frame is refined.
         if other > score:
             score, frame = refined(other, solver, first, mirrored=True)
             mirrored = True
@@ -304,7 +308,7 @@ def _closer_frame(
 def _constraints(
     rules: Grammar, bronchi: list[Bronchus], given: dict[int, str]
 ) -> tuple[dict[int, NDArray[np.float64]], dict[int, tuple[NDArray[np.float64], float]]]:
-    """Return the constraints that names from users put on the readings of their bronchus and of those before it."""
+    """Return the constraints that users' names put on the readings of their bronchus and of the bronchi before it."""
     wishes: dict[int, NDArray[np.float64]] = {}
     held: dict[int, tuple[NDArray[np.float64], float]] = {}
     known = {number: name for number, name in given.items() if name_words(name) is not None}
@@ -320,7 +324,7 @@ def _constraints(
 
 
 def _fits(rules: Grammar, name: str) -> NDArray[np.float64]:
-    """0 for states that a branch of that name may have."""
+    """Return log odds per state: 0 for states that a branch of that name may have, ``UNFIT`` for others."""
     segment = segment_of(name)
     fits = np.zeros(len(rules), dtype=bool)
     for k in range(len(rules)):
@@ -329,7 +333,7 @@ def _fits(rules: Grammar, name: str) -> NDArray[np.float64]:
             parts = {"LB1+2": {"LB1", "LB2"}}.get(segment, {segment})
             fits[k] = rules.kind[k] == "segment" and keys <= parts
         elif segment is not None:
-            continue  # A subsegment: it lies inside its segment, so the branch itself is no state at all.
+            continue  # A subsegment is inside its segment, so no state fits the branch itself.
         elif name in LOBES:
             fits[k] = rules.lobe[k] == name
         elif name in {"Right basal trunk", "Left basal trunk"}:
@@ -341,7 +345,7 @@ def _fits(rules: Grammar, name: str) -> NDArray[np.float64]:
 
 
 def _holds(rules: Grammar, name: str) -> NDArray[np.float64]:
-    """0 for segments that a branch of that name may lie in."""
+    """Return log odds per state: 0 for segments in which a branch of that name may lie, ``UNFIT`` for others."""
     segment = segment_of(name)
     if segment is None:
         return np.full(len(rules), UNFIT)
@@ -349,7 +353,7 @@ def _holds(rules: Grammar, name: str) -> NDArray[np.float64]:
     return np.array([0.0 if keys <= parts else UNFIT for keys in rules.segments])
 
 
-# Naming.
+# Names from the assigned states.
 
 
 def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | None, float]], dict[int, str]]:
@@ -384,7 +388,8 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
             names[piece] = (_told(word, mirrored=read.mirrored), float(sure[number]))
         settled = readings[number].settled
         if len(bronchus.pieces) > 1 and settled is not None and segment_of(word) is None and rules.terminal[settled]:
-            # A lobe of which one segment is left, with a twig on its way: beyond the twig it is the segment.
+            # A lobe of which one segment remains, with a twig in between: beyond the twig the branch is the segment's
+            # bronchus.
             last = _told(_word(rules, settled, seen), mirrored=read.mirrored)
             names[bronchus.pieces[-1]] = (last, float(sure[number]))
     if len(bronchi[0].pieces) + len(bronchi[0].below) < MIN_BRANCHES:
@@ -416,7 +421,7 @@ def _word(rules: Grammar, state: int, seen: set[str]) -> str:
 
 
 def _halves(read: _Named, words: list[str | None], rule: LetterRule) -> None:
-    """LB1+2 that leaves in two bronchi, beside LB3: letters, unless one of them shares a stem with LB3."""
+    """Replace LB1 and LB2 that arise separately beside LB3 by letters of LB1+2, unless one shares a stem with LB3."""
     halves = [number for number, word in enumerate(words) if word in {"LB1", "LB2"}]
     if len(halves) == 2 and not {"LB1+3", "LB2+3"} & set(words):
         lateral = np.array([-1.0 if read.mirrored else 1.0, 1.0, 1.0])
@@ -426,7 +431,7 @@ def _halves(read: _Named, words: list[str | None], rule: LetterRule) -> None:
 
 
 def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], rule: LetterRule) -> None:
-    """Subsegments, from each segment's first fork on."""
+    """Name the subsegments, from the first fork of each segment on."""
     bronchi, rules, readings = read.bronchi, read.grammar, read.solution.readings
     level = [0] * len(bronchi)
     for number, bronchus in enumerate(bronchi):
@@ -492,7 +497,7 @@ def _name_stubs(
     sure: NDArray[np.float64],
     names: dict[int, tuple[str | None, float]],
 ) -> None:
-    """Name the short piece between two forks that were read as one, with the name of the bronchus before the piece."""
+    """Name the short piece between two forks that were merged into one, after the bronchus before the piece."""
     for number, bronchus in enumerate(read.bronchi):
         word = words[number]
         for stub in bronchus.stubs:
@@ -501,7 +506,7 @@ def _name_stubs(
 
 
 def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], carried: set[int]) -> dict[int, str]:
-    """Return the anatomical variants, by the branch that shows each."""
+    """Return the text of the anatomical variants, by the branch that shows each one."""
     bronchi, readings = read.bronchi, read.solution.readings
     notes: dict[int, str] = {}
 
@@ -532,7 +537,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
         if word == "BI" and "RML" not in found and "RB4" not in found and "RB5" not in found and "RLL" in found:
             note(number, "the middle lobe bronchus was not found")
     for number, bronchus in enumerate(bronchi):
-        # A third bronchus that carries no number.
+        # A third bronchus at a fork without an assigned segment.
         if number in carried or readings[number].inside is not None or bronchus.parent is None:
             continue
         above = words[bronchus.parent]
@@ -551,7 +556,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
 
 
 def _lobes_of(read: _Named) -> dict[int, str | None]:
-    """Lobe by place in the tree's branches."""
+    """Return the lobe by index of the branch in the tree."""
     rules = read.grammar
     found: dict[int, str | None] = {}
     own: list[str | None] = [None] * len(read.bronchi)
@@ -563,7 +568,7 @@ def _lobes_of(read: _Named) -> dict[int, str | None]:
             own[number] = own[bronchus.parent]
         lobe = own[number]
         told = None if lobe is None else _told(lobe, mirrored=read.mirrored)
-        # Twigs and stubs beyond go with it; bronchi beyond come later and say it better.
+        # Twigs and stubs below get this lobe first; bronchi below come later and overwrite it.
         for piece in (*bronchus.pieces, *bronchus.below):
             found[piece] = told
     return found

@@ -1,4 +1,4 @@
-"""Lobes and segments whose bronchus lies outside the scan."""
+"""Lobes and segments whose bronchus is outside the scan."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ __all__ = ["ScanExtent"]
 
 Points = NDArray[np.float64]
 
-# Where bronchi begin, from the carina: lateral, posterior, up, mm. These are the nearest places of four patients and
-# six phantoms, so that a bronchus is called outside only where no usual anatomy has it in the scan.
+# Start of each bronchus relative to the carina (lateral, posterior, up), in mm: the nearest position in four patients
+# and six phantoms, so that a bronchus counts as outside only if no usual anatomy has it in the scan.
 _ORIGINS = {
     "RUL": (12.0, 3.0, -6.0),
     "RML": (20.0, 3.0, -33.0),
@@ -32,18 +32,18 @@ _ORIGINS = {
     **dict.fromkeys(("LB8", "LB9", "LB10"), (36.0, 10.0, -46.0)),
 }
 PADDING_MM = 5.0
-"""Voxels of one value for this far on all sides are padding, not tissue."""
+"""Voxels of one value within this distance on all sides are padding, not tissue."""
 
 
 class ScanExtent:
-    """The part of the chest that a scan shows."""
+    """Part of the chest that a scan shows."""
 
     def __init__(self, volume: Volume, tree: AirwayTree, names: Sequence[str | None]) -> None:
         self._volume = volume
         self._carina = _carina(tree, names)
 
     def is_outside(self, name: str, *, side: str, scale: float = 1.0) -> bool:
-        """Return whether the place where a bronchus begins is outside the scan.
+        """Return whether the start of a bronchus is outside the scan.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class ScanExtent:
 
 
 def _carina(tree: AirwayTree, names: Sequence[str | None]) -> Points | None:
-    """Return the end of the trachea; without one, the start of a main bronchus."""
+    """Return the end of the trachea (LPS, mm), or the start of a main bronchus if there is no trachea."""
     tracheas = [branch for branch, name in zip(tree.branches, names, strict=True) if name == "Trachea"]
     if tracheas:
         return np.asarray(tracheas[-1].points[-1])

@@ -1,4 +1,4 @@
-"""The shape of a tree as the namer sees it: bronchi without twigs and stubs, their directions, what lies beyond."""
+"""Shape of a tree for naming: bronchi without twigs and stubs, their directions, and the airways beyond them."""
 
 from __future__ import annotations
 
@@ -19,32 +19,36 @@ STUB = 0.8
 """Two forks closer than this many radii of the airway before them are one fork into three."""
 MAX_AT_A_FORK = 5
 LEAN = 0.22
-"""How far a trachea leans back on its way down, per mm."""
+"""Backward inclination of a trachea on its way down, per mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bronchus:
-    """A stretch of airway between two forks that count; one or several branches of the tree."""
+    """Airway between two true forks; it consists of one or several branches of the tree."""
 
     pieces: tuple[int, ...]
-    """Places in ``tree.branches``, in order."""
+    """Indices in ``tree.branches``, in order."""
     parent: int | None
+    """Index of the parent in the list of bronchi; None at the root."""
     children: tuple[int, ...]
-    """Places in the list of bronchi; parents come first."""
+    """Indices in the list of bronchi; parents come first."""
     stubs: tuple[int, ...]
     """Branches that were merged into the fork at its end."""
     start: NDArray[np.float64]
+    """First point, LPS in mm."""
     end: NDArray[np.float64]
+    """Last point, LPS in mm."""
     length_mm: float
     radius_mm: float
+    """Mean of the median radii of its branches, weighted by their lengths."""
     direction: NDArray[np.float64]
     """Unit vector, LPS."""
     middle: NDArray[np.float64]
-    """Middle of the tips beyond it, LPS."""
+    """Centre of the tips beyond the bronchus, LPS in mm."""
     bulk_mm: float
-    """Length of all airway from its start outwards."""
+    """Total length of the airways from its start outwards."""
     below: tuple[int, ...]
-    """All branches beyond its own pieces, twigs and stubs included."""
+    """All branches beyond its own pieces, including twigs and stubs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,11 +56,13 @@ class Lung:
     """All bronchi of one lung."""
 
     members: frozenset[int]
+    """Indices of its bronchi."""
     middle: NDArray[np.float64]
+    """Centre of its tips, LPS in mm."""
     size_mm: float
-    """Root mean square distance of its tips from the middle."""
+    """Root mean square distance of the tips from their centre."""
     unit_radius_mm: float
-    """Radius of a bronchus of one segment, from those of trachea and main bronchi: flow goes with its cube."""
+    """Radius of a bronchus of one segment, derived from trachea and main bronchi: flow is proportional to its cube."""
 
 
 def _arc(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -69,12 +75,14 @@ def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def bronchi_of(tree: AirwayTree, keep: AbstractSet[int] = frozenset()) -> list[Bronchus]:
-    """Merge what a thinning over-split.
+    """Merge the branches that skeletonization divided too finely into bronchi.
 
     Parameters
     ----------
+    tree
+        The airway tree.
     keep
-        Places of branches that are neither twigs nor stubs, whatever they look like: a person named them.
+        Indices of branches that the user named; they are never treated as twigs or stubs.
     """
     branches = tree.branches
     place = {branch.id: number for number, branch in enumerate(branches)}
@@ -95,7 +103,7 @@ def bronchi_of(tree: AirwayTree, keep: AbstractSet[int] = frozenset()) -> list[B
         return bool(held[number] or reach[number] > TWIG * end_radius[parent])
 
     def forks_from(number: int, before: float, stubs: list[int]) -> list[int]:
-        """Bronchi that leave the end of a branch, through stubs."""
+        """Return the bronchi that leave the end of a branch, also through stubs."""
         found: list[int] = []
         for child in (c for c in children[number] if real(c, number)):
             inner = [c for c in children[child] if real(c, child)]
@@ -118,7 +126,7 @@ def bronchi_of(tree: AirwayTree, keep: AbstractSet[int] = frozenset()) -> list[B
             last = pieces[-1]
             stubs = []
             onward = forks_from(last, end_radius[last], stubs)
-            # A person's name ends a bronchus: what goes on below it is another one.
+            # A user's name ends a bronchus: the continuation below is another bronchus.
             if len(onward) == 1 and not (onward[0] in keep or last in keep):
                 pieces.extend([*stubs, onward[0]])
                 continue
@@ -162,7 +170,7 @@ def _bronchus(
     ahead = min(total, 5.0 * max(r, 0.5))
     toward = np.array([np.interp(ahead, along, points[:, axis]) for axis in range(3)]) - points[0]
     if total < 2.5 * r:
-        # Too short to have a direction of its own: half of it is that of what it leads to.
+        # A very short bronchus has no direction of its own: half of it is the direction towards its tips.
         toward = _unit(toward) + _unit(middle - points[0])
     return Bronchus(
         pieces=tuple(pieces),
@@ -181,7 +189,7 @@ def _bronchus(
 
 
 def find_lungs(bronchi: list[Bronchus]) -> dict[int, Lung]:
-    """The two lungs by the fork that parts the tree to the left and the right; empty where there is none."""
+    """Return the two lungs, by the fork that divides the tree to left and right; empty if there is no such fork."""
     best: tuple[float, int, int] | None = None
     whole = bronchi[0].bulk_mm
     for bronchus in bronchi:
@@ -202,7 +210,7 @@ def find_lungs(bronchi: list[Bronchus]) -> dict[int, Lung]:
     roots = [bronchi[number] for number in best[1:]]
     trunk = roots[0].parent
     assert trunk is not None
-    # The middle one of three: a narrowed main bronchus does not count.
+    # The median of three: a narrowed main bronchus has no effect.
     unit = sorted([bronchi[trunk].radius_mm / 18.0 ** (1 / 3), *(b.radius_mm / 9.0 ** (1 / 3) for b in roots)])[1]
     for root in best[1:]:
         members, waiting = [], [root]
@@ -220,7 +228,7 @@ def find_lungs(bronchi: list[Bronchus]) -> dict[int, Lung]:
 
 
 def body_frame(bronchi: list[Bronchus], lungs: dict[int, Lung]) -> NDArray[np.float64]:
-    """A first guess of the body's axes from trachea and lungs: rows left, posterior, superior in LPS."""
+    """Estimate the body axes from trachea and lungs: rows left, posterior, superior in LPS."""
     middles = {id(lung): lung.middle for lung in lungs.values()}
     trunk = bronchi[0]
     frame = np.eye(3)
@@ -231,7 +239,7 @@ def body_frame(bronchi: list[Bronchus], lungs: dict[int, Lung]) -> NDArray[np.fl
         if trunk.length_mm > 5.0 * trunk.radius_mm and down[2] < -0.5:
             up = _unit(-down - (-down @ left) * left)
             back = np.cross(up, left)
-            # Undo the trachea's own lean: its lower end lies further back.
+            # Compensate the inclination of the trachea: its lower end is further back.
             up = _unit(up + LEAN * back)
             left = _unit(left - (left @ up) * up)
             frame = np.stack([left, np.cross(up, left), up])
@@ -246,9 +254,18 @@ def refined_frame(
     *,
     steadiness: float = 4.0,
 ) -> NDArray[np.float64]:
-    """The rotation that best brings the seen directions (n, 3; LPS) to the expected ones (n, 3; body), near ``frame``.
+    """Return the rotation near ``frame`` that best turns the seen directions to the expected ones.
 
-    ``steadiness`` is the weight of each axis of the present frame beside the observations.
+    Parameters
+    ----------
+    frame
+        (3, 3) present frame: rows left, posterior, superior in LPS.
+    seen, expected
+        (n, 3) directions: seen in LPS, expected in the body frame.
+    weights
+        (n,) weights of the directions.
+    steadiness
+        Weight of each axis of the present frame, relative to the observations.
     """
     given = np.concatenate([seen, frame])
     wanted = np.concatenate([expected, np.eye(3)])

@@ -1,8 +1,9 @@
-"""Which bronchus carries which segments: all ways to read a tree, weighed by what anatomy expects.
+"""Assignment of segments to bronchi: all readings of a tree, weighted by the anatomical model.
 
-Sums over every derivation of the grammar, from the tips inwards (inside) and back (outside), give each bronchus the
-probability of each reading: its confidence. The labelling itself is read off from the trachea down, at each fork the
-likeliest division of what the airway before it carries.
+A reading assigns a state of the grammar to each bronchus. Sums over every derivation of the grammar, from the tips
+inwards (inside) and back (outside), give each bronchus the probability of each state, which is its confidence. The
+labels are then assigned from the trachea down: at each fork the likeliest division of the state of the airway before
+it.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ __all__ = ["Reading", "Solution", "Solver"]
 
 Array = NDArray[np.float64]
 
-# Concentrations of the directions (von Mises-Fisher): 3 is a spread of some 35 degrees. One anatomy's bronchi lie that
-# far from another's, and one observation tells much of the next, so all evidence counts TEMPER of its face value.
+# Concentrations of the directions (von Mises-Fisher): 3 is a spread of about 35 degrees, as between different
+# anatomies. Observations are correlated, so all log evidence is multiplied by TEMPER.
 KAPPA_DIRECTION = 3.0
 KAPPA_PLACE = 4.0
 KAPPA_TURN = 2.5
@@ -34,17 +35,20 @@ WRONG_SIDE = -6.0
 CALIBRE_SPREAD = 0.3
 CALIBRE_ANY = 0.5
 CALIBRE_INSIDE = math.log(0.7)
-"""Airways inside a segment are thinner than its bronchus."""
+"""Log of the usual radius of airways inside a segment, relative to its bronchus."""
 MAX_FORKS = 11
-"""RB10 may be the eighth bronchus from the trachea; side branches on the way may make it a few more."""
+"""RB10 may be the eighth bronchus from the trachea; side branches in between may add a few more."""
 TEMPER = 0.6
 DIVISION = -0.8
-"""Forks inside a segment spread as its neighbours do: a fork that looks like a division of segments proves less than
-one among forks in all directions would."""
+"""Log penalty of each division.
+
+Forks inside a segment spread like neighbouring segments, so a fork that looks like a division of segments is weaker
+evidence than among forks in all directions.
+"""
 
 
 def _log_peak(kappa: Array | float) -> Array:
-    """Density of von Mises-Fisher at its pole over the uniform one, as a log."""
+    """Return the log of the von Mises-Fisher density at its pole, relative to the uniform density."""
     k = np.maximum(kappa, 1e-6)
     result: Array = np.log(2.0 * k / -np.expm1(-2.0 * k))
     return result
@@ -52,39 +56,43 @@ def _log_peak(kappa: Array | float) -> Array:
 
 STUMP_MM = 2.5
 STUMP_SHARE = 0.55
-"""A short blind bronchus this wide (radius; and beside its parent's) is no twig, but the rest of one that was lost."""
+"""Least radius of a stump (mm), and least radius relative to its parent.
+
+A short blind bronchus of this width is not a twig but the rest of a lost bronchus.
+"""
 STUMP_SPUR = 6.0
 LOST_LOBE = math.log(0.05)
-"""That of a lobe with such a stump nothing is left: resected, or plugged at its origin."""
+"""Log odds that nothing is left of a lobe with such a stump: resected, or plugged at its origin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """One or several bronchi that leave a fork, seen as one."""
+    """One or several bronchi that leave a fork, combined into one side of the fork."""
 
     middle: Array
     direction: Array
     bulk: float
     spur: float
     interior: Array
-    """Log odds per state that all of it lies in that segment."""
+    """Log odds per state that the whole part is inside the segment of that state."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the labelling says of one bronchus."""
+    """Label that was assigned to one bronchus."""
 
     state: int | None
-    """State of the grammar; None for one that carries no segment (a twig, an accessory)."""
+    """State of the grammar; None for a bronchus that carries no segment (a twig, an accessory bronchus)."""
     confidence: float
+    """Probability of the label."""
     inside: int | None = None
-    """State (a segment) whose territory it lies in."""
+    """State (a segment) in whose territory the bronchus is."""
     twin: bool = False
-    """One of several bronchi of its segment that leave side by side."""
+    """Whether it is one of several bronchi of its segment that leave side by side."""
     settled: int | None = None
-    """What is left of the state where some of it is missing: RB5 of a middle lobe without RB4."""
+    """State that remains if a part of ``state`` is missing: RB5 of a middle lobe without RB4."""
     again: bool = False
-    """Goes on with what its parent carries, past a side branch."""
+    """Whether it continues the state of its parent, past a side branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +103,7 @@ class Solution:
 
 
 class _Tables:
-    """Inside sums of one fork: by subset of what leaves it."""
+    """Inside sums of one fork, for each subset of the bronchi that leave it (as bit masks)."""
 
     def __init__(self, parts: Sequence[_Part], sums: Sequence[Array], model: _Model) -> None:
         self.model = model
@@ -117,7 +125,7 @@ class _Tables:
             self.sums[subset] = structure
 
     def splits(self, subset: int) -> list[tuple[int, int]]:
-        """Unordered."""
+        """Return the unordered pairs of disjoint subsets whose union is the given subset."""
         low = subset & -subset
         found = []
         one = subset
@@ -128,7 +136,7 @@ class _Tables:
         return found
 
     def rows(self, one: int, two: int) -> Array:
-        """Log weight of each division of the grammar at this split, before the whole."""
+        """Return the log weight of each division of the grammar at this split, without the weight of the whole part."""
         division = self.model.grammar.division
         return (
             division.log_prior
@@ -164,7 +172,7 @@ def _together(parts: Sequence[_Part]) -> _Part:
 
 
 class _Model:
-    """The grammar's evidence for one tree in one frame."""
+    """Evidence of the grammar for one tree in one frame."""
 
     def __init__(
         self,
@@ -220,7 +228,7 @@ class _Model:
         return total
 
     def apart(self, one: _Part, two: _Part) -> Array:
-        """Log evidence that ``one`` lies as the first of each division should, beside ``two``."""
+        """Return the log evidence that ``one`` and ``two`` lie like the first and second part of each division."""
         division = self.grammar.division
         offset = one.middle - two.middle
         turn = one.direction - two.direction
@@ -238,7 +246,7 @@ class _Model:
         return result
 
     def evidence(self, number: int) -> Array:
-        """Log evidence of each state for one bronchus on its own."""
+        """Return the log evidence of each state for one bronchus on its own."""
         grammar = self.grammar
         total = KAPPA_DIRECTION * (grammar.direction @ self.directions[number] - 1.0) + _log_peak(KAPPA_DIRECTION)
         lung = self.lungs.get(number)
@@ -268,7 +276,7 @@ class _Model:
 
 
 def _spur(bronchi: list[Bronchus], number: int) -> float:
-    """Log odds that a bronchus carries no segment: common for twigs, rare for much tree."""
+    """Return the log odds that a bronchus carries no segment: high for twigs, low for a large part of the tree."""
     bronchus = bronchi[number]
     assert bronchus.parent is not None
     parent = bronchi[bronchus.parent]
@@ -288,7 +296,7 @@ def _is_short_tip(bronchi: list[Bronchus], number: int) -> bool:
 
 
 def _is_stump(bronchi: list[Bronchus], number: int) -> bool:
-    """Short, blind and wide: what a resection or a plug leaves of a bronchus that carried much, and no twig."""
+    """Return whether a bronchus is short, blind and wide: the stump that a resection or a plug leaves, not a twig."""
     bronchus = bronchi[number]
     return (
         _is_short_tip(bronchi, number)
@@ -299,25 +307,29 @@ def _is_stump(bronchi: list[Bronchus], number: int) -> bool:
 
 
 class Solver:
-    """All readings of one tree, in one frame.
+    """Solver that sums over all readings of one tree in one frame.
 
     Parameters
     ----------
+    grammar
+        The anatomical grammar.
+    bronchi, lungs
+        The bronchi of the tree, and their lungs.
     frame
         (3, 3) rows left, posterior, superior in LPS.
     mirrored
-        Look for the right lung's pattern on the left and the other way round.
+        Whether to read the left lung as a right one and the other way round.
     wishes
-        For bronchi that a person named: log odds per state, 0 where the name fits.
+        For bronchi that a user named: log odds per state, 0 for states that fit the name.
     held
-        For bronchi with such names beyond them: (log odds per segment that they lie in it, log odds that they carry
-        no segment).
+        For bronchi with such names on them or beyond them: log odds per segment that they are inside it, and log
+        odds that they carry no segment.
     max_forks
-        Forks further than this from the root are not read: what leaves there lies inside a segment.
+        Forks farther than this from the root are not read: the bronchi beyond are inside a segment.
     """
 
     log_evidence: float
-    """How well the tree fits anatomy, all readings together."""
+    """Log evidence of the tree under the anatomical model, summed over all readings."""
 
     def __init__(
         self,
@@ -369,7 +381,7 @@ class Solver:
         self.log_evidence = float(np.logaddexp.reduce(self._root))
 
     def solution(self) -> Solution:
-        """Probabilities, and the labelling."""
+        """Return the labels of all bronchi with their probabilities."""
         self.posts[0] = np.exp(self._root - self.log_evidence)
         for number in range(len(self.bronchi)):
             self._outward(number)
@@ -377,11 +389,11 @@ class Solver:
         return Solution(self.readings)
 
     def ending(self, number: int) -> Array:
-        """Log odds per state that a bronchus ends before it divides."""
+        """Return the log odds per state that a bronchus ends before it divides."""
         return self.model.stump if _is_stump(self.bronchi, number) else self.model.truncated
 
     def part_of(self, number: int) -> _Part:
-        """A bronchus as one side of a fork."""
+        """Return a bronchus as one side of a fork."""
         model = self.model
         inner, spur = model.held.get(number, (None, 0.0))
         bronchus = self.bronchi[number]
@@ -394,19 +406,19 @@ class Solver:
         )
 
     def _spread_shrink(self, post: Array, sums: Array, own: Array) -> Array:
-        """Hand the probability of states that stand for others on to these; what is left is each state's own."""
+        """Distribute the probability of states that replace others to those; the rest stays with each state."""
         spread = post.copy()
         for state, others, odds in reversed(self.grammar.shrink):
             if spread[state] <= 0.0 or not np.isfinite(sums[state]):
                 continue
-            # Sums of the others as they are, own or shrunk.
+            # The sums of the other states may already include replacements by their own rules.
             shares = np.exp(odds + sums[others] - sums[state])
             spread[others] += spread[state] * shares
             spread[state] *= math.exp(min(own[state] - sums[state], 0.0)) if np.isfinite(own[state]) else 0.0
         return spread
 
     def _outward(self, number: int) -> None:
-        """From the probabilities of a bronchus to those of its children."""
+        """Compute the probabilities of the children from those of a bronchus."""
         post = self.posts[number]
         if not len(post):
             post = self.posts[number] = np.zeros(len(self.grammar))
@@ -414,7 +426,7 @@ class Solver:
         if table is None or post.sum() < 1e-9:
             return
         spread = self._spread_shrink(post, self.sums[number], self.own[number])
-        # Segments end the grammar: what is beyond lies inside them.
+        # Segments end the grammar: everything beyond is inside them.
         weights = np.where(self.grammar.terminal, 0.0, spread)
         posts = {1 << k: np.zeros(len(self.grammar)) for k in range(table.num)}
         if table.num == 1:
@@ -455,7 +467,7 @@ class Solver:
                 target = posts if part.bit_count() == 1 else whole
                 target[part] = target.get(part, np.zeros(size)) + gained
 
-    # Reading: from the trachea down.
+    # Assignment of labels, from the trachea down.
 
     def _read(self, number: int, state: int, *, again: bool = False) -> None:
         settled = self._settled(state, self.sums[number], self.own[number])
@@ -464,7 +476,7 @@ class Solver:
         self._read_below(number, settled)
 
     def _settled(self, state: int, sums: Array, own: Array) -> int:
-        """A state that stands for others: the likeliest of them."""
+        """Return the likeliest state that replaces the given state, or the state itself."""
         while True:
             rule = next((r for r in self.grammar.shrink if r[0] == state), None)
             if rule is None:

@@ -1,4 +1,4 @@
-"""Words for the names of bronchi: numbers (Boyden), names (Jackson and Huber), lobes."""
+"""Texts for the names of bronchi: numbers (Boyden), names (Jackson and Huber), lobes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from carina.display import one_line
 __all__ = ["MIRRORED", "MIRRORED_CHEST", "NameWords", "bare_name", "name_words", "segment_of"]
 
 MIRRORED = "track.mirrored"
-"""Code of the lasting note of a tree whose three-lobed lung is on the left."""
+"""Code of the permanent note on a tree whose three-lobed lung is on the left."""
 MIRRORED_CHEST = "mirrored"
-"""How the variant of a trachea begins where the three-lobed lung is on the left."""
+"""First word of the variant of a trachea if the three-lobed lung is on the left."""
 
-# Segment: (Jackson and Huber, lobe).
+# Segment: (name by Jackson and Huber, lobe).
 _SEGMENTS = {
     "RB1": ("apical segment", "RUL"),
     "RB2": ("posterior segment", "RUL"),
@@ -74,29 +74,29 @@ _NAME = re.compile(
 @one_line
 @dataclass(frozen=True, slots=True)
 class NameWords:
-    """One name in words."""
+    """Forms of one anatomical name."""
 
     short: str
-    """RB6"""
+    """Short name, such as RB6."""
     long: str
-    """superior segment, RLL"""
+    """Long name, such as superior segment, RLL."""
     jackson_huber: str
-    """superior segment"""
+    """Name by Jackson and Huber, such as superior segment."""
     boyden: str | None
-    """B6; None for a trunk that has no number"""
+    """Number by Boyden, such as B6; None for a trunk without a number."""
     side: str | None
-    """right or left"""
+    """Side: right or left; None for the trachea."""
     lobe: str | None
-    """RLL"""
+    """Lobe, such as RLL; None for trunks of several lobes."""
 
     @property
     def full(self) -> str:
-        """RB6 (superior segment, RLL)"""
+        """Short and long name, such as RB6 (superior segment, RLL)."""
         return f"{self.short} ({self.long})"
 
 
 def bare_name(name: str) -> str:
-    """A name as the tables spell it: case and blanks do not matter."""
+    """Return a name in the spelling of the tables; case and blanks are ignored."""
     text = " ".join(name.split())
     for known in (*_TRUNKS, *_SEGMENTS):
         if text.casefold() == known.casefold():
@@ -112,7 +112,7 @@ def bare_name(name: str) -> str:
 
 
 def segment_of(name: str) -> str | None:
-    """The segment of a segmental or subsegmental name (RB6 of RB6a); None for any other."""
+    """Return the segment of a segmental or subsegmental name (RB6 for RB6a); None for any other name."""
     found = _NAME.match(bare_name(name).replace(" ", ""))
     if found is None:
         return None
@@ -121,17 +121,17 @@ def segment_of(name: str) -> str | None:
 
 
 def name_words(name: str) -> NameWords | None:
-    """A name of an airway in words.
+    """Return the forms of an airway's name.
 
     Parameters
     ----------
     name
-        A short name as :func:`name_tree` gives it: Trachea, RMB, BI, RUL, RB6, RB9+10, RB6a, LB1+2 ...
+        Short name as returned by :func:`name_tree`: Trachea, RMB, BI, RUL, RB6, RB9+10, RB6a, LB1+2 ...
 
     Returns
     -------
     NameWords or None
-        None for a name that is not of the nomenclature (a person may give any).
+        None for a name outside the nomenclature (users may choose any name).
 
     Examples
     --------
@@ -175,5 +175,5 @@ def name_words(name: str) -> NameWords | None:
 
 
 def lobe_words(lobe: str) -> str:
-    """RUL: right upper lobe."""
+    """Return the lobe in words, such as right upper lobe for RUL."""
     return _LOBE_WORDS[lobe]

@@ -1,1 +1,1 @@
-"""Least-cost paths: over the lumen, under the pointer, through a whole volume (paper 6)."""
+"""Least-cost paths: in the lumen, to the point under the pointer, and through a whole volume (paper 6)."""

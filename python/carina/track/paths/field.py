@@ -26,59 +26,61 @@ CALCULATING = "calculating the paths"
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPath:
-    """A least-cost path through a volume of weights."""
+    """Least-cost path through a volume of weights."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) LPS mm, voxel centres from the root to the target."""
+    """Voxel centres (n, 3) from the root to the target, LPS in mm."""
     voxels_ijk: NDArray[np.int64]
-    """(n, 3) the same voxels, i, j, k."""
+    """Voxels (n, 3) of the path as i, j, k."""
     cost: float
-    """Right within 0.5 %; exact where the weights are whole numbers and the cost is ``enter``."""
+    """Cost of the path, correct within 0.5 %; exact if the weights are whole numbers and the cost is ``enter``."""
     num_settled: int
-    """Voxels whose steps were looked at, in all, when it was found."""
+    """Total number of voxels whose steps had been examined when the path was found."""
 
 
 class FieldPaths:
-    """Least-cost paths from one root through every voxel of a volume of weights, 26 neighbours each.
+    """Least-cost paths from one root through every voxel of a volume of weights, with 26 neighbours each.
 
-    What one target has settled is there for the next; for one target alone `aimed_path` is quicker. No graph is built:
-    for each voxel 1.13 bytes are held with the cost ``enter`` and 5.13 with ``mean``, and beside them the queue, some
-    tenths of a byte. `solve_all` sweeps the volume in tiles, with 5.13 bytes a voxel while it lasts.
+    Voxels that were settled for one target are reused for the next; for a single target `aimed_path` is faster. No
+    graph is built: the memory is 1.13 bytes per voxel with the cost ``enter`` and 5.13 with ``mean``, plus some
+    tenths of a byte for the queue. `solve_all` processes the volume in tiles, with 5.13 bytes per voxel while it
+    runs.
 
     Parameters
     ----------
     volume
-        Gives the grid: spacing and place.
+        Defines the grid: spacing and position.
     field_zyx
-        (nz, ny, nx) float32, C order, weights on the volume's grid; not copied, and not to be changed while this lives.
-        A voxel whose weight is not finite is a wall.
+        (nz, ny, nx) float32, C order, weights on the grid of the volume; not copied, so it must not be changed while
+        this object exists. A voxel whose weight is not finite is a wall.
     root_lps
-        Where all paths begin, LPS mm.
+        Start of all paths, LPS in mm.
     cost
-        ``mean``: a step costs its length in mm times the mean of the weights at its two ends; weights above 0.
-        ``enter``: a step costs the weight of the voxel that it leads into, whatever its length (the problem of
-        ``dijkstra3d``); weights of at least 0.
+        ``mean``: a step costs its length in mm times the mean of the weights at its two ends; the weights must be
+        above 0. ``enter``: a step costs the weight of the voxel that it enters, whatever its length (the problem of
+        ``dijkstra3d``); the weights must be at least 0.
     region_ijk
-        First voxel and one past the last, on i, j and k: paths stay in this box, and memory is held for it alone.
+        First voxel and one past the last, on i, j and k. Paths stay in this box, and memory is used for it alone.
     mask_zyx
-        (nz, ny, nx) uint8, C order: paths stay where it is not 0.
+        (nz, ny, nx) uint8, C order: paths stay in voxels that are not 0.
 
     Raises
     ------
     UsageError
-        If a weight is negative (for ``mean``: or 0), or the root or the region lies outside.
+        If a weight is negative (for ``mean``: or 0), or the root or the region is outside.
     GeometryError
-        If the field or the mask is not on the volume's grid.
+        If the field or the mask is not on the grid of the volume.
     NoResultError
         If the root is in a wall.
     TrackingError
-        If the dearest step is more than 32,000 times the cheapest; or, later, if a path costs more than can be counted.
+        If the most expensive step costs more than 32,000 times the cheapest; or, later, if the cost of a path
+        exceeds the counter.
 
     Notes
     -----
-    Costs are counted in whole quanta, 128 to the cheapest step (1 to a unit where ``enter`` weights are whole numbers),
-    and are those of Dijkstra's algorithm on the same quanta. Dial, CACM 12 (1969) 632; Dinitz 1978 for buckets as wide
-    as the cheapest step; docs/decisions/0118.
+    Costs are counted in whole quanta, 128 for the cheapest step (1 per unit if ``enter`` weights are whole numbers),
+    and equal those of Dijkstra's algorithm on the same quanta. Dial, CACM 12 (1969) 632; Dinitz 1978 for buckets as
+    wide as the cheapest step; docs/decisions/0118.
 
     Examples
     --------
@@ -114,49 +116,50 @@ class FieldPaths:
         )
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of open and settled voxels."""
         return f"FieldPaths(num_open={self._core.num_open}, num_settled={self._core.num_settled})"
 
     @property
     def num_settled(self) -> int:
-        """Voxels whose steps were looked at."""
+        """Number of voxels whose steps were examined."""
         return self._core.num_settled
 
     @property
     def num_open(self) -> int:
-        """Voxels that are no wall."""
+        """Number of voxels that are not wall."""
         return self._core.num_open
 
     @property
     def quantum(self) -> float:
-        """Integer unit of the costs."""
+        """Smallest unit of the costs: costs are whole multiples of it."""
         return self._core.quantum
 
     @property
     def num_bytes(self) -> tuple[int, int]:
-        """Bytes held for the voxels, and for the queue."""
+        """Memory in bytes for the voxels and for the queue."""
         return self._core.num_bytes
 
     @property
     def core(self) -> FieldTracker:
-        """The compiled tracker."""
+        """Compiled tracker."""
         return self._core
 
     @shows_progress
     def solve_all(self, *, progress: ProgressChoice = None, cancel: Cancel | None = None) -> None:
-        """Settle everything that a path can reach.
+        """Settle every voxel that a path can reach.
 
         Parameters
         ----------
         progress
-            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
-            is None where it is unknown.
+            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The
+            fraction is None where it is unknown.
         cancel
-            Called often; the work stops when it returns True.
+            Function that is called often; the calculation stops when it returns True.
 
         Raises
         ------
         CancelledError
-            If ``cancel()`` said so; another call goes on from there.
+            If ``cancel()`` returned True; another call continues from there.
         """
         self._core.solve_all(cancel=cancel, progress=share_function(progress_function(progress), CALCULATING))
 
@@ -168,17 +171,17 @@ class FieldPaths:
         progress: ProgressChoice = None,
         cancel: Cancel | None = None,
     ) -> FieldPath:
-        """The least-cost path from the root to the voxel that holds a point.
+        """Return the least-cost path from the root to the voxel that contains a point.
 
         Parameters
         ----------
         target_lps
-            Where the path ends, LPS mm.
+            End of the path, LPS in mm.
         progress
-            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
-            is None where it is unknown.
+            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The
+            fraction is None where it is unknown.
         cancel
-            Called often; the work stops when it returns True.
+            Function that is called often; the calculation stops when it returns True.
 
         Raises
         ------
@@ -187,7 +190,7 @@ class FieldPaths:
         NoResultError
             If the target is in a wall, or no path leads to it.
         CancelledError
-            If ``cancel()`` said so; another call goes on from there.
+            If ``cancel()`` returned True; another call continues from there.
         """
         voxel = _voxel(self._volume, target_lps, "target")
         share = share_function(progress_function(progress), CALCULATING)
@@ -212,23 +215,23 @@ def aimed_path(
     progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> FieldPath:
-    """The least-cost path to one target alone, searched for in its direction (A*).
+    """Return the least-cost path to a single target, searched in the direction of the target (A*).
 
-    Costs what the path of `FieldPaths` costs, to the quantum; where several cost that, it may be another of them.
-    Nothing is kept: for several targets from one root `FieldPaths` is there. Eight bytes are written for each voxel
-    that the search comes to, which without a path is every voxel that the root can reach.
+    The cost equals that of the path of `FieldPaths`, to the quantum; of several paths with this cost it may be
+    another one. No result is stored: for several targets from one root use `FieldPaths`. The search uses eight bytes
+    for each voxel that it reaches; if there is no path, these are all voxels that the root can reach.
 
     Parameters
     ----------
     volume, field_zyx, root_lps, cost, region_ijk, mask_zyx
         As for `FieldPaths`.
     target_lps
-        Where the path ends, LPS mm.
+        End of the path, LPS in mm.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         that of the open voxels that were settled.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the calculation stops when it returns True.
 
     Raises
     ------
@@ -237,12 +240,12 @@ def aimed_path(
     NoResultError
         If the root or the target is in a wall, or no path leads from one to the other.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     Notes
     -----
-    Hart, Nilsson and Raphael, IEEE Trans. SSC 4 (1968) 100, with a bound in whole quanta: the least weight by as many
-    steps as the longest axis asks for (``enter``), or by the length of the straight line (``mean``);
+    Hart, Nilsson and Raphael, IEEE Trans. SSC 4 (1968) 100, with a bound in whole quanta: the least weight times the
+    number of steps along the longest axis (``enter``), or times the length of the straight line (``mean``);
     docs/decisions/0118.
 
     Examples

@@ -1,4 +1,4 @@
-"""Slices between the slices of a CT, by cubic B-splines."""
+"""Interpolation of slices between the slices of a CT by cubic B-splines."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from numpy.typing import NDArray
 __all__ = ["with_divided_slices"]
 
 POLE = np.sqrt(3.0) - 2.0
-"""Of the filter that turns values into the coefficients of a cubic B-spline."""
+"""Pole of the filter that converts values to the coefficients of a cubic B-spline."""
 NUM_TERMS = 24
-"""Terms of a coefficient at the border: the next one is below 1e-13 of the values."""
+"""Number of terms of a coefficient at the border: the next term is below 1e-13 of the values."""
 NUM_ROWS = 32
-"""Rows that are interpolated at a time, so that their coefficients stay in the processor's cache."""
+"""Number of rows that are interpolated at a time, so that their coefficients stay in the processor cache."""
 
 
 def with_divided_slices(slices: NDArray[np.int16], parts: int) -> NDArray[np.int16]:
     """Divide each slice of a stack into parts, with values by interpolating cubic B-splines along the stack.
 
-    The parts cover the slices: part p of slice k lies (p + 1/2) / parts - 1/2 slices from its middle. The stack is
+    The parts cover the slices: the centre of part p of slice k is (p + 1/2) / parts - 1/2 slices from the centre of
+    slice k. The stack is
     mirrored at its first and last slice.
 
     Parameters
@@ -26,12 +27,13 @@ def with_divided_slices(slices: NDArray[np.int16], parts: int) -> NDArray[np.int
     slices
         (n, rows, columns) int16, in any memory layout.
     parts
-        Into how many parts each slice is divided, at least 1.
+        Number of parts of each slice, at least 1.
 
     Returns
     -------
     ndarray
-        (n * parts, rows, columns) int16, C-contiguous. No value is outside the range of the values of ``slices``. The
+        (n * parts, rows, columns) int16, C-contiguous. No value is outside the range of the values of ``slices``.
+        The
         middle part of an odd number of parts has the values of its slice.
 
     References
@@ -75,7 +77,7 @@ def _coefficients(values: NDArray[np.float32]) -> NDArray[np.float32]:
     pole = np.float32(POLE)
     values *= np.float32((1.0 - POLE) * (1.0 - 1.0 / POLE))
     terms = np.arange(NUM_TERMS)
-    # The sum over the stack, which is mirrored for ever.
+    # Sum over the stack, mirrored infinitely.
     values[0] = np.tensordot((POLE**terms).astype(np.float32), values[_mirrored(terms, num)], axes=1)
     for k in range(1, num):
         values[k] += pole * values[k - 1]
@@ -94,7 +96,7 @@ def _spline(x: float) -> float:
 
 
 def _mirrored(places: NDArray[np.int64], num: int) -> NDArray[np.int64]:
-    """Return places in a stack that is mirrored at its first and last slice."""
+    """Return indices in a stack that is mirrored at its first and last slice."""
     period = 2 * (num - 1)
     places = np.abs(places) % period
     return np.minimum(places, period - places)

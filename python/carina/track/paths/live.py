@@ -1,4 +1,4 @@
-"""The path to whatever the pointer is over (the paper's intelligent scissors, 6.3, in 3D)."""
+"""Live path to the point under the pointer (intelligent scissors of paper 6.3, in 3D)."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from carina.volume.model import Volume
 
 __all__ = ["LivePath", "find_live_path", "noise_hu", "sampled", "wall_scores"]
 
-# Rays round a point of the path, and the samples on each.
+# Number of rays round a point of the path, and largest number of points.
 NUM_RAYS = 8
 MAX_POINTS = 48
-# A bronchus's wall is 0.5 to 2 mm thick; the scanner blurs it by about a voxel.
+# The wall of a bronchus is 0.5 to 2 mm thick; the scanner blurs it by about a voxel.
 WALL_REACH_MM = 2.0
-# The brightest of some noise samples is about 2 standard deviations up; 6 is no noise.
+# Rises that count as no wall and as a certain wall, in standard deviations of the noise: the brightest of some noise
+# samples is about 2 above the mean.
 NOTHING_SIGMA, CERTAIN_SIGMA = 2.0, 6.0
 LEAST_CONTRAST_HU = 60.0
-# Fewer voxels across than the first are seen by chance; from the second on the lumen is seen whole.
+# A lumen below the first width (voxels) may be noise; from the second width on it is completely visible.
 FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
-# What a pointer is about, where nothing of the path is new.
+# Length at the end of the path that is judged if the path contains nothing new.
 LAST_MM = 10.0
-# How far around a pointer outside all airways the nearest one is looked for.
+# Radius round a pointer outside all airways in which the nearest airway is searched.
 SEARCH_MM = 40.0
-# A chain is as strong as its weak parts; not the weakest sample, which noise chooses.
+# The wall is judged by its weakest points; a quantile, because noise determines the single weakest sample.
 WEAK_SHARE = 0.1
 
 
@@ -37,7 +38,7 @@ Point = tuple[float, float, float]
 
 
 class LumenPaths(Protocol):
-    """What a live path asks of a tracker (:class:`carina.track.PathTracker`)."""
+    """Interface of a tracker that live paths need (:class:`carina.track.PathTracker`)."""
 
     @property
     def core(self) -> LumenTracker: ...
@@ -53,40 +54,54 @@ class LumenPaths(Protocol):
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class LivePath:
-    """The path to the place under the pointer, before it is asked for."""
+    """Path to the point under the pointer, before the user confirms it."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) LPS mm from the root to the place, smoothed inside the lumen; (0, 3) where there is a problem."""
+    """Points (n, 3) from the root to the target, LPS in mm, smoothed inside the lumen; (0, 3) if there is a problem."""
     length_mm: float
     min_radius_mm: float
-    """Smallest distance from the middle to the wall, leaving out a radius at both ends."""
+    """Smallest distance from the centreline to the wall, without one radius at both ends."""
     confidence: float | None
-    """0 to 1: that what is new is an airway, from its wall and its lumen (see :func:`find_live_path`); None where there
-    is no path."""
+    """Confidence (0..1) that the new part is an airway, from its wall and lumen (see :func:`find_live_path`).
+
+    None if there is no path.
+    """
     snapped_mm: float
-    """How far the place was from the lumen; 0 inside it."""
+    """Distance of the given point from the lumen; 0 inside it."""
     new_mm: float
     """Length of the path outside the present tree."""
     joins_branch_id: int | None
-    """Branch of the present tree that the new part leaves; None without a tree."""
+    """Branch of the present tree from which the new part starts; None without a tree."""
     problem: str | None
-    """Why there is no path and what to do, in words."""
+    """Text that states why there is no path and what to do; None if there is a path."""
 
 
 def find_live_path(tracker: LumenPaths, volume: Volume, point: Point, *, reach_mm: float) -> LivePath:
-    """The path to a point in the volume, or the words that say why there is none.
+    """Return the path to a point in the volume, or a result that states why there is none.
 
     The confidence is the product of three shares:
 
-    - the wall: from points of the new part (of the last 10 mm where nothing is new) eight rays go out across the path.
-      A ray sees a wall if the values rise above the lumen's within 2 mm of the wall's place. A rise of 2 standard
-      deviations of the noise (measured in the widest airway), or of 60 HU, counts 0, of 6 standard deviations 1. The
-      share is that of the weakest tenth of the points: lung that leaked in has no wall, whatever its own value.
-    - the width: a lumen of 3 voxels across counts 1, one of half a voxel one half: one could not tell it from noise.
-    - the place: moved by nothing it counts 1, by ``reach_mm`` one half.
+    - the wall: at points of the new part (or of the last 10 mm if nothing is new), eight rays run across the path. A
+      ray meets a wall if the values rise above those of the lumen within 2 mm of the expected wall. A rise of 2
+      standard deviations of the noise (measured in the widest airway), or of 60 HU, counts 0; a rise of 6 standard
+      deviations counts 1. The share is that of the weakest tenth of the points: lung that leaked in has no wall,
+      whatever its own value.
+    - the width: a lumen of 3 voxels across counts 1; one of half a voxel counts one half, because it may be noise.
+    - the place: a point in the lumen counts 1; a point that was moved by ``reach_mm`` counts one half.
+
+    Parameters
+    ----------
+    tracker
+        Tracker of the lumen.
+    volume
+        The CT on the grid of the tracker.
+    point
+        Target, LPS in mm.
+    reach_mm
+        Largest distance of the target from the lumen.
     """
     inside = bool(tracker.core.inside([point])[0])
-    # Asked for before the node, since a refusal looks 60 mm around for its words: too long while a pointer moves.
+    # Check this before `snap`, whose error message searches within 60 mm: too slow while a pointer moves.
     if not inside and volume.contains_lps(np.array(point)) and tracker.core.nearest(point, reach_mm) is None:
         return _no_path(_where(tracker, volume, point, reach_mm))
     node, snapped_mm = tracker.snap(point, snap_mm=reach_mm)
@@ -102,8 +117,8 @@ def find_live_path(tracker: LumenPaths, volume: Volume, point: Point, *, reach_m
     new_mm = new_share * length_mm
     to_end = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
     looked_at = to_end <= max(new_mm, LAST_MM)
-    # From the middle of the tube to a place beside its wall, and from the closed end of a tube, the distance to the
-    # wall says nothing about the tube.
+    # Leave out one tube radius at the target and at the root: the distance to the wall does not describe the tube at
+    # its closed end or near a target beside the wall.
     tube_mm = float(radius[looked_at].max(initial=0.0))
     from_root = to_end[0] - to_end
     middle = (to_end > tube_mm) & (from_root > float(radius[from_root <= LAST_MM].max(initial=0.0)))
@@ -144,18 +159,22 @@ def wall_scores(
     sigma_hu: float,
     scale: AirScale,
 ) -> NDArray[np.float64]:
-    """(n,) share of the rays round each (n, 3) point that see a wall, 0..1.
+    """Return (n,) shares (0..1) of the rays round each (n, 3) point that meet a wall.
 
     Parameters
     ----------
+    volume
+        The CT.
+    points_lps
+        (n, 3) points, LPS in mm; at most 48 of them are used.
     path_lps
-        (m, 3) the path that the points are on; the rays go across it.
+        (m, 3) path that contains the points, LPS in mm; the rays run across it.
     radius_mm
-        Distance to the wall, about; the rays look 2 mm and a voxel farther.
+        Approximate distance to the wall; the rays extend 2 mm and a voxel farther.
     sigma_hu
         Standard deviation of the noise.
     scale
-        Air and soft tissue in the volume's numbers.
+        Air and soft tissue in the numbers of the volume.
     """
     points = points_lps[np.linspace(0, len(points_lps) - 1, min(len(points_lps), MAX_POINTS)).round().astype(int)]
     across_u, across_v = _across(points, path_lps)
@@ -166,7 +185,7 @@ def wall_scores(
     at_mm = np.arange(0.0, reach + 1e-9, max(0.5 * float(spacing.min()), reach / 24.0))
     samples = points[:, None, None, :] + at_mm[None, None, :, None] * rays[:, :, None, :]
     values = sampled(volume, samples.reshape(-1, 3)).reshape(samples.shape[:3]) / scale.span(1.0)
-    # The lumen is what the ray passes first; the wall is the brightest behind it.
+    # A ray passes the lumen first; the wall is the brightest value behind it.
     lumen = values[:, :, at_mm <= max(0.5 * radius_mm, at_mm[1])].mean(axis=(1, 2))
     rise = values.max(axis=2) - lumen[:, None]
     nothing = max(NOTHING_SIGMA * sigma_hu, LEAST_CONTRAST_HU)
@@ -175,23 +194,23 @@ def wall_scores(
 
 
 def noise_hu(volume: Volume, points_lps: NDArray[np.float64], scale: AirScale) -> float:
-    """Standard deviation of the values at (n, 3) places deep inside the widest airway, HU; 20 where there are few."""
+    """Return the standard deviation (HU) of the values at (n, 3) points deep inside the widest airway; 20 if n < 30."""
     if len(points_lps) < 30:
         return 20.0
     values = sampled(volume, np.asarray(points_lps), nearest=True) / scale.span(1.0)
-    # From the middle half: a polyp or a tube in the airway is no noise.
+    # From the quartiles, so that a polyp or a tube in the airway has no effect.
     low, high = np.quantile(values, [0.25, 0.75])
     return float(max((high - low) / 1.349, 1.0))
 
 
 def _across(points: NDArray[np.float64], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two unit vectors across the path at each of its points."""
+    """Return two unit vectors (n, 3) across the path at each of its points."""
     place = np.argmin(np.linalg.norm(path[None, :, :] - points[:, None, :], axis=2), axis=1)
     last = len(path) - 1
     along = path[np.minimum(place + 2, last)] - path[np.maximum(place - 2, 0)]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along = np.where(length > 0.0, along / np.maximum(length, 1e-9), np.array([0.0, 0.0, 1.0]))
-    # Any direction that is not along it, turned across.
+    # Any axis that is not parallel to the path, made perpendicular to it.
     other = np.eye(3)[np.argmin(np.abs(along), axis=1)]
     u = np.cross(along, other)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
@@ -199,7 +218,7 @@ def _across(points: NDArray[np.float64], path: NDArray[np.float64]) -> tuple[NDA
 
 
 def sampled(volume: Volume, points_lps: NDArray[np.float64], *, nearest: bool = False) -> NDArray[np.float64]:
-    """Trilinear values at (n, 3) points, edge-clamped."""
+    """Return the trilinear values at (n, 3) points (LPS, mm), clamped to the edge of the volume."""
     values = volume.hu_zyx
     top = np.array(values.shape[::-1]) - 1
     ijk = np.clip(volume.to_ijk(points_lps), 0.0, top)
@@ -223,7 +242,7 @@ def _no_path(problem: str) -> LivePath:
 
 
 def _where(tracker: LumenPaths, volume: Volume, point: Point, reach_mm: float) -> str:
-    """What is at a point outside the lumen, and what to do."""
+    """Return a text that states what is at a point outside the lumen, and what to do."""
     found = tracker.core.nearest(point, SEARCH_MM)
     far = f"more than {SEARCH_MM:g} mm" if found is None else f"{found[1]:.0f} mm"
     do = (

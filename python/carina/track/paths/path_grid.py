@@ -1,4 +1,4 @@
-"""The grid in which airways are searched and paths run: that of the CT, or a finer one where its slices are thick."""
+"""Grid in which airways are searched and paths run: the grid of the CT, or a finer one if its slices are thick."""
 
 from __future__ import annotations
 
@@ -18,39 +18,40 @@ from carina.volume.sparse_mask import empty_mask
 __all__ = ["MOST_PARTS", "DividedSlices", "PathGrid"]
 
 PART_MM = 1.0
-"""Slices are divided into parts about so thick; one that is a quarter thicker is left as it is."""
+"""Slices are divided into parts of about this thickness; a slice up to a quarter thicker is not divided."""
 THICK = 1.5
-"""A slice is thick if it is so many times as thick as its voxels are wide."""
+"""A slice is thick if its thickness is at least this many times the voxel width."""
 WIDEST_MM = 1.0
-"""Wider voxels do not show the airways that thick slices break."""
+"""Slices with wider voxels are not divided: such voxels do not show the airways that thick slices interrupt."""
 LEAST_SLICES = 4
 MOST_PARTS = 16
 LEAST_PART_MM = 0.5
-"""A case file with thinner parts is damaged: its grid would take much memory."""
+"""Least thickness of a part; a case file with thinner parts is damaged, and its grid would need too much memory."""
 
 
 class DividedSlices(NamedTuple):
-    """Thick slices that were divided."""
+    """Division of thick slices: axis and thickness."""
 
     axis: int
     """Axis across the slices: 0 is i, 1 is j, 2 is k."""
     slice_mm: float
-    """Their thickness."""
+    """Thickness of the slices before the division."""
 
 
 class PathGrid:
-    """The grid in which the airways of a CT are searched, paths run and edits are made.
+    """Grid in which the airways of a CT are searched, paths run and edits are made.
 
-    In slices of 3 mm an oblique airway moves by its own width from one slice to the next: the voxels of its lumen are
-    not connected, and its wall is not closed. So thick slices are divided by interpolation (docs/decisions/0114).
-    What is shown and exported is on the grid of the CT: each of its voxels is ``parts`` voxels of this grid.
+    In slices of 3 mm an oblique airway moves by its own width from one slice to the next: the voxels of its lumen
+    are not connected, and its wall is not closed. Thick slices are therefore divided by interpolation
+    (docs/decisions/0114). Display and export use the grid of the CT, of which each voxel is ``parts`` voxels of this
+    grid.
 
     Parameters
     ----------
     ct
         The CT.
     parts
-        Into how many parts its thickest axis is divided; 1 is the grid of the CT.
+        Number of parts into which the thickest axis is divided; 1 for the grid of the CT.
 
     Examples
     --------
@@ -68,13 +69,13 @@ class PathGrid:
         self.ct = ct
         self.parts = parts
         self._axis = int(np.argmax(ct.spacing_mm))
-        """That is divided: 0 is i, 1 is j, 2 is k."""
+        """Axis that is divided: 0 is i, 1 is j, 2 is k."""
         self._lock = threading.Lock()
         self._volume: Volume | None = ct if parts == 1 else None
 
     @classmethod
     def of(cls, ct: Volume) -> PathGrid:
-        """Return the grid for a search of a CT; its own grid where its slices are not thick."""
+        """Return the grid for a search of a CT: a divided one if the slices are thick, otherwise that of the CT."""
         _, width_mm, thick_mm = sorted(ct.spacing_mm)
         num = ct.shape_zyx[2 - int(np.argmax(ct.spacing_mm))]
         if width_mm > WIDEST_MM or thick_mm < THICK * width_mm or num < LEAST_SLICES:
@@ -84,16 +85,18 @@ class PathGrid:
 
     @classmethod
     def parts_of(cls, ct: Volume, shape_zyx: tuple[int, int, int]) -> int | None:
-        """Return into how many parts a grid of this shape divides the CT; None if the shape is that of no such grid."""
+        """Return the number of parts per slice for a grid of this shape; None if no division of the CT has it."""
         axis = 2 - int(np.argmax(ct.spacing_mm))
         parts = shape_zyx[axis] // ct.shape_zyx[axis]
         is_possible = parts == 1 or (1 < parts <= MOST_PARTS and ct.spacing_mm[2 - axis] / parts >= LEAST_PART_MM)
         return parts if is_possible and cls(ct, parts).shape_zyx == shape_zyx else None
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor and its arguments for a pickle; the interpolated volume is not pickled."""
         return PathGrid, (self.ct, self.parts)
 
     def __repr__(self) -> str:
+        """Return one line with the number of parts and the shape."""
         return f"PathGrid(parts={self.parts}, shape_zyx={self.shape_zyx})"
 
     @property
@@ -103,19 +106,19 @@ class PathGrid:
 
     @property
     def divided(self) -> DividedSlices | None:
-        """The slices that were divided to make this grid; None where it is that of the CT."""
+        """Division of the CT's slices that makes this grid; None if the grid is that of the CT."""
         return DividedSlices(self._axis, self.ct.spacing_mm[self._axis]) if self.is_divided else None
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:
-        """Voxels along z, y, x."""
+        """Number of voxels along z, y, x."""
         shape = list(self.ct.shape_zyx)
         shape[2 - self._axis] *= self.parts
         return shape[0], shape[1], shape[2]
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
-        """4x4, from the voxels of this grid to LPS mm."""
+        """Affine matrix (4x4) from the voxels of this grid to LPS in mm."""
         place = self.ct.lps_from_ijk.copy()
         # The first part of the first voxel begins where that voxel begins.
         place[:3, 3] += place[:3, self._axis] * (0.5 / self.parts - 0.5)
@@ -124,7 +127,7 @@ class PathGrid:
 
     @property
     def volume(self) -> Volume:
-        """The CT on this grid; interpolated when it is first needed, and kept."""
+        """CT on this grid; interpolated at first use and cached."""
         made = self._volume
         if made is None:
             with self._lock:
@@ -136,14 +139,14 @@ class PathGrid:
     def _interpolated(self) -> Volume:
         along = self.ct.lps_from_ijk[:3, self._axis]
         stack = np.moveaxis(self.ct.hu_zyx, 2 - self._axis, 0)
-        # In one direction of the patient whatever the file's: sums of floats depend on their order.
+        # Always interpolate in the same direction of the patient: floating-point sums depend on their order.
         is_turned = bool(along[np.argmax(np.abs(along))] < 0.0)
         made = with_divided_slices(stack[::-1] if is_turned else stack, self.parts)
         made = np.moveaxis(made[::-1] if is_turned else made, 0, 2 - self._axis)
         return dataclasses.replace(self.ct, hu_zyx=np.ascontiguousarray(made), lps_from_ijk=self.lps_from_ijk)
 
     def voxels_in(self, ct_voxels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return the (m, 3) voxels of this grid that lie in (n, 3) voxels of the CT, both i, j, k, in order."""
+        """Return the (m, 3) voxels of this grid that are in (n, 3) voxels of the CT, both i, j, k, in order."""
         if not self.is_divided:
             return ct_voxels
         finer = np.repeat(ct_voxels.astype(np.int64), self.parts, axis=0)
@@ -151,16 +154,18 @@ class PathGrid:
         return np.unique(finer, axis=0).astype(np.uint16)
 
     def mask_in_parts(self, ct_mask_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a mask on the grid of the CT on this grid; that array itself where nothing is divided."""
+        """Return a mask of the CT on this grid; the given array itself if nothing is divided."""
         return np.repeat(ct_mask_zyx, self.parts, axis=2 - self._axis) if self.is_divided else ct_mask_zyx
 
     def mask_on_ct(self, mask_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a mask of this grid on the grid of the CT, read-only: 1 where at least half of a voxel's parts are 1.
+        """Return a mask of this grid on the grid of the CT, read-only.
+
+        A voxel is 1 if at least half of its parts are inside.
 
         Parameters
         ----------
         mask_zyx
-            (nz, ny, nx) of this grid, not 0 inside. The result is this array itself where nothing is divided.
+            (nz, ny, nx) on this grid, nonzero inside. The result is this array itself if nothing is divided.
         """
         if not self.is_divided:
             return mask_zyx
@@ -169,14 +174,14 @@ class PathGrid:
         return made
 
     def lumen_on_ct(self, lumen_zyx: NDArray[np.uint8], branches: Sequence[Branch]) -> NDArray[np.uint8]:
-        """Return a lumen of this grid on the grid of the CT, read-only; it holds each branch's centreline.
+        """Return a lumen of this grid on the grid of the CT, read-only; it contains the centreline of each branch.
 
-        An airway that runs within a slice may be thinner than half of it.
+        The centrelines are added because an airway that runs within a slice may be thinner than half of the slice.
 
         Parameters
         ----------
         lumen_zyx
-            (nz, ny, nx) of this grid, not 0 inside. The result is this array itself where nothing is divided.
+            (nz, ny, nx) on this grid, nonzero inside. The result is this array itself if nothing is divided.
         branches
             The tree in the lumen.
         """
@@ -201,7 +206,7 @@ class PathGrid:
             parts = stack[k * self.parts : (k + 1) * self.parts]
             where = np.argwhere(parts.any(axis=0))
             if len(where):
-                # Only what holds some of it: pages of memory without any are not touched.
+                # Write only the bounding box of the mask, so that empty pages of memory stay untouched.
                 (low_a, low_b), (high_a, high_b) = where.min(axis=0), where.max(axis=0) + 1
                 count = (parts[:, low_a:high_a, low_b:high_b] != 0).sum(axis=0)
                 np.copyto(layer[low_a:high_a, low_b:high_b], np.uint8(1), where=2 * count >= self.parts)
@@ -209,7 +214,7 @@ class PathGrid:
 
 
 def _dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the points of a line with four between each two of them."""
+    """Return the points of a line with four interpolated points between each pair."""
     if len(points) < 2:
         return points
     shares = np.arange(5)[:, None, None] / 5.0

@@ -1,4 +1,4 @@
-"""The compiled tracker of a lumen that is known already: of a case that is opened again, of edits."""
+"""Reconstruction of the compiled tracker of a known lumen, after a case is opened or edited."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from carina.volume.model import Volume
 __all__ = ["CoreRecipe", "Levels", "edited_core", "found_core"]
 
 Levels = tuple[float, float, float] | None
-"""As :attr:`carina.track.Airways.wall_levels`."""
+"""Wall levels as in :attr:`carina.track.Airways.wall_levels`."""
 
 
 @dataclass(frozen=True, slots=True)
 class CoreRecipe:
-    """How the compiled tracker of a lumen is built again, in another process or from a case file."""
+    """Parameters from which the compiled tracker of a lumen is rebuilt, in another process or from a case file."""
 
     levels: Levels
+    """Wall levels of the lumen."""
     is_edited: bool
-    """Whether paths have the order of edits (`edited_core`), not that of a search (`found_core`)."""
+    """Whether paths have the order of edits (`edited_core`) rather than that of a search (`found_core`)."""
 
     def build(self, volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int]) -> LumenTracker:
-        """Return the compiled tracker of a lumen on the grid of a volume, from the voxel of the root."""
+        """Return the compiled tracker of a lumen on the grid of a volume, rooted at the given voxel."""
         return (edited_core if self.is_edited else found_core)(volume, lumen_zyx, root_ijk, self.levels)
 
 
 def found_core(
     volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
 ) -> LumenTracker:
-    """The compiled tracker as a search leaves it, of the lumen and the root that it came to."""
+    """Return the compiled tracker with all paths solved in the order of a search."""
     core = _unsolved(volume, lumen_zyx, root_ijk, levels)
     core.solve_all()
     return core
@@ -41,7 +42,7 @@ def found_core(
 def edited_core(
     volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
 ) -> LumenTracker:
-    """The compiled tracker as edits leave it: of equally cheap paths it takes the first."""
+    """Return the compiled tracker with all paths solved in the order of edits: the first of equally cheap paths."""
     return reroot_lumen(_unsolved(volume, lumen_zyx, root_ijk, levels), root_ijk)
 
 
@@ -49,7 +50,7 @@ def _unsolved(
     volume: Volume, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int], levels: Levels
 ) -> LumenTracker:
     x, y, z = (float(v) for v in volume.to_lps(np.array(root_ijk, dtype=np.float64)))
-    # A voxel's own centre: a tenth of a voxel is far more than its rounding.
+    # The root is a voxel centre: a tenth of a voxel is far more than the rounding error.
     reach_mm = 0.1 * min(volume.spacing_mm)
     return LumenTracker(
         volume.hu_zyx, volume.lps_from_ijk, lumen_zyx, levels=levels, root_lps=(x, y, z), reach_mm=reach_mm

@@ -1,4 +1,4 @@
-"""The resumable path tracker over an airway lumen (paper 6)."""
+"""Resumable tracker of least-cost paths in an airway lumen (paper 6)."""
 
 from __future__ import annotations
 
@@ -34,33 +34,39 @@ Point = tuple[float, float, float]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedPath:
-    """The least-cost path from the root to a target, smoothed inside the lumen."""
+    """Least-cost path from the root to a target, smoothed inside the lumen."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) LPS mm, root to target, about 1 mm apart; each in a lumen voxel."""
+    """Points (n, 3) from root to target, LPS in mm, about 1 mm apart; each one is in a lumen voxel."""
     radius_mm: NDArray[np.float64]
-    """(n,) radius of the branch at its nearest place, see :attr:`Branch.radius`; off the tree the wall's distance."""
+    """Radius (n,) of the branch at its nearest point (:attr:`Branch.radius`); distance to the wall off the tree."""
     wall_mm: NDArray[np.float64]
-    """(n,) distance to the wall: how large a ball fits there, less than ``radius_mm`` where the lumen is no circle."""
+    """Distance (n,) to the wall, which is the radius of the largest ball that fits.
+
+    The distance is less than ``radius_mm`` if the lumen is not round.
+    """
     length_mm: float
+    """Length of the smoothed path."""
     cost: float
-    """Cost of the voxel path: the sum of length in mm times weight over its edges."""
+    """Cost of the voxel path: the sum over its edges of length in mm times weight."""
     generation: NDArray[np.int32]
-    """(n,) forks of the airway passed."""
+    """Number (n,) of airway forks between the root and each point."""
     branch_ids: NDArray[np.int32]
-    """(n,) branch of the automatic tree at each point."""
+    """ID (n,) of the branch of the automatic tree at each point."""
     voxel_path_lps: NDArray[np.float64]
-    """(m, 3) voxel centres that the tracker chose, before smoothing."""
+    """Voxel centres (m, 3) that the tracker chose, before smoothing, LPS in mm."""
     target_node: int
+    """Node of the target in the compiled tracker."""
     snapped_mm: float
-    """How far the asked point was from the lumen; 0 inside it."""
+    """Distance of the requested point from the lumen; 0 inside the lumen."""
 
 
 class PathTracker:
-    """Least-cost paths from one fixed root; what one target has settled is there for the next (paper 6.3).
+    """Tracker of least-cost paths from one fixed root (paper 6.3).
 
-    Made by :func:`carina.track.find_airways`. May be used from several threads. A pickle of it holds the CT, the lumen
-    and the branches; the compiled tracker is built again from them when it is first needed.
+    Voxels settled for one target are reused for the next. :func:`carina.track.find_airways` creates trackers. A
+    tracker may be used from several threads. The pickle of a tracker contains the CT, the lumen and the branches;
+    the compiled tracker is rebuilt from them at first use.
     """
 
     __slots__ = (
@@ -89,28 +95,28 @@ class PathTracker:
         root_ijk: tuple[int, int, int] | None = None,
         lumen_zyx: NDArray[np.uint8] | None = None,
     ) -> None:
-        """Make a tracker from a compiled one, or from the recipe of one.
+        """Create a tracker from a compiled tracker, or from the recipe of one.
 
-        A compiled tracker takes seconds and much memory to build. Without one it is built when it is first needed, from
+        A compiled tracker takes seconds and much memory to build. Without ``core`` it is built at first use, from
         the root and the lumen.
 
         Parameters
         ----------
         grid
-            The grid that the paths run in.
+            Grid in which the paths run.
         core
-            The compiled tracker on that grid; None builds it when it is first needed.
+            Compiled tracker on that grid; None to build it at first use.
         recipe
-            How the compiled tracker is built again.
+            Parameters for rebuilding the compiled tracker.
         root_ijk
-            The voxel of the grid where all paths begin; needed without ``core``.
+            Voxel of the grid at which all paths begin; required without ``core``.
         lumen_zyx
-            The lumen on the grid; needed without ``core``.
+            Lumen on the grid; required without ``core``.
         """
         self._root_ijk = root_ijk
         self._lumen_zyx = lumen_zyx
         self.grid = grid
-        """The grid that the paths run in: that of the CT, or a finer one where its slices are thick."""
+        """Grid in which the paths run: the grid of the CT, or a finer one if the slices are thick."""
         self._made_core = core
         self._recipe = recipe
         self._lock = threading.RLock()
@@ -123,11 +129,13 @@ class PathTracker:
         self._air_scale: AirScale | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor and the values from which a pickle restores the tracker."""
         values = {"grid": self.grid, "recipe": self._recipe, "root_ijk": self.root_ijk}
         nodes = None if self._follows else self._nodes
         return _tracker_of, (values, PackedMask.of(self.lumen_zyx), self._branches, nodes)
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of nodes and settled nodes."""
         core = self._made_core
         if core is None:
             return "PathTracker(not built yet)"
@@ -135,22 +143,22 @@ class PathTracker:
 
     @property
     def num_nodes(self) -> int:
-        """Lumen voxels."""
+        """Number of lumen voxels."""
         return self.core.num_nodes
 
     @property
     def num_settled(self) -> int:
-        """Lumen voxels whose least cost is known."""
+        """Number of lumen voxels whose least cost is known."""
         return self.core.num_settled
 
     @property
     def quantum(self) -> float:
-        """Integer unit of the costs; a path's cost is right within 0.5 %."""
+        """Smallest unit of the costs; the cost of a path is correct within 0.5 %."""
         return self.core.quantum
 
     @property
     def core(self) -> LumenTracker:
-        """The compiled tracker; made now where it was not needed before, once, whichever thread asks."""
+        """Compiled tracker; built once at first use, from any thread."""
         core = self._made_core
         if core is None:
             with self._lock:
@@ -162,19 +170,19 @@ class PathTracker:
 
     @property
     def volume(self) -> Volume:
-        """The CT on the grid that the paths run in; where that is a finer one, it is interpolated when first needed."""
+        """CT on the grid in which the paths run; interpolated at first use if that grid is finer than the CT's."""
         return self.grid.volume
 
     @property
     def lumen_zyx(self) -> NDArray[np.uint8]:
-        """(nz, ny, nx) of the grid, 1 inside the lumen that the paths run in, read-only."""
+        """Lumen (nz, ny, nx) in which the paths run, on the grid, 1 inside, read-only."""
         if self._lumen_zyx is None:
             self._lumen_zyx = lumen_voxels(self.core)
         return self._lumen_zyx
 
     @property
     def root_ijk(self) -> tuple[int, int, int]:
-        """The voxel of the grid where all paths begin."""
+        """Voxel (i, j, k) of the grid at which all paths begin."""
         if self._root_ijk is None:
             found = self.core.path(self.core.root)
             assert found is not None
@@ -184,23 +192,30 @@ class PathTracker:
 
     @property
     def branches(self) -> tuple[Branch, ...]:
-        """The branches that paths are told to run through, as they were when it was told of them."""
+        """Branches that were passed to :meth:`set_branches` or :meth:`follow_branches`, unchanged."""
         return self._branches
 
     @property
     def given_nodes(self) -> tuple[NDArray[np.uint32], ...] | None:
-        """The nodes of each branch, where :meth:`set_branches` was told them; None where the centrelines tell them."""
+        """Nodes of each branch, if :meth:`set_branches` set them; None if they follow from the centrelines."""
         return None if self._follows else tuple(self._branch_nodes)
 
     def snap(self, point_lps: Sequence[float] | NDArray[np.float64], *, snap_mm: float = SNAP_MM) -> tuple[int, float]:
-        """The lumen voxel (as a node) that stands for a point, and how far it was moved in mm (0 inside the lumen).
+        """Return the lumen voxel (as a node) nearest to a point, and the distance in mm (0 inside the lumen).
+
+        Parameters
+        ----------
+        point_lps
+            Point, LPS in mm.
+        snap_mm
+            Largest distance of the point from the lumen.
 
         Raises
         ------
         UsageError
             If the point is not in the volume.
         NoResultError
-            If the lumen is farther than ``snap_mm``; says how far.
+            If the lumen is farther away than ``snap_mm``; the message states the distance.
         """
         point = as_point(point_lps)
         if not self.grid.ct.contains_lps(np.array(point)):
@@ -232,21 +247,24 @@ class PathTracker:
         snap_mm: float = SNAP_MM,
         cancel: Cancel | None = None,
     ) -> TrackedPath:
-        """The least-cost path from the root to a point.
+        """Return the least-cost path from the root to a point.
 
         Parameters
         ----------
         point_lps
-            Target, LPS mm.
+            Target, LPS in mm.
         snap_mm
-            A target outside the lumen is moved to the nearest lumen voxel when it is within this distance.
+            A target outside the lumen is moved to the nearest lumen voxel if it is within this distance.
+        cancel
+            Function that returns True to stop the calculation.
 
         Raises
         ------
         UsageError
             If the point is not in the volume.
         NoResultError
-            If the lumen is farther than ``snap_mm`` (with the distance), or no path leads to the target.
+            If the lumen is farther away than ``snap_mm`` (the message states the distance), or no path leads to the
+            target.
         """
         node, snapped_mm = self.snap(point_lps, snap_mm=snap_mm)
         if not self.core.solve_to(node, cancel=cancel):
@@ -258,16 +276,17 @@ class PathTracker:
         return self._path(node, snapped_mm)
 
     def live_path(self, point_lps: Sequence[float] | NDArray[np.float64], *, reach_mm: float = SNAP_MM) -> LivePath:
-        """The path to the place under the pointer, or the words that say why there is none.
+        """Return the path to the point under the pointer, or a result that states why there is none.
 
-        Once the root is solved (:func:`carina.track.find_airways` does it) this takes about a millisecond.
+        Once all paths from the root are solved (:func:`carina.track.find_airways` solves them) a call takes about a
+        millisecond.
 
         Parameters
         ----------
         point_lps
-            Where the pointer is, LPS mm.
+            Position of the pointer, LPS in mm.
         reach_mm
-            A place outside the lumen stands for the nearest lumen voxel within this distance.
+            A point outside the lumen is moved to the nearest lumen voxel within this distance.
 
         Raises
         ------
@@ -282,7 +301,7 @@ class PathTracker:
 
     @property
     def air_scale(self) -> AirScale:
-        """Air and soft tissue in the volume's numbers."""
+        """Values of air and soft tissue in the numbers of the volume."""
         if self._air_scale is None:
             self._air_scale = air_scale(self.volume)
         return self._air_scale
@@ -294,7 +313,7 @@ class PathTracker:
             trunk = self._branches[0] if self._branches else None
             deep = np.empty((0, 3))
             if trunk is not None:
-                # Half a radius off the middle there is no wall; sixteen places round each point.
+                # Half a radius off the centreline there is no wall: sample sixteen places round each point.
                 turns = 2.0 * np.pi * np.arange(16) / 16
                 ring = np.stack([np.cos(turns), np.sin(turns), np.zeros(16)], axis=1)
                 reach = 0.5 * trunk.radius[:, None, None]
@@ -304,7 +323,11 @@ class PathTracker:
         return self._noise_hu
 
     def new_share(self, node: int) -> tuple[float, int | None]:
-        """Share of the length of the path to a settled node that is outside the tree, and the branch that it leaves."""
+        """Return the new share of the path to a settled node, and the branch from which the new part starts.
+
+        The share is the length outside the tree over the whole length. The branch is None if no part of the path is
+        on the tree.
+        """
         found = self.core.path(node)
         assert found is not None
         points, nodes = found
@@ -317,9 +340,10 @@ class PathTracker:
         return float(share), self._branches[int(on_tree[nodes[on[-1]]])].id
 
     def middle_to(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Smooth (n, 3) LPS points of the path to a settled node, and their (n,) distance to the wall in mm.
+        """Return smooth (n, 3) points of the path to a settled node (LPS, mm), and their (n,) distances to the wall.
 
-        The points of :meth:`path_to`, without the branches, which take a while to be told apart the first time.
+        The distances are in mm. The points equal those of :meth:`path_to`; the branches are left out, because the
+        first look-up of them takes a while.
         """
         found = self.core.path(node)
         assert found is not None
@@ -334,7 +358,8 @@ class PathTracker:
         points = self.core.smooth(voxel_path, step_mm=STEP_MM, keep_end=True)
         steps = np.linalg.norm(np.diff(voxel_path, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(steps)])
-        # The smooth points are even along the voxel path: each takes the branch of the voxel at its place.
+        # The smooth points are evenly spaced along the voxel path: each one gets the branch of the voxel at its
+        # position.
         places = np.linspace(0.0, along[-1], len(points))
         at = np.clip(np.searchsorted(along, places - 1e-9), 0, len(nodes) - 1)
         branch_ids, generation = self._branches_along(nodes[at])
@@ -352,7 +377,10 @@ class PathTracker:
         )
 
     def calibres(self, points: NDArray[np.float64], branch_ids: NDArray[np.int32]) -> NDArray[np.float64]:
-        """(n,) radius of the branch that each point is in, at its nearest place; off the tree the wall's distance."""
+        """Return the (n,) radius of the branch at each point, at the nearest centreline point.
+
+        Off the tree the distance to the wall is returned.
+        """
         radius = self.core.radius_mm(points)
         by_id = {branch.id: branch for branch in self._branches}
         for branch_id in np.unique(branch_ids):
@@ -362,28 +390,29 @@ class PathTracker:
             mine = np.flatnonzero(branch_ids == branch_id)
             off = np.linalg.norm(points[mine, None] - branch.points[None], axis=2)
             near = off.argmin(axis=1)
-            # Off the tree (a click in a leaf of lumen) only the wall is known.
+            # Off the tree (such as at a click in a small pocket of lumen) only the distance to the wall is known.
             on_it = off[np.arange(len(mine)), near] <= np.maximum(branch.radius[near], STEP_MM)
             radius[mine[on_it]] = branch.radius[near[on_it]]
         return radius
 
     def smooth(self, points_lps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Even, smooth points of a way inside the lumen, and their distance to the wall in mm.
+        """Return evenly spaced, smooth points of a path inside the lumen, and their distance to the wall in mm.
 
-        Every point of the result lies in a lumen voxel if every point of the way does. The last one may move a little.
+        Every point of the result is in a lumen voxel if every point of the path is. The last point may move a
+        little.
         """
         points = self.core.smooth(points_lps, step_mm=STEP_MM, keep_end=False)
         return points, self.core.radius_mm(points)
 
     def inside(self, points_lps: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """(n,) whether the voxel that holds each (n, 3) point is lumen."""
+        """Return (n,) flags: whether the voxel that contains each (n, 3) point (LPS, mm) is lumen."""
         return self.core.inside(np.asarray(points_lps, dtype=np.float64).reshape(-1, 3))
 
     def _branches_along(self, nodes: NDArray[np.uint32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Branch and generation of each node of a path.
+        """Return branch ID and generation of each node of a path.
 
-        A path that cuts a corner touches the mouth of a branch it does not enter; only the branches on the way to its
-        last node count, and they come in order.
+        A path that cuts a corner touches the mouth of a branch that it does not enter. Therefore only the branches
+        between the root and the last node count, in this order.
         """
         if not self._branches:
             return np.zeros(len(nodes), dtype=np.int32), np.zeros(len(nodes), dtype=np.int32)
@@ -394,7 +423,7 @@ class PathTracker:
         lineage.reverse()
         place_of = np.full(len(self._branches), -1, dtype=np.int32)
         for number, parent in enumerate(parents):
-            # Parents come first, so a branch off the way has its nearest ancestor's place.
+            # Parents come first, so a branch off the path gets the position of its nearest ancestor on the path.
             place_of[number] = 0 if parent is None else place_of[parent]
             if number in lineage:
                 place_of[number] = lineage.index(number)
@@ -404,11 +433,11 @@ class PathTracker:
         return ids, np.array([branch.generation for branch in self._branches], dtype=np.int32)[numbers]
 
     def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
-        """Tell which voxels are the middle of which branch, so that paths know their branches; parents come first."""
+        """Set the branches and the voxels of their centrelines, so that paths know their branches; parents first."""
         self._tell(branches, list(nodes))
 
     def follow_branches(self, branches: Sequence[Branch]) -> None:
-        """As :meth:`set_branches`, with the voxels that the centrelines run through; looked up when first needed."""
+        """Set the branches like :meth:`set_branches`, but take the voxels from the centrelines at first use."""
         self._tell(branches, None)
 
     def _tell(self, branches: Sequence[Branch], nodes: list[NDArray[np.uint32]] | None) -> None:
@@ -423,7 +452,7 @@ class PathTracker:
     def _branch_nodes(self) -> list[NDArray[np.uint32]]:
         nodes = self._nodes
         if nodes is None:
-            # Two threads may both find them: they find the same.
+            # Two threads may both compute the nodes, but with the same result.
             nodes = self._nodes = self._nodes_along(self._branches)
         return nodes
 
@@ -440,40 +469,40 @@ class PathTracker:
 
     @property
     def _branch_of_node(self) -> NDArray[np.int32]:
-        """Place in the list of the branch in whose tube each node lies; found when first asked for."""
+        """Index of the branch to whose lumen each node belongs; computed at first use."""
         labels = self._labels
         if labels is None:
             if not self._branches:
                 return np.zeros(self.core.num_nodes, dtype=np.int32)
-            # Two threads may both find it: they find the same.
+            # Two threads may both compute the labels, but with the same result.
             labels = self._labels = self.core.branch_of_nodes(self._branch_nodes, self._parents())
         return labels
 
     def _places_on_tree(self) -> NDArray[np.int32]:
-        """For each node the place of the branch whose centreline runs through it or beside it, -1 elsewhere."""
+        """Return, for each node, the index of the branch whose centreline runs through or beside it; -1 elsewhere."""
         on_tree = self._on_tree
         if on_tree is None:
             on_tree = np.full(self.core.num_nodes, -1, dtype=np.int32)
             steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
             around = steps @ self.grid.lps_from_ijk[:3, :3].T
-            # A child begins with its parent's last voxel, which stays the parent's.
+            # A child begins with the last voxel of its parent, which stays assigned to the parent.
             for place in reversed(range(len(self._branches))):
                 points = self._branches[place].points
                 nodes = nodes_at(self.core, (points[:, None, :] + around[None, :, :]).reshape(-1, 3))
                 on_tree[nodes[nodes >= 0]] = place
             for place in reversed(range(len(self._branch_nodes))):
                 on_tree[self._branch_nodes[place]] = place
-            # Two threads may both find it: they find the same.
+            # Two threads may both compute the array, but with the same result.
             self._on_tree = on_tree
         return on_tree
 
     def _parents(self) -> list[int | None]:
-        """Place of each branch's parent in the list; ids are not places once a tree was edited."""
+        """Return the index of each branch's parent in the list; IDs are not indices once a tree was edited."""
         place_of_id = {branch.id: number for number, branch in enumerate(self._branches)}
         return [None if branch.parent is None else place_of_id[branch.parent] for branch in self._branches]
 
     def tree_to(self, paths: Sequence[TrackedPath]) -> AirwayTree:
-        """The part of the airway tree that leads to the given paths' targets; names and generations are kept."""
+        """Return the part of the airway tree that leads to the targets of the paths, with names and generations."""
         rows = self.core.branches_to([path.target_node for path in paths], self._branch_nodes, self._parents())
         branches = []
         for branch, row in zip(branches_from_rows(rows), rows, strict=True):
@@ -487,21 +516,21 @@ class PathTracker:
 def _tracker_of(
     values: dict[str, Any], lumen: PackedMask, branches: tuple[Branch, ...], nodes: list[NDArray[np.uint32]] | None
 ) -> PathTracker:
-    """Return the tracker that a pickle holds."""
+    """Return the tracker from the values in a pickle."""
     tracker = PathTracker(core=None, lumen_zyx=lumen.mask_zyx(), **values)
     tracker._tell(branches, nodes)
     return tracker
 
 
 def lumen_voxels(core: LumenTracker) -> NDArray[np.uint8]:
-    """Return (nz, ny, nx) 1 inside a tracker's lumen, read-only; pages of memory without lumen are never touched."""
+    """Return the lumen (nz, ny, nx) of a tracker, 1 inside, read-only; memory pages without lumen stay untouched."""
     lumen = lumen_array(core)
     lumen.flags.writeable = False
     return lumen
 
 
 def branches_from_rows(rows: Sequence[dict[str, Any]]) -> tuple[Branch, ...]:
-    """Branches of the compiled tracker's list of dicts; ids are places in the list."""
+    """Return the branches from the compiled tracker's list of dicts; their IDs are the indices in the list."""
     children: list[list[int]] = [[] for _ in rows]
     for number, row in enumerate(rows):
         parent = row["parent"]
@@ -525,12 +554,12 @@ def branches_from_rows(rows: Sequence[dict[str, Any]]) -> tuple[Branch, ...]:
 
 
 def as_point(point_lps: Sequence[float] | NDArray[np.float64]) -> Point:
-    """Three finite numbers.
+    """Return a point as three finite numbers.
 
     Raises
     ------
     UsageError
-        If it is anything else.
+        If the argument is anything else.
     """
     point = np.asarray(point_lps, dtype=np.float64)
     if point.shape != (3,) or not np.isfinite(point).all():
@@ -540,5 +569,5 @@ def as_point(point_lps: Sequence[float] | NDArray[np.float64]) -> Point:
 
 
 def words(point: Point) -> str:
-    """A point as people read it."""
+    """Return the text of a point, such as (1.0, 2.0, 3.0)."""
     return "({:.1f}, {:.1f}, {:.1f})".format(*point)

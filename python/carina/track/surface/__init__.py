@@ -1,1 +1,1 @@
-"""The surface of the lumen: as a mesh, as an outline in a plane, as a distance to the wall."""
+"""Surface of the lumen: as a mesh, as an outline in a plane, and as a distance to the wall."""

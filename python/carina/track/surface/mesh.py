@@ -1,4 +1,4 @@
-"""The lumen as a closed surface, its vertices on the sub-voxel wall, and as the voxels inside that."""
+"""Mesh of the lumen with vertices on the sub-voxel wall, and the mask of the voxels inside it."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ __all__ = ["Mesh", "lumen_mask", "lumen_mesh", "mask_mesh"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """A closed mesh of triangles."""
+    """Closed mesh of triangles."""
 
     vertices_lps: NDArray[np.float64]
-    """(n, 3) LPS mm."""
+    """Vertices (n, 3), LPS in mm."""
     triangles: NDArray[np.uint32]
-    """(m, 3) places in ``vertices_lps``, counterclockwise seen from outside."""
+    """Vertex indices (m, 3) of the triangles, counterclockwise seen from outside."""
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of vertices and triangles."""
         return f"Mesh({len(self.vertices_lps)} vertices, {len(self.triangles)} triangles)"
 
     @property
     def volume_mm3(self) -> float:
-        """Volume inside."""
-        # About a point nearby: far from the origin of the scanner the terms would cancel badly.
+        """Volume inside the mesh."""
+        # Relative to a point nearby: far from the origin of the scanner the terms would cancel badly.
         corners = (self.vertices_lps - self.vertices_lps.mean(axis=0))[self.triangles]
         return float(np.einsum("na,na->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0)
 
     @property
     def area_mm2(self) -> float:
-        """Area of all triangles."""
+        """Total area of the triangles."""
         corners = self.vertices_lps[self.triangles]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return float(np.linalg.norm(across, axis=1).sum() / 2.0)
@@ -50,32 +51,32 @@ class Mesh:
 def lumen_mesh(
     volume: Volume, airways: Airways, *, progress: ProgressChoice = None, cancel: Cancel | None = None
 ) -> Mesh:
-    """The inner wall of the airways as a mesh.
+    """Compute the inner wall of the airways as a mesh.
 
     Parameters
     ----------
     volume
         The CT in which the airways were found.
     airways
-        Their lumen. Where it was found in the CT, vertices lie on the half-maximum between air and wall; a lumen from
-        another tool is drawn half-way between its voxels and their neighbours.
+        Airways with the lumen. If it was found in the CT, the vertices are at the half-maximum between air and wall;
+        for a lumen from another tool they are half-way between its voxels and their neighbours.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the calculation stops when it returns True.
 
     Returns
     -------
     Mesh
-        Closed, without holes or doubled edges; it may have several pieces.
+        Closed mesh without holes or doubled edges; it may have several pieces.
 
     Raises
     ------
     NoResultError
         If the lumen is empty.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     References
     ----------
@@ -95,14 +96,14 @@ def lumen_mesh(
 
 
 def mask_mesh(inside_zyx: NDArray[np.bool_], lps_from_ijk: NDArray[np.float64]) -> Mesh:
-    """The surface of a small mask, half-way between its voxels and their neighbours.
+    """Compute the surface of a small mask, half-way between its voxels and their neighbours.
 
     Parameters
     ----------
     inside_zyx
-        (nz, ny, nx), true inside; what reaches the faces of the box is closed there.
+        (nz, ny, nx), True inside; where the mask reaches the faces of the array the surface is closed there.
     lps_from_ijk
-        (4, 4) of that box.
+        (4, 4) affine matrix of the array, LPS in mm.
 
     Raises
     ------
@@ -121,17 +122,17 @@ def mask_mesh(inside_zyx: NDArray[np.bool_], lps_from_ijk: NDArray[np.float64]) 
 
 
 def lumen_mask(volume: Volume, airways: Airways) -> NDArray[np.uint8]:
-    """The inside of the airways as voxels: those whose centres lie inside :func:`lumen_mesh`.
+    """Compute the mask of the voxels whose centres are inside :func:`lumen_mesh`.
 
-    This is what files and volumes in ml are made from. The search stops where a wall begins to show, short of the
-    half-maximum at which the lumen ends; :attr:`Airways.lumen_zyx`, in which paths run, has fewer voxels for that.
+    Exported files and volumes in ml use this mask. The search stops where a wall begins to show, before the
+    half-maximum at which the lumen ends; so :attr:`Airways.lumen_zyx`, in which paths run, has fewer voxels.
 
     Parameters
     ----------
     volume
         The CT in which the airways were found.
     airways
-        Their lumen. One from another tool is as that tool drew it.
+        Airways with the lumen. A lumen from another tool is returned as that tool made it.
 
     Returns
     -------
@@ -150,7 +151,7 @@ def lumen_mask(volume: Volume, airways: Airways) -> NDArray[np.uint8]:
 
 
 def _levels(volume: Volume, airways: Airways) -> tuple[float, float, float] | None:
-    """Where its wall begins; None for a lumen from another tool."""
+    """Return the threshold, the level of the wall and its rise; None for a lumen from another tool."""
     if not np.isfinite(airways.threshold):
         return None
     scale = air_scale(volume)

@@ -15,16 +15,17 @@ __all__ = ["LumenOutline", "MaskOutline"]
 
 
 class LumenOutline:
-    """Cuts one lumen with planes; docs/decisions/0111 says where its lines lie.
+    """Outline of one lumen in arbitrary planes; docs/decisions/0111 defines the position of its lines.
 
-    Cheap to make: what a plane needs is built when a plane first passes there, and kept. Any thread may use it.
+    Creation is cheap: the data for a plane are computed when a plane first passes through a region, and are cached.
+    An instance may be used from several threads.
 
     Parameters
     ----------
     volume
         The CT.
     airways
-        Their lumen, which must not be written to meanwhile.
+        Airways with the lumen, which must not be changed while this object exists.
     """
 
     def __init__(self, volume: Volume, airways: Airways) -> None:
@@ -35,42 +36,47 @@ class LumenOutline:
         self._surface: _core.LumenSurface | None = None
 
     def __repr__(self) -> str:
+        """Return one line with the volume."""
         return f"LumenOutline({self._volume!r})"
 
     @property
     def lumen_zyx(self) -> NDArray[np.uint8]:
-        """The lumen that is outlined."""
+        """Lumen that is outlined."""
         return self._lumen_zyx
 
     def lines(
         self, lps_from_pixel: NDArray[np.float64], width: int, height: int
     ) -> tuple[NDArray[np.float64], ...] | None:
-        """The outline in a planar picture.
+        """Return the outline in a planar picture.
 
         Parameters
         ----------
         lps_from_pixel
-            4x4, as in :class:`carina.render.Picture`: (column, row, depth in mm) in corner coordinates to LPS.
+            (4, 4) matrix as in :class:`carina.render.Picture`: (column, row, depth in mm) in corner coordinates to
+            LPS.
         width, height
-            Of the picture, pixels. Lines end within a voxel beyond its edges.
+            Size of the picture in pixels. Lines end within a voxel beyond its edges.
 
         Returns
         -------
         tuple or None
-            Lines (n, 2) of columns and rows; a closed one ends where it begins. None where the lumen is so ragged that
-            no picture can show its outline.
+            Lines (n, 2) of columns and rows; a closed line ends at its start. None if the lumen is so ragged that no
+            picture can show its outline.
 
         Raises
         ------
         GeometryError
-            If the matrix is no plane's.
+            If the matrix does not describe a plane.
         """
         lines = self._made().cut(_matrix(lps_from_pixel), width=width, height=height)
         return None if lines is None else tuple(lines)
 
     def encoded(self, lps_from_pixel: NDArray[np.float64], width: int, height: int) -> bytes | None:
-        """The same as the wire has it (protocol/README.md, "Outlines"): cut off at the picture's edges, points that lie
-        within a quarter of a pixel of one another taken together."""
+        """Return the outline in the encoding of the wire (protocol/README.md, "Outlines").
+
+        The lines are cut off at the edges of the picture, and points within a quarter of a pixel of one another are
+        merged. Returns None if the lumen is too ragged for an outline.
+        """
         return self._made().encoded(_matrix(lps_from_pixel), width=width, height=height)
 
     def _made(self) -> _core.LumenSurface:
@@ -84,29 +90,32 @@ class LumenOutline:
 
 
 class MaskOutline:
-    """Cuts one mask with planes: its lines lie half-way between voxels inside and outside. Any thread may use it.
+    """Outline of one mask in arbitrary planes, half-way between voxels inside and outside.
+
+    An instance may be used from several threads.
 
     Parameters
     ----------
     mask_zyx
-        (nz, ny, nx), not to be written to meanwhile.
+        (nz, ny, nx), must not be changed while this object exists.
     lps_from_ijk
-        (4, 4) of its grid.
+        (4, 4) affine matrix of its grid.
     """
 
     def __init__(self, mask_zyx: NDArray[np.bool_], lps_from_ijk: NDArray[np.float64]) -> None:
         self._shape = mask_zyx.shape
         mask = np.ascontiguousarray(mask_zyx).view(np.uint8)
-        # Values are asked for by nobody without levels: zeros that no memory is taken for.
+        # Without levels the values are not read: zeros, for which no memory is allocated.
         values = np.zeros(mask.shape, dtype=np.int16)
         self._surface = _core.LumenSurface(values, _matrix(lps_from_ijk), mask, levels=None)
 
     def __repr__(self) -> str:
+        """Return one line with the size of the mask."""
         nz, ny, nx = self._shape
         return f"MaskOutline({nx} x {ny} x {nz} voxels)"
 
     def encoded(self, lps_from_pixel: NDArray[np.float64], width: int, height: int) -> bytes | None:
-        """As :meth:`LumenOutline.encoded`."""
+        """Return the outline in the encoding of the wire, see :meth:`LumenOutline.encoded`."""
         return self._surface.encoded(_matrix(lps_from_pixel), width=width, height=height)
 
 

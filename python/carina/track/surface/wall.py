@@ -1,4 +1,4 @@
-"""The wall of found airways as a signed distance, for the scope that moves in them."""
+"""Wall of the airways as a signed distance field, for the scope that moves in them."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ def wall_field(
     progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> WallField:
-    """Return the signed distance to the airways' sub-voxel wall: the lumen mesh's, exact at samples.
+    """Compute the signed distance to the sub-voxel wall of the airways, exact at the samples.
 
     Parameters
     ----------
     volume, airways
         The CT and the airways in it, as for `lumen_mesh`.
     spacing_mm
-        Distance of the samples.
+        Distance between the samples.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the calculation stops when it returns True.
 
     Returns
     -------
     WallField
-        Positive in the lumen.
+        Signed distance to the wall in mm, positive in the lumen.
 
     Raises
     ------
     NoResultError
         If the lumen is empty.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     Examples
     --------

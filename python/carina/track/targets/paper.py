@@ -1,4 +1,4 @@
-"""The path tracker of the paper: its cost, its graph, and every pair of the costs and graphs (paper 6)."""
+"""Path tracker of the paper with its cost and graph, and every combination of costs and graphs (paper 6)."""
 
 from __future__ import annotations
 
@@ -40,9 +40,12 @@ Labels = Literal["bins", "lumen"]
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 MAX_BYTES = 1 << 30
-"""Memory that a search with the cost ``paper`` or ``walls`` may take, its queue aside."""
+"""Memory limit of a search with the cost ``paper`` or ``walls``, without its queue."""
 BYTES_PER_VOXEL = {"voxel": 22, "isoregion": 38}
-"""Of the box that is searched: 5 for the cost, 17 for the tree; 16 for what was pruned, where nothing can be."""
+"""Memory per voxel of the searched box.
+
+5 bytes for the cost and 17 for the tree; on the IsoRegion graph 16 more for pruned voxels.
+"""
 MARGINS_MM = (20.0, 10.0, 5.0, 2.0)
 NO_LUMEN = Note(
     "track.no-lumen",
@@ -53,12 +56,12 @@ NO_LUMEN = Note(
 
 
 def check_choice(cost: str, graph: str) -> None:
-    """Refuse costs and graphs that do not exist.
+    """Raise an error for an unknown cost or graph.
 
     Raises
     ------
     UsageError
-        If that is so.
+        If the cost or the graph does not exist.
     """
     for what, value, allowed in (("cost", cost, COSTS), ("graph", graph, GRAPHS)):
         if value not in allowed:
@@ -70,10 +73,21 @@ def check_choice(cost: str, graph: str) -> None:
 def search_box(
     volume: Volume, points_lps: Sequence[Sequence[float] | Points], *, graph: str = "voxel", max_bytes: int = MAX_BYTES
 ) -> Box:
-    """The box of voxels in which the costs ``paper`` and ``walls`` are searched: the whole volume where it fits in the
-    memory.
+    """Return the box of voxels in which the costs ``paper`` and ``walls`` are searched.
 
-    Else the box round root and targets with a margin of 20 mm, or the largest of 10, 5 and 2 mm that fits.
+    The box is the whole volume if the volume fits in the memory limit. Otherwise the box contains root and targets
+    with a margin of 20 mm, or the largest margin of 10, 5 and 2 mm that fits.
+
+    Parameters
+    ----------
+    volume
+        The CT.
+    points_lps
+        Root and targets, LPS in mm.
+    graph
+        ``voxel`` or ``isoregion``.
+    max_bytes
+        Memory limit.
 
     Returns
     -------
@@ -83,7 +97,7 @@ def search_box(
     Raises
     ------
     UsageError
-        If not even the smallest fits.
+        If even the smallest box does not fit.
     """
     shape = np.array(volume.shape_zyx[::-1])
     most = max_bytes // BYTES_PER_VOXEL[graph]
@@ -123,43 +137,53 @@ def track_on_graph(
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> TrackResult:
-    """Least-cost paths from one root to targets, on any pair of a cost and a graph.
+    """Track least-cost paths from one root to targets, for any combination of cost and graph.
 
-    One search from the root stops at each target and goes on for the next (Algorithm 1). The costs ``paper`` and
-    ``walls`` know no lumen: it is only looked at to say where their paths leave it, and any volume will do.
+    One search from the root stops at each target and continues for the next (Algorithm 1). The costs ``paper`` and
+    ``walls`` do not use a lumen: it only serves to measure where their paths leave it, and any volume can be
+    searched.
 
     Parameters
     ----------
+    volume
+        The CT.
     airways
-        None where there are none: the root must be told then, and the cost must not be ``lumen``.
+        None if there are none: ``root_lps`` is then required, and the cost must not be ``lumen``.
     targets
-        LPS mm, in the volume. Cost ``lumen``: moved to the nearest lumen voxel within ``snap_mm``. Costs ``paper`` and
-        ``walls``: any voxel.
+        Points in the volume, LPS in mm. Cost ``lumen``: moved to the nearest lumen voxel within ``snap_mm``. Costs
+        ``paper`` and ``walls``: any voxel.
     cost, graph
-        ``lumen``, ``paper`` (6.2 as printed: walls are cheap) or ``walls`` (as 6.3 needs it: walls are dear);
+        ``lumen``, ``paper`` (6.2 as printed: walls are cheap) or ``walls`` (as 6.3 needs it: walls are expensive);
         ``voxel`` or ``isoregion``.
     root_lps
-        LPS mm, any voxel of the volume; the airways' root unless told. The cost ``lumen`` has no other.
+        Any voxel of the volume, LPS in mm; by default the root of the airways. The cost ``lumen`` always uses the
+        latter.
     labels
-        What an IsoRegion's voxels have in common: ``bins`` of 16 HU (unless told, for the costs ``paper`` and
-        ``walls``) or the class of the ``lumen`` (for the cost ``lumen``).
+        Property that the voxels of an IsoRegion share: ``bins`` of 16 HU (default for the costs ``paper`` and
+        ``walls``) or the class of the ``lumen`` (default for the cost ``lumen``).
     box_ijk
-        First voxel and shape of the box in which the costs ``paper`` and ``walls`` are searched; :func:`search_box`
-        unless told. It must hold the root; a target outside it has no path.
+        First voxel and shape of the box in which the costs ``paper`` and ``walls`` are searched; by default
+        :func:`search_box`. The box must contain the root; a target outside the box has no path.
+    snap_mm
+        Largest distance by which a target is moved.
+    progress
+        Function that receives the name of the stage and the fraction.
+    cancel
+        Function that returns True to stop the search.
 
     Returns
     -------
     TrackResult
-        Paths, their tree, and ``search`` with what it took. Nodes of the tree's branches are voxel centres: nothing is
-        smoothed.
+        Paths, their tree, and ``search`` with the effort. Points of the tree's branches are voxel centres, without
+        smoothing.
 
     Raises
     ------
     UsageError
-        If cost, graph or labels do not exist or need airways that are not there, the root is missing or lies outside
-        the volume, or the search would take too much memory.
+        If cost, graph or labels do not exist or need airways that are not given, the root is missing or outside the
+        volume, or the search would need too much memory.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     References
     ----------
@@ -177,7 +201,7 @@ def track_on_graph(
     lumen = None if airways is None else airways.lumen_zyx
     if cost == "lumen":
         assert airways is not None
-        # On the grid that the tracker's paths run in: the same paths by another way.
+        # Use the grid of the tracker, so that the paths can equal those of the tracker.
         volume, lumen = airways.tracker.volume, airways.tracker.lumen_zyx
     root = _root(volume, airways, cost, root_lps)
     points = [as_point(target) for target in targets]
@@ -298,21 +322,21 @@ def track_on_graph(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Way:
-    """Nodes from the root to a target."""
+    """Nodes of a path from the root to a target."""
 
     points: Points
     nodes: NDArray[np.uint32]
     end: Points | None
-    """The target's voxel, where another node stands for it."""
+    """Voxel of the target (LPS, mm), if another node represents it; else None."""
 
     @property
     def whole(self) -> Points:
-        """The nodes' places and the end."""
+        """Positions of the nodes, and the end."""
         return self.points if self.end is None else np.concatenate([self.points, self.end[None]])
 
 
 def _densely(points: Points, step_mm: float) -> Points:
-    """Even points along a polyline, at most ``step_mm`` apart, its ends included."""
+    """Return evenly spaced points along a polyline, at most ``step_mm`` apart, including its ends."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     count = max(int(np.ceil(along[-1] / step_mm)), 1) + 1 if along[-1] > 0.0 else 1
@@ -321,7 +345,7 @@ def _densely(points: Points, step_mm: float) -> Points:
 
 
 def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
-    """Nodes of a way outside the lumen, and the length of it that is."""
+    """Return the number of nodes of a path outside the lumen, and the length (mm) of the path outside it."""
     num = int((~airways.tracker.inside(way.points)).sum())
     whole = way.whole
     if len(whole) < 2:
@@ -330,7 +354,7 @@ def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
 
 
 def outside_mm(points: Points, airways: Airways, volume: Volume) -> float:
-    """Length of a polyline of two points or more, (n, 3) LPS mm, outside the lumen, mm."""
+    """Return the length (mm) of a polyline outside the lumen; it has (n, 3) points, LPS in mm, n >= 2."""
     dense = _densely(points, 0.25 * min(volume.spacing_mm))
     pieces = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     return float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
@@ -368,7 +392,7 @@ def _as_path(
     volume: Volume,
 ) -> TrackedPath:
     if smooth and airways is not None:
-        # A link may be many voxels long: as dense as the voxel graph's paths are.
+        # An edge may be many voxels long: sample it as densely as the paths of the voxel graph.
         dense = _densely(way.whole, min(volume.spacing_mm))
         points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
     else:
@@ -390,7 +414,10 @@ def _as_path(
 
 
 def along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Branch and generation of (n, 3) points: of the branches on the way to the last point the nearest, in order."""
+    """Return branch ID and generation of (n, 3) points, LPS in mm.
+
+    Each point gets the nearest of the branches between the root and the last point, in this order.
+    """
     lineage = tree.lineage(tree.nearest_branch(points[-1])[0].id)
     distance = np.stack(
         [
@@ -406,7 +433,7 @@ def along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32],
 def _tree_of(
     ways: Sequence[_Way], airways: Airways | None, cost_of: Callable[[int], float | None]
 ) -> tuple[tuple[Branch, ...], Points]:
-    """Branches of the union of all ways, cut at branch nodes (paper, Figure 13), and those nodes' places."""
+    """Return the branches of the union of all paths, cut at branch nodes (paper, Figure 13), and these nodes."""
     place_of: dict[int, Points] = {}
     follows: dict[int, list[int]] = {}
     end_of: dict[int, Points] = {}
@@ -422,7 +449,7 @@ def _tree_of(
             end_of[nodes[-1]] = way.end
     root = int(ways[0].nodes[0])
     branches: list[Branch] = []
-    # First node of a branch after the node that it leaves, that branch, and its generation.
+    # Node at which a branch starts, first node of its own, its parent, and its generation.
     waiting: list[tuple[int | None, int, int | None, int]] = [(None, root, None, 0)]
     while waiting:
         leaves, node, parent, generation = waiting.pop(0)

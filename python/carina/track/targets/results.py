@@ -1,4 +1,4 @@
-"""What became of targets: the path to each, their common tree, and what the search took."""
+"""Results of tracking paths to targets: the path to each target, their common tree, and the effort of the search."""
 
 from __future__ import annotations
 
@@ -20,66 +20,75 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class TargetSearch:
-    """What the search for one target took, and where its path runs."""
+    """Effort of the search for one target, and statistics of its path."""
 
     cost: float
     """Sum over the edges of length in mm times weight."""
     search_s: float
-    """Seconds from the call to the least cost; what earlier targets settled is not searched again."""
+    """Seconds from the call to the least cost; nodes settled for earlier targets are not searched again."""
     num_settled: int
-    """Nodes settled for it."""
+    """Number of nodes that were settled for this target."""
     num_path_nodes: int
+    """Number of nodes of the path."""
     num_outside: int | None
-    """Nodes of the path outside the lumen that was found; None where there is no lumen to compare with."""
+    """Number of nodes of the path outside the found lumen; None if there is no lumen to compare with."""
     outside_mm: float | None
-    """Length of the path outside that lumen, mm; None likewise."""
+    """Length of the path outside the found lumen, in mm; None if there is no lumen to compare with."""
     value_range: tuple[int, int]
-    """Least and greatest value of the path's voxels, in the volume's own numbers."""
+    """Lowest and highest value of the path's voxels, in the numbers of the volume."""
     to_node_mm: float
-    """From the target's voxel to the node that stands for it, mm; above 0 where the voxel was cut away."""
+    """Distance in mm from the voxel of the target to its node; above 0 if the voxel was pruned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphSearch:
-    """The graph that was searched, and what the search took."""
+    """Graph that was searched, and the effort of the search."""
 
     cost: str
+    """Cost of the edges: ``lumen``, ``paper`` or ``walls``."""
     graph: str
+    """Kind of the graph: ``voxel`` or ``isoregion``."""
     labels: str | None
-    """``bins`` of 16 HU, or the class of the ``lumen``; None on the voxel graph."""
+    """Labels of the IsoRegions: ``bins`` of 16 HU, or the class of the ``lumen``; None on the voxel graph."""
     num_nodes: int
+    """Number of nodes of the graph."""
     num_edges: int
-    """Undirected; links between centres and boundaries included."""
+    """Number of undirected edges, including links between centres and boundaries."""
     num_centres: int
-    """Nodes in the middle of an IsoRegion."""
+    """Number of nodes in the centre of an IsoRegion."""
     build_s: float
-    """Seconds that graph and cost took to build."""
+    """Seconds for building graph and cost."""
     quantum: float
-    """Integer unit of the costs."""
+    """Smallest unit of the costs: costs are whole multiples of it."""
     first_ijk: tuple[int, int, int]
+    """First voxel (i, j, k) of the box that was searched."""
     shape_ijk: tuple[int, int, int]
-    """The box of voxels that was searched (for the cost ``lumen`` its lumen)."""
+    """Shape of the box of voxels that was searched, from ``first_ijk`` on (for the cost ``lumen``: its lumen)."""
     is_whole: bool
-    """True if that is the whole volume."""
+    """Whether the box is the whole volume."""
     branch_nodes_lps: Points
-    """(n, 3) places where paths part: nodes that two or more others point back to (paper, Figure 13)."""
+    """Positions (n, 3) where paths part, LPS in mm: predecessors of two or more nodes (paper, Figure 13)."""
     targets: tuple[TargetSearch | None, ...]
-    """One for each target, None where there is no path."""
+    """Search of each target; None if there is no path to the target."""
     notes: tuple[str, ...] = ()
+    """Texts about limits of the search."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetResult:
-    """What became of one target."""
+    """Path to one target, or the reason why there is none."""
 
     requested_lps: NDArray[np.float64]
+    """Target as requested, LPS in mm."""
     used_lps: NDArray[np.float64] | None
-    """Where the path ends: the target, or the lumen voxel it was moved to."""
+    """End of the path, LPS in mm: the target, or the lumen voxel to which it was moved; None if there is no path."""
     snapped_mm: float
+    """Distance by which the target was moved."""
     path: TrackedPath | None
+    """Path to the target; None if there is none."""
     problem: str | None
-    """Why there is no path, in words."""
+    """Text that states why there is no path; None if there is one."""
 
 
 @one_line
@@ -88,17 +97,18 @@ class TrackResult(Tabular):
     """Paths to several targets, and their common tree.
 
     As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each target: its number from 1, the
-    requested place ``x_mm``, ``y_mm``, ``z_mm`` (LPS), ``length_mm``, ``cost`` and ``generation`` of its path,
-    ``snapped_mm``, and ``problem``, why there is no path.
+    requested point ``x_mm``, ``y_mm``, ``z_mm`` (LPS), ``length_mm``, ``cost`` and ``generation`` of its path,
+    ``snapped_mm``, and ``problem``, the reason why there is no path.
     """
 
     tree: AirwayTree | None
-    """None where there is neither a path nor an airway tree."""
+    """Common tree of the paths; None if there is neither a path nor an airway tree."""
     targets: tuple[TargetResult, ...]
+    """Results, one for each target, in order."""
     airways: Airways | None
-    """None where no airway lumen was found, which the costs ``paper`` and ``walls`` do without."""
+    """Airways; None if no lumen was found, which the costs ``paper`` and ``walls`` do not need."""
     search: GraphSearch | None = None
-    """The graph that was searched and what that took; None for the cost ``lumen`` on the voxel graph."""
+    """Graph that was searched and the effort; None for the cost ``lumen`` on the voxel graph."""
 
     def _columns(self) -> Columns:
         return columns_of(

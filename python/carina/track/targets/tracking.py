@@ -1,4 +1,4 @@
-"""Paths from the root to targets, over the lumen or on another graph."""
+"""Tracking of paths from the root to targets, in the lumen or on another graph."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["track_paths"]
 
 
 def _check_root(where: str, name: str, value: object) -> None:
-    """Refuse anything but "auto" and a point."""
+    """Check that a root is "auto" or a point."""
     (choice("auto") if isinstance(value, str) else lps_point())(where, name, value)
 
 
@@ -58,39 +58,45 @@ def track_paths(
 
     Parameters
     ----------
+    volume
+        The CT.
     root
-        LPS mm, or "auto" for the top of the trachea. A point in the larynx or the throat is moved to the top of the
-        trachea. The costs ``walls`` and ``paper`` begin at the given point itself, in any volume; without a lumen
-        there, ``airways`` of the result is None.
+        Point, LPS in mm, or "auto" for the top of the trachea. A point in the larynx or the throat is moved to the
+        top of the trachea. With the costs ``walls`` and ``paper`` paths begin at the given point itself, in any
+        volume; without a lumen there, ``airways`` of the result is None.
     targets
-        Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result
-        says so.
+        Points, LPS in mm. A point outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, which
+        the result states.
     cost
-        ``lumen``: keep to the middle of the airway. ``walls``: the paper's gradient and Laplacian on all voxels, with
-        walls dear as its section 6.3 needs them. ``paper``: its formula (6.2) as printed, in which walls are cheap: it
-        follows edges. Both know no lumen and may leave it, ``search`` says where if there is one; their targets are not
-        moved.
+        ``lumen``: keep to the middle of the airway. ``walls``: the paper's gradient and Laplacian on all voxels,
+        with expensive walls as section 6.3 needs them. ``paper``: the formula of 6.2 as printed, in which walls are
+        cheap: paths follow edges. ``walls`` and ``paper`` do not use a lumen, and their paths may leave it;
+        ``search`` states where, if there is a lumen. The targets of ``walls`` and ``paper`` are not moved.
     graph
-        ``voxel``, or ``isoregion``: pruned as in paper 6.1. Smaller where values are equal over some voxels, slower
-        wherever it was measured (benchmarks/README.md).
+        ``voxel``, or ``isoregion``: pruned as in paper 6.1. The pruned graph is smaller if values are equal over
+        some voxels, but slower in all measurements (benchmarks/README.md).
     airways
         Airways found before; they keep their root unless ``root`` is given.
+    lumen_threshold
+        Value at which the lumen ends, as for `find_airways`.
+    snap_mm
+        Largest distance by which a target is moved to the lumen.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the calculation stops when it returns True.
 
     Returns
     -------
     TrackResult
-        One entry per target, in order: a path, or the reason why there is none. Where no target has a path the tree is
+        One entry per target, in order: a path, or the reason why there is none. If no target has a path, the tree is
         the automatic one, if any.
 
     Raises
     ------
     UsageError
-        If a target is not a point in the volume, there is none, or cost or graph is unknown.
+        If a target is not a point in the volume, there is no target, or cost or graph is unknown.
     NoResultError
         If the airways cannot be found at all, and the cost or ``root="auto"`` needs them.
 
@@ -174,10 +180,9 @@ def _airways_at(
     progress: Progress | None,
     cancel: Cancel | None,
 ) -> Airways | None:
-    """Find the airways from a root, to compare paths with; None where a given root is not in a lumen.
+    """Find the airways from a root, for comparison with paths; return None if a given root is not in a lumen.
 
-    From a point in a volume whose values are not HU anything may be taken for air, and a path be compared with it: none
-    are looked for there.
+    The result is also None for a given root in a volume that is not in HU, where anything may be taken for air.
     """
     if root is not None and not volume.contains_lps(np.array(as_point(root))):
         msg = f"the root {words(as_point(root))} lies outside the volume"

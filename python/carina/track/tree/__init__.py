@@ -1,1 +1,1 @@
-"""An airway tree as a value: branches, what of it is drawn or uncertain, the way between two places."""
+"""Airway tree as a value: branches, drawn and uncertain parts, and the path between two points."""

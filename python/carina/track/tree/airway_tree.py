@@ -1,4 +1,4 @@
-"""The airway tree: branches with centrelines, radii, generations and names, and routes along it."""
+"""Airway tree: branches with centrelines, radii, generations and names, and routes along it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ VERSION = 1
 KINDS = ("tracked", "bridge", "manual")
 TREE_HEIGHT_PX = 320
 MAX_ROWS = 12
-"""Of a tree's table in a notebook."""
+"""Largest number of rows of a tree's table in a notebook."""
 NAME_SOURCES = ("anatomy", "person")
 
 Points = NDArray[np.float64]
@@ -48,40 +48,47 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Branch:
-    """A piece of airway between two forks, or between a fork and a tip."""
+    """Piece of airway between two forks, or between a fork and a tip."""
 
     id: int
+    """ID, unique in the tree; it stays the same through edits."""
     parent: int | None
-    """Branch that it leaves, None at the root."""
+    """ID of the parent branch; None at the root."""
     children: tuple[int, ...]
+    """IDs of the branches that leave its end."""
     generation: int
-    """Forks passed on the way here: 0 in the trachea."""
+    """Number of forks between the root and the branch: 0 in the trachea."""
     name: str | None
-    """Anatomical name where it is beyond doubt, else None."""
+    """Anatomical name, if it is beyond doubt; otherwise None."""
     kind: str
     """``tracked`` through the lumen, ``bridge`` across an obstruction, or ``manual``: drawn, the CT shows no airway."""
     points: Points
-    """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
+    """Centreline (n, 3), LPS in mm, from root to tip. The first point equals the parent's last point, bit for bit."""
     radius: NDArray[np.float64]
-    """(n,) radius of the circle with the area of the *lumen that the search found* across the branch, mm; at a fork
-    that of the nearest section of this branch. It depends on the threshold of the search: diameters for reports are
-    those of :func:`carina.track.measure_tree`. What fits inside is smaller: see ``wall_distance``."""
+    """Radius (n,) of the circle with the area of the *lumen that the search found* across the branch, in mm.
+
+    At a fork it is that of the nearest section of this branch. The radius depends on the threshold of the search:
+    use the diameters of :func:`carina.track.measure_tree` in reports. The largest ball that fits is smaller, see
+    ``wall_distance``.
+    """
     cost: float | None = None
-    """Path cost of this piece (weight times mm), None where it was not tracked."""
+    """Cost of the path along this branch (weight times mm); None if it was not tracked."""
     confidence: float | None = None
-    """How sure it is that this is airway, 0 to 1; None where it was not judged."""
+    """Confidence that the branch is an airway, 0 to 1; None if it was not judged."""
     name_confidence: float | None = None
-    """How sure the name is, 0 to 1; None without a name, and for a name that a person gave."""
+    """Confidence of the name, 0 to 1; None without a name, and for a name that a user gave."""
     name_from: str | None = None
-    """``anatomy`` or ``person``; None without a name. A person's name is never replaced."""
+    """Source of the name: ``anatomy`` or ``person``; None without a name. A name from ``person`` is never replaced."""
     variant: str | None = None
-    """What is uncommon about the anatomy here, in words, e.g. "RB1 and RB2 share a stem"."""
+    """Text on uncommon anatomy of the branch, such as "RB1 and RB2 share a stem"; None if there is none."""
     doubtful_mm: float = 0.0
-    """Length along which the CT shows no wall: above 0 only in ``manual`` branches, which a person asked for."""
+    """Length along which the CT shows no wall; above 0 only in ``manual`` branches, which the user added nevertheless.
+    """
     wall_mm: NDArray[np.float64] | None = field(default=None, repr=False)
-    """(n,) distance to the wall, mm; None for a tree that was read from a file. See ``wall_distance``."""
+    """Distance (n,) to the wall in mm; None for a tree that was read from a file. See ``wall_distance``."""
 
     def __post_init__(self) -> None:
+        """Check the types and ranges of the fields."""
         check_fields(
             self,
             id=whole_from(0, 2**31),
@@ -104,6 +111,7 @@ class Branch:
         _check_branch(self)
 
     def __repr__(self) -> str:
+        """Return one line with ID, name, generation, length and median radius."""
         name = "" if self.name is None else f"{as_words(self.name)}, "
         width = f"radius {np.median(self.radius):.3g} mm" if len(self.radius) else "no radius"
         return f"Branch({self.id}, {name}generation {self.generation}, {self.length_mm:.3g} mm long, {width})"
@@ -121,12 +129,12 @@ class Branch:
 
     @property
     def wall_distance(self) -> NDArray[np.float64]:
-        """(n,) how large a ball fits round each point, mm: less than ``radius`` where the lumen is no circle."""
+        """Radius (n,) of the largest ball that fits at each point, in mm; at most ``radius``."""
         return self.radius if self.wall_mm is None else self.wall_mm
 
     @property
     def tip_lps(self) -> Points:
-        """Last point."""
+        """Last point of the centreline, LPS in mm."""
         tip: Points = self.points[-1]
         return tip
 
@@ -134,42 +142,42 @@ class Branch:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeRow:
-    """One bronchus as a listing shows it: a branch, or the pieces of one that side branches cut in two."""
+    """Bronchus as one row of a listing: a branch, or the consecutive branches into which side branches divide it."""
 
     branches: tuple[Branch, ...]
-    """Its pieces, from the trachea outwards; each begins where the one before it ends. The first stands for the row."""
+    """Pieces from the trachea outwards, each of which begins at the end of the one before."""
     depth: int
-    """Rows passed on the way here: 0 in the trachea."""
+    """Number of rows between the root and this row: 0 in the trachea."""
 
     @property
     def id(self) -> int:
-        """Of the first piece."""
+        """ID of the first piece."""
         return self.branches[0].id
 
     @property
     def name(self) -> str | None:
-        """Of all its pieces."""
+        """Name of all pieces."""
         return self.branches[0].name
 
     @property
     def generation(self) -> int:
-        """Where it begins."""
+        """Generation of the first piece."""
         return self.branches[0].generation
 
     @property
     def length_mm(self) -> float:
-        """Of all pieces together."""
+        """Total length of the pieces."""
         return sum(branch.length_mm for branch in self.branches)
 
     @property
     def lumen_mm(self) -> tuple[float, float]:
-        """Least and greatest median diameter of the lumen found (``Branch.radius``) of its pieces, mm."""
+        """Smallest and largest median diameter of the found lumen (``Branch.radius``) among the pieces, mm."""
         widths = [2.0 * float(np.median(branch.radius)) for branch in self.branches]
         return min(widths), max(widths)
 
     @property
     def calibre(self) -> str:
-        """Those of ``lumen_mm`` in words, one decimal: "3.1 to 4.0", one number where both read the same."""
+        """Text of ``lumen_mm`` with one decimal, such as "3.1 to 4.0"; one number if both are equal."""
         least, most = (f"{width:.1f}" for width in self.lumen_mm)
         return least if least == most else f"{least} to {most}"
 
@@ -177,36 +185,37 @@ class TreeRow:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """A smooth way from the root to a tip, for a flight.
+    """Smooth path from the root to a tip, for a flight.
 
-    All arrays have one entry per point. ``forks_mm`` are places along ``cumulative_mm``.
+    All arrays have one entry per point. ``forks_mm`` are positions along ``cumulative_mm``.
     """
 
     points_lps: Points
-    """(n, 3) LPS mm, about 1 mm apart."""
+    """Points (n, 3), LPS in mm, about 1 mm apart."""
     cumulative_mm: NDArray[np.float64]
-    """(n,) way from the root, mm."""
+    """Distance (n,) from the root along the path, in mm."""
     radius_mm: NDArray[np.float64]
-    """(n,) radius of the branch there, see :attr:`Branch.radius`."""
+    """Radius (n,) of the branch at each point, see :attr:`Branch.radius`."""
     generation: NDArray[np.int32]
-    """(n,)"""
+    """Generation (n,) of the branch at each point."""
     branch_ids: NDArray[np.int32]
-    """(n,) the branch at each point; at a fork the one that ends there."""
+    """ID (n,) of the branch at each point; at a fork that of the branch that ends there."""
     forks_mm: list[float]
-    """Places of the forks on the way."""
+    """Positions of the forks along the path."""
 
     @property
     def length_mm(self) -> float:
-        """Length of the whole way."""
+        """Length of the whole path."""
         return float(self.cumulative_mm[-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AirwayTree(Tabular):
-    """Branches of one root.
+    """Tree of airway branches with one root.
 
     As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each branch: ``id``, ``name``,
-    ``generation``, ``parent``, ``kind``, ``length_mm``, ``lumen_found_mm`` (median diameter of ``Branch.radius``; that
+    ``generation``, ``parent``, ``kind``, ``length_mm``, ``lumen_found_mm`` (median diameter of ``Branch.radius``;
+    that
     of reports is in the table of :func:`carina.measure_tree`), ``confidence``, ``name_confidence``, ``name_from``,
     ``doubtful_mm`` and the end of the branch, ``tip_x_mm``, ``tip_y_mm``, ``tip_z_mm`` (LPS).
 
@@ -224,13 +233,14 @@ class AirwayTree(Tabular):
     """
 
     branches: tuple[Branch, ...]
-    """Parents come before their children."""
+    """Branches; parents come before their children."""
     notes: tuple[Note, ...] = field(default=(), kw_only=True)
-    """What puts the whole tree in doubt: it goes with the tree into every file."""
+    """Permanent notes that put the whole tree in doubt; they are stored with the tree in every file."""
     _smooth: Callable[[Points], tuple[Points, NDArray[np.float64]]] | None = field(default=None, repr=False)
-    """Smooths a whole way inside the lumen it was tracked in: even points and their radii. Not saved."""
+    """Function that smooths a path inside the lumen: evenly spaced points and their radii. Not saved."""
 
     def __post_init__(self) -> None:
+        """Check the branches and notes."""
         check_fields(
             self,
             branches=each(instance(Branch, "get branches from an AirwayTree"), least=1),
@@ -239,19 +249,21 @@ class AirwayTree(Tabular):
         _check(self.branches)
 
     def __len__(self) -> int:
+        """Return the number of branches."""
         return len(self.branches)
 
     def __repr__(self) -> str:
+        """Return one line with the numbers of branches, tips and generations."""
         last = max(branch.generation for branch in self.branches)
         return f"AirwayTree({len(self.branches)} branches, {len(self.tips())} tips, generations 0 to {last})"
 
     def _repr_html_(self) -> str:
-        """Return the tree, drawn from the front and as a table, for a notebook."""
+        """Return an HTML drawing from the front and a table of the tree, for a notebook."""
         return self.to_html()
 
     @check_arguments(more=each(text_of(20_000)))
     def to_html(self, more: Sequence[str] = ()) -> str:
-        """Return the tree drawn from the front, a table of its first branches, and text below, ``more`` at the end."""
+        """Return HTML with a drawing from the front, a table of the first branches, and the lines of ``more``."""
         inner_first = sorted(self.branches, key=lambda branch: (branch.generation, branch.id))
         svg = ways_svg(
             [branch.as_way() for branch in inner_first[::-1]], height_px=320, alt="airway tree, from the front"
@@ -314,17 +326,17 @@ class AirwayTree(Tabular):
 
     @property
     def root(self) -> Branch:
-        """The trunk."""
+        """Trunk of the tree."""
         return self.branches[0]
 
     @check_arguments(branch_id=whole_from(0, 2**31))
     def branch(self, branch_id: int) -> Branch:
-        """Return the branch with an id.
+        """Return the branch with the given ID.
 
         Raises
         ------
         UsageError
-            If there is none.
+            If there is no such branch.
         """
         for branch in self.branches:
             if branch.id == branch_id:
@@ -333,7 +345,7 @@ class AirwayTree(Tabular):
         raise UsageError(msg)
 
     def tips(self) -> list[Branch]:
-        """Branches without children."""
+        """Return the branches without children."""
         return [branch for branch in self.branches if not branch.children]
 
     @property
@@ -343,7 +355,7 @@ class AirwayTree(Tabular):
 
     @check_arguments(name=text_of(80))
     def named(self, name: str) -> Branch:
-        """Return the branch with a name, the first of several.
+        """Return the first branch with the given name.
 
         Raises
         ------
@@ -369,9 +381,9 @@ class AirwayTree(Tabular):
     def rows(self) -> tuple[TreeRow, ...]:
         """Return the branches as rows of a listing, in the order of the tree; each branch is in one row.
 
-        A bronchus that goes on past a side branch is several branches, and one row. A branch goes on in its parent's
-        row where it has the parent's name from the same source, is of the same kind, and is the only child of which
-        that holds. Branches without a name are rows of their own.
+        A bronchus that continues past a side branch consists of several branches but has one row. A branch continues
+        the row of its parent if it has the parent's name from the same source, is of the same kind, and is the only
+        child with these properties. Branches without a name are rows of their own.
 
         Examples
         --------
@@ -386,7 +398,7 @@ class AirwayTree(Tabular):
         by_id = {branch.id: branch for branch in self.branches}
         head_of: dict[int, int] = {}
         pieces: dict[int, list[Branch]] = {}
-        # Parents come first.
+        # Parents come before their children.
         for branch in self.branches:
             head_of[branch.id] = branch.id
             if branch.parent is not None:
@@ -402,7 +414,7 @@ class AirwayTree(Tabular):
 
     @check_arguments(branch_id=whole_from(0, 2**31))
     def lineage(self, branch_id: int) -> list[Branch]:
-        """Return the branches from the root to this one."""
+        """Return the branches from the root to the given branch."""
         found = [self.branch(branch_id)]
         while found[-1].parent is not None:
             found.append(self.branch(found[-1].parent))
@@ -433,7 +445,7 @@ class AirwayTree(Tabular):
         lineage = self.lineage(branch_id)
         points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
         radius = np.concatenate([lineage[0].radius, *(branch.radius[1:] for branch in lineage[1:])])
-        # The ends of the branches, in mm along the unsmoothed way.
+        # Ends of the branches, in mm along the unsmoothed path.
         last = np.cumsum([len(branch.points) - (number > 0) for number, branch in enumerate(lineage)]) - 1
         ends_mm = _cumulative_mm(points)[last]
         return route_along(
@@ -474,12 +486,12 @@ class AirwayTree(Tabular):
 
     @classmethod
     def from_json(cls, document: object) -> AirwayTree:
-        """Read a document ``carina-tree`` version 1; keys it does not know are ignored.
+        """Read a document ``carina-tree`` version 1; unknown keys are ignored.
 
         Raises
         ------
         TrackingError
-            If the document is not such a tree; says which branch and what is wrong with it.
+            If the document is not such a tree; the message names the branch and the error.
         """
         if not isinstance(document, Mapping):
             raise _refused(f"expected a JSON object, found {type(document).__name__}")
@@ -496,7 +508,7 @@ class AirwayTree(Tabular):
         by_id = {branch.id: branch for branch in branches}
         if not isinstance(root, int) or root not in by_id:
             raise _refused(f"no branch has the id of the root, {root!r}")
-        # Parents first, children in the order that their parent lists.
+        # Parents first, children in the order of their parent's list.
         ordered: list[Branch] = []
         waiting = [root]
         while waiting:
@@ -528,12 +540,12 @@ def route_along(
     *,
     smooth: Callable[[Points], tuple[Points, NDArray[np.float64]]] | None,
 ) -> Route:
-    """Return a route along points whose branches end at ``ends_mm``, smoothed as a whole if there is a smoother."""
+    """Return a route along points whose branches end at ``ends_mm``, smoothed as a whole if ``smooth`` is given."""
     along = _cumulative_mm(points)
     total = along[-1]
     if smooth is not None and len(points) > 3 and total > 0.0:
         points, _ = smooth(points)
-        # The smoother's points are even along the given ones.
+        # The smoothed points are evenly spaced along the given ones.
         given_mm = np.linspace(0.0, total, len(points))
         radius = np.interp(given_mm, along, radius)
         along = _cumulative_mm(points)
@@ -631,7 +643,7 @@ def _read_branch(row: object, number: int) -> Branch:
 
 
 def _check_branch(branch: Branch) -> None:
-    """Refuse a branch whose numbers are impossible."""
+    """Raise an error for a branch with impossible numbers."""
     where = f"branch {branch.id}"
     points, radius = branch.points, branch.radius
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1 or not np.isfinite(points).all():
@@ -647,7 +659,7 @@ def _check_branch(branch: Branch) -> None:
 
 
 def _check(branches: tuple[Branch, ...]) -> None:
-    """Refuse what would be a silent wrong geometry later."""
+    """Raise an error for an inconsistent tree, whose geometry would otherwise be wrong without notice."""
     if not branches:
         raise _refused("it has no branches")
     seen: dict[int, Branch] = {}

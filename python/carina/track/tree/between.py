@@ -1,4 +1,4 @@
-"""The way through the airways from one place to another: up to where they part, and down again."""
+"""Path through the airways between two points: up to the branch that both share, and down again."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ Points = NDArray[np.float64]
 def way_between(
     tree: AirwayTree, start_lps: Sequence[float] | Points, end_lps: Sequence[float] | Points
 ) -> tuple[Points, int] | None:
-    """Follow the centrelines between the places nearest to two points.
+    """Return the path along the centrelines between the tree points nearest to two points.
 
     Parameters
     ----------
     tree
-        Whose centrelines.
+        Tree with the centrelines.
     start_lps, end_lps
-        LPS mm, anywhere; the nearest points of the tree are taken.
+        Points, LPS in mm, anywhere; the nearest points of the tree are used.
 
     Returns
     -------
     tuple or None
-        Points ``(n, 3)``, LPS mm, from start to end, and the index of the one nearest to the root: before it the way
-        leads towards the root, after it away. None where both are nearest to the same point.
+        Points ``(n, 3)``, LPS in mm, from start to end, and the index of the point nearest to the root: the path
+        leads towards the root before it, and away from the root after it. None if both points have the same nearest
+        point.
     """
     branch_a, index_a, _ = tree.nearest_branch(start_lps)
     branch_b, index_b, _ = tree.nearest_branch(end_lps)
@@ -39,7 +40,7 @@ def way_between(
     trunk = down_to_a[shared - 1]
     leave = _place(trunk, branch_a, index_a)
     join = _place(trunk, branch_b, index_b)
-    # Along the branch that both share the way leads up or down; on either side of it lies what only one of them has.
+    # The path runs up or down along the shared branch; the parts before and after it belong to one lineage only.
     step = 1 if join >= leave else -1
     middle = trunk.points[np.arange(leave, join + step, step)]
     up = _below(down_to_a[shared:], index_a)[::-1]
@@ -52,12 +53,12 @@ def way_between(
 
 
 def _place(trunk: Branch, branch: Branch, index: int) -> int:
-    """Where on the trunk a place lies, or its branch leaves."""
+    """Return the index on the trunk of a point on it, or of the fork at which the branch of the point leaves."""
     return index if branch.id == trunk.id else len(trunk.points) - 1
 
 
 def _below(branches: Sequence[Branch], index: int) -> Points:
-    """The centrelines from a fork down to a place on the last of these branches."""
+    """Return the centrelines from a fork down to a point on the last of the given branches."""
     if not branches:
         return np.empty((0, 3))
     return np.concatenate([*(branch.points for branch in branches[:-1]), branches[-1].points[: index + 1]])

@@ -1,4 +1,4 @@
-"""Range of trachea diameters on which confidence was calibrated, and the limit on confidence outside that range."""
+"""Range of trachea diameters for which confidence was calibrated, and the limit of confidence outside this range."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ __all__ = [
 ]
 
 UNCALIBRATED_SIZE = "track.size-not-calibrated"
-"""Code of the lasting note of a tree whose trachea is outside the calibrated range."""
+"""Code of the permanent note on a tree whose trachea is outside the calibrated range."""
 CALIBRATED_MM = (12.0, 27.0)
 """Diameters of the trachea in the CTs on which confidence was calibrated and verified (docs/decisions/0116)."""
 UNPROVEN = 0.5
 """Highest confidence of a branch or a name far outside the calibrated range."""
-# The limit falls from 1 to UNPROVEN between the range and this share below or above it.
+# Share below or above the range over which the limit falls from 1 to UNPROVEN.
 FALL_SHARE = 0.15
 WIDE_PART = 75.0
-"""Percentile of the radius along a branch: a narrow place does not count."""
+"""Percentile of the radius along a branch that is used: a narrow place has no effect."""
 MAIN_OF_TRACHEA = 0.77
 """Root mean square diameter of the main bronchi over the diameter of the trachea (34 phantoms: 0.73 to 0.80)."""
 
@@ -53,7 +53,7 @@ def _diameter_mm(tree: AirwayTree, name: str) -> float | None:
 
 
 def _sizes_mm(tree: AirwayTree) -> tuple[float, ...]:
-    """Return the diameter of the trachea and the one that the main bronchi suggest; empty where no trachea is named."""
+    """Return the diameter of the trachea, and the one that the main bronchi suggest; empty without a named trachea."""
     trachea = _diameter_mm(tree, "Trachea")
     if trachea is None:
         return ()
@@ -66,8 +66,8 @@ def _sizes_mm(tree: AirwayTree) -> tuple[float, ...]:
 def confidence_limit(tree: AirwayTree) -> float:
     """Return the highest confidence that the tree's branches and names may have, 0.5 to 1.
 
-    The chest is outside the calibrated range only where the trachea and the main bronchi agree: a disease that narrows
-    or widens the trachea alone does not count.
+    The limit applies only if the diameters of the trachea and of the main bronchi are both below or both above the
+    calibrated range: a disease that narrows or widens the trachea alone has no effect.
     """
     sizes = _sizes_mm(tree)
     return max(map(limit_at, sizes)) if sizes and _agree(sizes) else 1.0
@@ -88,21 +88,21 @@ def _limited(branch: Branch, most: float) -> Branch:
 
 
 def with_limited_confidence(tree: AirwayTree) -> AirwayTree:
-    """Return the tree with no confidence above its limit, if it has the note of :data:`UNCALIBRATED_SIZE`."""
+    """Return the tree with all confidences limited, if it has the note of :data:`UNCALIBRATED_SIZE`."""
     if all(note.code != UNCALIBRATED_SIZE for note in tree.notes):
         return tree
-    # An edit may have taken the trachea's name away: then nothing is proven.
+    # An edit may have removed the name of the trachea: its size is then unknown.
     most = round(confidence_limit(tree), 3) if _sizes_mm(tree) else UNPROVEN
     return dataclasses.replace(tree, branches=tuple(_limited(branch, most) for branch in tree.branches))
 
 
 def with_size_note(tree: AirwayTree) -> AirwayTree:
-    """Return the tree with lower confidences and a lasting note, if its trachea is outside the calibrated range.
+    """Return the tree with limited confidences and a permanent note, if its trachea is outside the calibrated range.
 
     Parameters
     ----------
     tree
-        A tree with names. A tree without a named trachea has no size and is returned as it is.
+        Tree with names. A tree without a named trachea has no size and is returned unchanged.
     """
     most = confidence_limit(tree)
     if most == 1.0:

@@ -1,6 +1,6 @@
-"""What of a tree or of a way the CT does not show: drawn by hand, or a bridge across an obstruction.
+"""Lengths of a tree or path that the CT does not show: drawn by hand, or a bridge across an obstruction.
 
-One place for it, so that routes, files, films and sheets all count alike.
+Routes, files, films and reports all use these functions, so that their figures agree.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from carina.value import FrozenValue
 __all__ = ["DrawnPart", "drawn_part", "drawn_tree", "kind_words"]
 
 SHOWN_MM = 0.05
-"""Less than this is rounding."""
+"""Shorter lengths are rounding errors."""
 
 
 class DrawnPart(FrozenValue, frozen=True):
-    """How much of a way, or of a whole tree, rests on a person's hand and not on the CT."""
+    """Lengths of a path or tree: in total, drawn by hand, and bridged across obstructions."""
 
     length_mm: float
-    """Of the whole."""
+    """Length of the whole path or tree, in mm."""
     drawn_mm: float = 0.0
-    """Of it along branches that a person drew (kind ``manual``)."""
+    """Length along branches that a user drew (kind ``manual``), in mm."""
     bridge_mm: float = 0.0
-    """Of it across obstructions (kind ``bridge``)."""
+    """Length across obstructions (kind ``bridge``), in mm."""
 
     @property
     def words(self) -> str | None:
-        """In a sentence's part, such as ``21 of 180 mm drawn by hand``; None where the CT shows all of it."""
+        """Text such as ``21 of 180 mm drawn by hand``; None if the CT shows the whole length."""
         parts = []
         if self.drawn_mm > SHOWN_MM:
             parts.append(f"{self.drawn_mm:.0f} of {self.length_mm:.0f} mm drawn by hand")
@@ -41,23 +41,24 @@ class DrawnPart(FrozenValue, frozen=True):
         return "; ".join(parts) or None
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values: ``drawn_mm`` and ``bridge_mm``, mm."""
+        """Return ``drawn_mm`` and ``bridge_mm`` as JSON values, in mm."""
         return {"drawn_mm": round(self.drawn_mm, 2), "bridge_mm": round(self.bridge_mm, 2)}
 
 
 def drawn_part(
     branches: AirwayTree | Mapping[int, Branch], branch_ids: NDArray[Any], cumulative_mm: NDArray[np.float64]
 ) -> DrawnPart:
-    """How much of a way lies in branches that the CT does not show.
+    """Measure the length of a path in branches that the CT does not show.
 
     Parameters
     ----------
     branches
-        The tree, or its branches by id. Ids that are not in it (lumen beyond the tree) count as shown.
+        The tree, or its branches by ID. IDs that are not in it (lumen beyond the tree) count as shown.
     branch_ids
-        (n,) branch at each point of the way; at a fork the one that ends there, as in :class:`carina.track.Route`.
+        (n,) ID of the branch at each point; at a fork that of the branch that ends there, as in
+        :class:`carina.track.Route`.
     cumulative_mm
-        (n,) place of each point along the way, mm, ascending.
+        (n,) position of each point along the path, mm, ascending.
     """
     by_id = {b.id: b for b in branches.branches} if isinstance(branches, AirwayTree) else branches
     steps_mm = np.diff(cumulative_mm)
@@ -70,12 +71,12 @@ def drawn_part(
 
 
 def drawn_tree(tree: AirwayTree) -> DrawnPart:
-    """The same of all branches of a tree."""
+    """Measure the length of the branches of a tree that the CT does not show."""
     drawn = sum(branch.length_mm for branch in tree.branches if branch.kind == "manual")
     bridge = sum(branch.length_mm for branch in tree.branches if branch.kind == "bridge")
     return DrawnPart(sum(branch.length_mm for branch in tree.branches), drawn, bridge)
 
 
 def kind_words(kind: str) -> str | None:
-    """What a branch of a kind is called behind its name: ``drawn by hand``, ``bridge``; None for one that was found."""
+    """Return the text after a branch's name, ``drawn by hand`` or ``bridge``; None for a branch that was found."""
     return {"manual": "drawn by hand", "bridge": "bridge"}.get(kind)

@@ -1,4 +1,4 @@
-"""Calibrated share of the length of airways that the search finds in slices of a thickness, by calibre."""
+"""Share of the length of airways that the search finds in slices of a given thickness, by calibre (calibrated)."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ __all__ = [
 ]
 
 THICK_SLICES = "track.thick-slices"
-"""Code of the lasting note of a search in slices that hide airways which thin slices show."""
+"""Code of the permanent note on a search in slices that hide airways visible in thin slices."""
 
 SLICES_MM = (0.7, 1.0, 1.5, 2.0, 2.5, 3.0, 5.0)
-# By inner diameter in mm (from, to): least, mean and greatest share in % at each thickness of SLICES_MM, over five
+# By inner diameter in mm (from, to): least, mean and greatest share in % for each thickness of SLICES_MM, over five
 # painted patients, three kernels and two phantoms (docs/decisions/0114; carina bench track --only shares).
 SHARES: dict[tuple[float, float | None], tuple[tuple[int, int, int], ...]] = {
     (6.0, None): (*[(100, 100, 100)] * 6, (85, 95, 100)),
@@ -49,10 +49,17 @@ JUDGED_MM = 2.0
 THIN_SHARE = 0.95
 """Slices are thick if the mean share of these airways is lower; in slices of 0.7 and 1 mm it is .98."""
 PATIENT_FACTOR = 1.25
-"""Slices of patients hide as much as painted slices that are so many times as thick (four CTs, lists of readers)."""
+"""Factor on the thickness for patients.
+
+Slices of patients hide as much as painted slices that are thicker by this factor (four CTs, lists of readers).
+"""
 STEP_PERCENT = 5
 WIDEST_PIXEL_MM = 0.8
-"""The calibrated CTs have pixels of 0.46 to 0.7 mm. In wider ones less is found, and the greatest shares are limits."""
+"""Widest pixels for which the least and mean shares are known.
+
+The calibrated CTs have pixels of 0.46 to 0.7 mm. In wider pixels fewer airways are found, so the greatest shares are
+upper limits.
+"""
 
 
 @one_line
@@ -61,17 +68,19 @@ class CalibreShare:
     """Share of the length of airways of one calibre that the search finds in CTs of one slice thickness."""
 
     from_mm: float
-    """Inner diameter."""
+    """Smallest inner diameter."""
     to_mm: float | None
-    """None: no upper limit."""
+    """Largest inner diameter; None: no upper limit."""
     least: float
-    """Of the CTs that were measured; 0 to 1, a multiple of 0.05, as :attr:`typical` and :attr:`most`."""
+    """Least share among the CTs that were measured: 0 to 1, a multiple of 0.05 like :attr:`typical` and :attr:`most`.
+    """
     typical: float | None
-    """Mean of these CTs; None where the pixels are wider than theirs."""
+    """Mean share of these CTs; None if the pixels of the present CT are wider than theirs."""
     most: float
+    """Greatest share among the CTs that were measured."""
 
     def to_json(self) -> dict[str, float | None]:
-        """Return plain JSON types."""
+        """Return the share as JSON values."""
         return {
             "from_mm": self.from_mm,
             "to_mm": self.to_mm,
@@ -87,14 +96,14 @@ class CalibratedShares:
     """Shares of airways that the search finds in CTs with slices of one thickness."""
 
     slice_mm: float
-    """Thickness of the slices; their distance where the thickness is smaller or not known."""
+    """Thickness of the slices; their distance if the thickness is smaller or unknown."""
     distance_mm: float
-    """Distance of the slices: smaller than the thickness where they overlap."""
+    """Distance of the slices; smaller than the thickness if the slices overlap."""
     shares: tuple[CalibreShare, ...]
-    """One for each calibre, the widest first."""
+    """Shares, one for each calibre, the widest first."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain JSON types."""
+        """Return the thickness and the shares as JSON values."""
         return {
             "slice_mm": self.slice_mm,
             "distance_mm": self.distance_mm,
@@ -103,21 +112,21 @@ class CalibratedShares:
 
     @property
     def slices(self) -> str:
-        """The slices in words."""
+        """Text of the slices, such as slices of 3 mm every 1.5 mm."""
         overlap = f" every {self.distance_mm:g} mm" if self.distance_mm < self.slice_mm else ""
         return f"slices of {self.slice_mm:g} mm{overlap}"
 
 
 def effective_mm(slice_mm: float, distance_mm: float) -> float:
-    """Return the thickness of slices without overlap that show as much as slices of this thickness and distance."""
+    """Return the thickness of slices without overlap that show as much as the given slices."""
     return 0.5 * (max(slice_mm, distance_mm) + distance_mm)
 
 
 def calibrated_shares(slice_mm: float) -> tuple[CalibreShare, ...]:
     """Return the shares of airways that the search finds in slices of a thickness, the widest calibre first.
 
-    Between the calibrated thicknesses (0.7 to 5 mm) they are interpolated and rounded to 5 %, the greatest upwards and
-    the others downwards. Beyond 5 mm only the greatest is known.
+    Between the calibrated thicknesses (0.7 to 5 mm) the shares are interpolated and rounded to 5 %, the greatest
+    upwards and the others downwards. Beyond 5 mm only the greatest share is known.
 
     Examples
     --------
@@ -130,7 +139,7 @@ def calibrated_shares(slice_mm: float) -> tuple[CalibreShare, ...]:
 def _share_at(calibre: tuple[float, float | None], slice_mm: float) -> CalibreShare:
     columns = zip(*SHARES[calibre], strict=True)
     low, mean, high = (float(np.interp(slice_mm, SLICES_MM, column)) / STEP_PERCENT for column in columns)
-    # 1e-9: a sum of floats just beside a whole step is that step.
+    # 1e-9: a floating-point sum just beside a whole step counts as that step.
     steps = np.array([np.floor(low + 1e-9), np.floor(mean + 1e-9), np.ceil(high - 1e-9)])
     least, typical, most = (round(float(step), 2) for step in steps * STEP_PERCENT / 100.0)
     is_known = slice_mm <= SLICES_MM[-1]
@@ -138,7 +147,7 @@ def _share_at(calibre: tuple[float, float | None], slice_mm: float) -> CalibreSh
 
 
 def shares_in(ct: Volume) -> CalibratedShares | None:
-    """Return the shares of a CT with thick slices; None where its slices are thin."""
+    """Return the shares of a CT with thick slices; None if its slices are thin."""
     distance_mm = round(max(ct.spacing_mm), 2)
     slice_mm = max(ct.source.slice_thickness_mm or 0.0, distance_mm)
     effective = effective_mm(slice_mm, distance_mm)
@@ -153,18 +162,18 @@ def shares_in(ct: Volume) -> CalibratedShares | None:
 
 
 def shares_of(tree: AirwayTree, ct: Volume) -> CalibratedShares | None:
-    """Return the shares that the note of :data:`THICK_SLICES` of a tree states; None for a tree without this note."""
+    """Return the shares that the note :data:`THICK_SLICES` of a tree states; None for a tree without this note."""
     has_note = any(note.code == THICK_SLICES for note in tree.notes)
     return shares_in(ct) if has_note else None
 
 
 def _of_calibre(shares: Sequence[CalibreShare], diameter_mm: float) -> CalibreShare:
-    """Return the share of the calibre of a diameter; that of the narrowest calibre for narrower ones."""
+    """Return the share of the calibre of a diameter; smaller diameters get the share of the narrowest calibre."""
     return next((share for share in shares if diameter_mm >= share.from_mm), shares[-1])
 
 
 def with_slice_note(tree: AirwayTree, ct: Volume) -> AirwayTree:
-    """Return a tree that was found in a CT with a lasting note that states the shares, if the slices are thick."""
+    """Return a tree found in a CT with a permanent note that states the shares, if the slices are thick."""
     found = shares_in(ct)
     if found is None:
         return tree
@@ -187,7 +196,7 @@ def _percent(share: CalibreShare) -> str:
 
 
 def _texts(shares: Sequence[CalibreShare]) -> Iterator[str]:
-    """Yield the text of each known share; neighbouring calibres with the same share are one."""
+    """Yield the text of each known share; neighbouring calibres with the same share are merged."""
     known = [share for share in shares if (share.least, share.most) != (0.0, 1.0)]
     for number, (_, group) in enumerate(groupby(known, lambda share: (share.least, share.typical, share.most))):
         same = list(group)
@@ -198,14 +207,16 @@ def _texts(shares: Sequence[CalibreShare]) -> Iterator[str]:
 
 
 def miss_text(found: CalibratedShares, diameter_mm: float | None) -> str:
-    """Return the text that names thick slices as a reason for a miss; empty where airways so wide are always found.
+    """Return the text that names thick slices as a reason for a missing airway.
+
+    The text is empty if airways of this width are always found.
 
     Parameters
     ----------
     found
         The shares of the CT.
     diameter_mm
-        Inner diameter of the airway that was lost; None where no airway was found.
+        Inner diameter of the airway that was lost; None if no airway was found.
     """
     share = None if diameter_mm is None else _of_calibre(found.shares, diameter_mm)
     if share is None or (share.least, share.most) == (0.0, 1.0):

@@ -1,4 +1,4 @@
-"""Places that the automatic airways could not follow, and the confidence of each branch."""
+"""Places that the automatic search could not follow, and the confidence of each branch."""
 
 from __future__ import annotations
 
@@ -30,40 +30,41 @@ UncertaintyKind = Literal["lost", "blocked", "stump", "filled", "leak", "volume"
 Points = NDArray[np.float64]
 
 FAINT = 0.5
-"""A branch whose confidence is lower is more likely no airway, and listed as uncertain."""
-# How often branches whose walls score so are true airways: (score, share), rising. Isotonic, on phantoms of the seeds
-# 101 to 114, good and degraded, with strands beside the airways; judged on the seeds 201 to 214 (docs/decisions/0116;
-# carina_bench.track_confidence makes it).
+"""A branch with a lower confidence is more likely not an airway and is listed as uncertain."""
+# Calibration of wall scores: (score, share of branches with this score that are true airways), rising. Isotonic fit on
+# phantoms of the seeds 101 to 114, good and degraded, with strands beside the airways; verified on the seeds 201 to 214
+# (docs/decisions/0116; carina_bench.track_confidence).
 AIRWAY_SHARE = (
     *((0.0, 0.0), (0.260, 0.001), (0.619, 0.010), (0.798, 0.066), (0.874, 0.161), (0.913, 0.275), (0.936, 0.620)),
     *((0.962, 0.675), (0.975, 0.817), (0.986, 0.944), (0.992, 0.969), (0.997, 0.981), (1.0, 0.999)),
 )
-# The thinnest airways, whose walls rise by less than the noise of a voxel, were judged along 5 mm of them (0112): of
-# 131 such ways that were found in four CTs one was none. A branch is one where half its points lie so near to one.
+# The walls of the thinnest airways rise by less than the noise of a voxel; they were judged along 5 mm (0112). Of 131
+# such paths in four CTs one was not an airway. A branch is thin if half of its points are this near to such a path.
 THREAD_SHARE = 0.95
 NEAR_THREAD_MM = 1.5
 NEAR_JUDGED_MM = 2.0
 WALL_WEIGHT = 0.2
-"""Weight of the walls' log odds beside those of a way that was judged by odds: both are from the same values."""
+"""Weight of the walls' log odds relative to those of the path: both are from the same values."""
 SUREST_WALLS, SUREST_WAY = 0.99, 0.995
 MOST_OF_ONE = 0.94
-"""Greatest confidence of a branch of which the way or the walls alone are more certain."""
-# Walls are means of three sections and of neighbouring steps. Their noise grows slower than that of a voxel, by which a
-# wall is measured in CTs with as much noise as those on which AIRWAY_SHARE was fitted, or less.
+"""Highest confidence of a branch of which only the path or only the walls are more certain."""
+# Walls are means of three sections and of neighbouring steps, so their noise grows more slowly than that of a voxel. Up
+# to this noise, on which AIRWAY_SHARE was fitted, the noise of a voxel is used.
 USUAL_NOISE_HU = 25.0
 NOISE_POWER = 0.75
-# In painted CTs with a sharp kernel one in ten lumens so thin that score best is a rim that looks like a wall.
+# Limits for thin branches in a CT with deep rims: in painted CTs with a sharp kernel, one in ten of the best-scoring
+# lumens of this width is a rim that looks like a wall.
 SHARP_RIM_HU = 15.0
 THIN_VOXELS = 2.0
 MOST_BESIDE_RIMS = 0.95
-# The last stretch of a branch runs into its blind end.
+# Length of the last part of a branch, which runs into its blind end and is not judged.
 BLUNT_MM = 2.0
 NUM_SECTIONS = 12
 NUM_SIDES = 16
 
 
 class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
-    """A place where the automatic airways stop short, or that a person should check.
+    """Place where the automatic airways end too early, or that the user should check.
 
     ``branch_id`` is the branch that ends or is uncertain there; None for the whole tree.
     """
@@ -71,45 +72,49 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
     kind: UncertaintyKind
     """Kind of the place.
 
-    ``lost``: the search lost the airway though its calibre says that it goes on; the CT proves no disease. ``blocked``:
-    soft tissue continues the bronchus beyond the end of its lumen. ``stump``: a wall closes the bronchus in every
-    direction. ``filled``: secretions or something else narrow or fill the lumen, and the bronchus goes on; the place is
-    the middle of that stretch. ``leak``: the search would have run out into the lung. ``volume``: the scan ends there.
-    ``faint``: the branch may not be an airway. ``fine``: from here on the CT is too coarse; once for the whole tree.
+    ``lost``: the search lost the airway, although its calibre shows that it continues; the CT proves no disease.
+    ``blocked``: soft tissue continues the bronchus beyond the end of its lumen. ``stump``: a wall closes the
+    bronchus in every direction. ``filled``: secretions or other material narrow or fill the lumen, and the bronchus
+    continues; the place is the middle of that part. ``leak``: the search would have leaked into the lung.
+    ``volume``: the scan ends there. ``faint``: the branch may not be an airway. ``fine``: from here on the CT is too
+    coarse; once for the whole tree.
     """
     width_mm: float
-    """Diameter of the airway where it was last seen; of ``fine`` the median of the ends that are that thin; of
-    ``filled`` that of the circle with the area of the air that is left, 0 where there is none."""
+    """Diameter of the airway where it was last visible.
+
+    For ``fine``: the median of the ends that are this thin. For ``filled``: that of the circle with the area of the
+    remaining air, 0 without air.
+    """
     confidence: Part | None
-    """Of the branch, where it is ``faint``."""
+    """Confidence of a ``faint`` branch; None for other kinds."""
     num_ends: Count | None
-    """How many ends are that thin, where it is ``fine``."""
+    """Number of thin ends, for ``fine``; None for other kinds."""
     voxel_mm: float | None
-    """Mean edge of a voxel, where it is ``fine``."""
+    """Mean edge of a voxel, for ``fine``; None for other kinds."""
     length_mm: float | None = None
-    """Length of the stretch that is ``filled``, or of the soft tissue where it is ``blocked``."""
+    """Length of the filled part for ``filled``, or of the soft tissue for ``blocked``."""
     calibre_mm: float | None = None
-    """From inner wall to inner wall through what fills it, where it is ``filled``; None where it cannot be measured."""
+    """Diameter between the inner walls through the filling, for ``filled``; None if it cannot be measured."""
     calibre_error_mm: float | None = None
-    """Half of the interval that should hold it."""
+    """Half of the interval that should contain ``calibre_mm``."""
     beyond_lps: PointLps | None = None
-    """A place in the air beyond, where it is ``filled`` and no path leads there: what a bridge leads to."""
+    """Point in the air beyond a ``filled`` place to which no path leads: the target of a bridge."""
 
     slice_number: Count | None = None
     """Slice of the place, counted from the feet, from 1; None in cases of earlier versions."""
     num_slices: Count | None = None
     """Number of slices of the scan, counted in the same direction."""
     has_clips: bool = False
-    """Surgical clips are at the end of a ``stump``."""
+    """Whether surgical clips are at the end of a ``stump``."""
 
     @property
     def slice_text(self) -> str:
-        """(slice 37 of 104 from the feet), or nothing where the slice is not known."""
+        """Text such as (slice 37 of 104 from the feet); empty if the slice is unknown."""
         return slice_text(self.slice_number, self.num_slices)
 
     @property
     def statement(self) -> str:
-        """What is seen at the place; the window, the command line, reports and exports use this text."""
+        """Text on what is visible at the place; used by the window, the command line, reports and exports."""
         width = f"{self.width_mm:.1f} mm wide{self.slice_text}"
         match self.kind:
             case "volume":
@@ -140,7 +145,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
 
     @property
     def explanation(self) -> str | None:
-        """The possible reasons for the statement; None where the CT gives none. Places of one kind have the same."""
+        """Text on possible reasons, the same for all places of one kind; None if the CT gives none."""
         match self.kind:
             case "leak":
                 return "its wall is too thin here, and the search would have leaked into the lung"
@@ -158,19 +163,19 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
 
     @property
     def reason(self) -> str:
-        """The statement with its explanation."""
+        """Statement with its explanation."""
         return self.statement if self.explanation is None else f"{self.statement}: {self.explanation}"
 
 
 def slice_text(number: int | None, count: int | None) -> str:
-    """Return the text of a slice with a leading blank; empty where the slice is not known."""
+    """Return the text of a slice with a leading blank; empty if the slice is unknown."""
     return "" if number is None or count is None else f" (slice {number} of {count} from the feet)"
 
 
 def slice_from_feet(volume: Volume, point_lps: Points) -> tuple[int, int]:
-    """Return the number of a point's slice, counted from the feet, from 1, and the number of slices.
+    """Return the slice number of a point, counted from the feet, from 1, and the number of slices.
 
-    Slices lie across the axis of the volume that is nearest to the patient's long axis.
+    Slices are across the axis of the volume that is nearest to the patient's long axis.
     """
     up = volume.lps_from_ijk[2, :3] / np.array(volume.spacing_mm)
     axis = int(np.argmax(np.abs(up)))
@@ -180,7 +185,7 @@ def slice_from_feet(volume: Volume, point_lps: Points) -> tuple[int, int]:
 
 
 def without_unproven_blocks(places: Sequence[Uncertainty]) -> tuple[Uncertainty, ...]:
-    """Return the places with ``lost`` in place of ``blocked`` where no soft tissue was measured.
+    """Return the places with ``lost`` in place of ``blocked`` if no soft tissue was measured.
 
     Cases of earlier versions store every end that was lost as ``blocked``.
     """
@@ -212,7 +217,7 @@ def filled_place(
     calibre_error_mm: float | None,
     beyond_lps: Points | None,
 ) -> Uncertainty:
-    """Where a lumen is narrowed or filled; see the fields of :class:`Uncertainty`."""
+    """Return a place where a lumen is narrowed or filled; see the fields of :class:`Uncertainty`."""
     return Uncertainty(
         lps=(float(at[0]), float(at[1]), float(at[2])),
         kind="filled",
@@ -238,26 +243,31 @@ def with_confidence(
     judged: NDArray[np.float64] | None = None,
     rims_hu: float | None = None,
 ) -> AirwayTree:
-    """Fill each branch's confidence that it is airway, from what the CT shows across it.
+    """Set the confidence of each branch from what the CT shows across it.
 
-    Three things count, each from 0 to 1: the share of sides with wall; how far the wall rises above the lumen, over the
-    noise of a wall (``1 - exp(-rise / 3 wall_noise)``); and the diameter in voxels (a lumen below 2 voxels is a blur:
-    half of it is taken on trust). They are multiplied; a branch has the median of its sections. That score becomes a
-    probability: how often branches of phantoms that score so are true airways.
+    The score of a section is the product of three values, each from 0 to 1: the share of sides with a wall; the rise
+    of the wall above the lumen relative to the noise of a wall (``1 - exp(-rise / 3 wall_noise)``); and a factor for
+    the diameter, which rises from 0.5 to 1 at 2 voxels, because a thinner lumen is blurred. A branch has the median
+    score of its sections. The score is then converted to a probability: the share of phantom branches with this
+    score that are true airways.
 
     Parameters
     ----------
+    volume
+        The CT.
+    tree
+        The airway tree.
     noise
         Standard deviation of the values in the air of the trachea.
     threads_lps
-        (n, 3) LPS mm, points along airways that were judged by more than this: the thinnest.
+        (n, 3) points along the thinnest airways, LPS in mm, which were judged by further evidence.
     thread_share
         Confidence of a branch along ``threads_lps`` whose own score is lower.
     judged
-        (n, 4) LPS mm and probability, points along airways that were followed beyond the flood. In a branch along them
-        the walls count for less, because noise and interpolation show a wall where there may be none.
+        (n, 4) points, LPS in mm, and probability, along airways that were followed beyond the flood. In a branch
+        along them the walls have less weight, because noise and interpolation may simulate a wall.
     rims_hu
-        Depth of the dark rims that the kernel leaves beside edges; None where there are none.
+        Depth of the dark rims that the kernel leaves beside edges; None if there are none.
     """
     branches = tuple(_judged_with(volume, branch, noise, threads_lps, thread_share) for branch in tree.branches)
     if judged is not None and len(judged):
@@ -269,9 +279,10 @@ def with_confidence(
 
 
 def as_probable_as_its_way(branch: Branch, judged: NDArray[np.float64]) -> Branch:
-    """Return a branch along a way that was judged by odds with the probability of both: of the way and of its walls.
+    """Combine the confidence of a branch's walls with the probability of the path along it.
 
-    Above 0.94 the confidence is at most that of each: a branch is certain only if the way and the walls are.
+    Only branches along a path that was judged by odds change. Above 0.94 the confidence is at most that of each: a
+    branch is certain only if both the path and the walls are.
     """
     off_mm = np.linalg.norm(branch.points[:, None] - judged[None, :, :3], axis=2)
     is_near = off_mm.min(axis=1) <= NEAR_JUDGED_MM
@@ -307,13 +318,13 @@ def _judged_with(
 
 
 def judged(volume: Volume, branch: Branch, noise: float) -> Branch:
-    """One branch with its confidence, see :func:`with_confidence`."""
+    """Return a branch with its confidence, see :func:`with_confidence`."""
     share = np.interp(_wall_score(volume, branch, noise), *np.array(AIRWAY_SHARE).T)
     return dataclasses.replace(branch, confidence=round(float(share), 3))
 
 
 def wall_noise(noise: float) -> float:
-    """Return the noise by which a wall is measured, from that of a voxel in the air of the trachea.
+    """Return the noise of a wall measurement, from the noise of a voxel in the air of the trachea.
 
     Examples
     --------
@@ -327,7 +338,7 @@ def _wall_score(volume: Volume, branch: Branch, noise: float) -> float:
     noise = wall_noise(noise)
     steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
-    # Not at the forks, where a side is open.
+    # Leave out the forks, where one side is open.
     from_mm = min(float(branch.radius[0]), 0.3 * along[-1])
     at = np.linspace(from_mm, max(along[-1] - min(BLUNT_MM, 0.2 * along[-1]), from_mm), NUM_SECTIONS)
     place = np.stack([np.interp(at, along, branch.points[:, axis]) for axis in range(3)], axis=1)
@@ -344,12 +355,12 @@ def _wall_score(volume: Volume, branch: Branch, noise: float) -> float:
     radius = np.interp(at, along, branch.radius)
     spacing = np.array(volume.spacing_mm)
     step_mm = 0.5 * float(spacing.min())
-    # The wall of an airway is thinner than its radius; blur and slices add to it.
+    # The wall of an airway is thinner than its radius; blur and slice thickness add to it.
     reach_mm = 2.0 * radius.max() + 1.5 + float(spacing.max())
     off = np.arange(0.0, reach_mm, step_mm)
     points = place[:, None, None, :] + sides[:, :, None, :] * off[None, None, :, None]
     values = _values_at(volume, points.reshape(-1, 3)).reshape(NUM_SECTIONS, NUM_SIDES, len(off))
-    # Three sections together, and neighbouring steps: a single noisy voxel is no wall.
+    # Average three sections and neighbouring steps: a single noisy voxel is not a wall.
     values = (values + np.roll(values, 1, axis=0) + np.roll(values, -1, axis=0)) / 3.0
     lumen = values[:, :, 0].mean(axis=1)
     rise = values.max(axis=2) - lumen[:, None]
@@ -360,7 +371,7 @@ def _wall_score(volume: Volume, branch: Branch, noise: float) -> float:
 
 
 def _values_at(volume: Volume, points: Points) -> Points:
-    """Nearest voxel's value at (n, 3) LPS points, the edge's beyond it."""
+    """Return the value of the nearest voxel at (n, 3) points (LPS, mm), clamped to the edge of the volume."""
     shape = np.array(volume.shape_zyx[::-1])
     i, j, k = np.clip(np.floor(volume.to_ijk(points) + 0.5).astype(int), 0, shape - 1).T
     values: Points = volume.hu_zyx[k, j, i].astype(np.float64)
