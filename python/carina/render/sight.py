@@ -1,6 +1,6 @@
-"""How a case is looked at: the values that the window's views, a call's and the wire share.
+"""Display settings of a case, shared by the window, calls of the renderer and the wire.
 
-None of it is what a person made of the case, so none of it is a step of undo.
+These settings describe how the user looks at the case. They do not change the case, so undo does not cover them.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class FlatPlace(FrozenValue, frozen=True):
     mm_per_px: MmPerPixel | None = None
     extent_mm: Annotated[float, Meta(ge=2.0, le=1000.0)] | None = None
     centre_lps: PointLps | None = None
-    """Middle of a zoomed picture until the tip moves; null is the point that is shown, and in the cut-plane the tip."""
+    """Centre of a zoomed picture until the tip moves; null is the displayed point, or the tip in the cut-plane."""
 
 
 class Carm(FrozenValue, frozen=True):
@@ -102,30 +102,36 @@ class Sight(FrozenValue, frozen=True):
     """How a case is looked at, which is no step of undo."""
 
     crosshair_lps: PointLps | None = None
-    """The point that slices and tri-plane show; null follows the tip."""
+    """Point that slices and the tri-plane view show; null follows the tip."""
     window: GreyWindow | None = None
-    """Null is each view's own."""
+    """Grey window of all views; null is each view's default."""
     slab: Slab = THIN
-    """Thickness of slices and views along the route."""
+    """Slab thickness of slices and of views along the route."""
     zoom: dict[str, FlatPlace] = msgspec.field(default_factory=dict)
-    """By view; those that are not here fit."""
+    """Zoom and centre by view name; a view without an entry shows its whole area."""
     orbits: dict[str, Orbit] = msgspec.field(default_factory=dict)
-    """By view; those that are not here stand where they begin."""
+    """Orbit camera by view name; a view without an entry uses its initial camera."""
     carm: Carm = Carm(0.0, 0.0, None, "radiograph")
     reformation: Reformation = Reformation(0.0, None)
     shading: bool = True
-    """Light at the tip."""
+    """Whether the headlight at the tip shades the airway view."""
     texture: bool = True
-    """Mottling and micro relief laid on the mucosa, which are not the patient's."""
+    """Whether mottling and micro relief, which do not come from the CT, are drawn on the mucosa."""
     method: Method = "leap"
-    """Leaping, or the brute-force reference; the picture is the same."""
+    """Ray casting by leaping or by the brute-force reference; the pictures are the same."""
 
     def place(self, view: str) -> FlatPlace:
-        """Where a planar view was zoomed or panned to."""
+        """Return the zoom and the centre of a planar view."""
         return self.zoom.get(view, FITS)
 
     def centred(self, views: Collection[str]) -> Sight:
-        """Return a sight with these views centred on the shown point again, at their scales; itself if they are."""
+        """Return a copy in which these views are centred on the displayed point, with unchanged scales.
+
+        Returns
+        -------
+        Sight
+            ``self`` if no view is panned.
+        """
         panned = [view for view in views if self.place(view).centre_lps is not None]
         if not panned:
             return self
