@@ -10,14 +10,14 @@ __all__ = ["ClusterState", "ClusterStatus", "Machine", "MemberStatus", "Processo
 
 
 class Processor(FrozenValue, frozen=True):
-    """What pictures are computed with: how many threads, and their vector instructions."""
+    """Processor that renders pictures: number of threads, and vector instructions."""
 
     threads: Count
     simd: Words
 
 
 class Machine(Processor, frozen=True):
-    """What a person wants to know about a machine that renders."""
+    """Machine that renders pictures, as shown to the user."""
 
     host: Words
 
@@ -41,7 +41,7 @@ class MemberStatus(Machine, frozen=True):
 
 
 class ClusterState(FrozenValue, frozen=True):
-    """All of them, and what comes of it."""
+    """State of all machines that render together, with the rate and latency of their pictures."""
 
     address: Words
     members: tuple[MemberStatus, ...]
@@ -56,7 +56,7 @@ class ClusterState(FrozenValue, frozen=True):
 
 
 class ClusterStatus(ClusterState, frozen=True):
-    """The same with what is to be said about it."""
+    """State of the cluster with messages for the user."""
 
     notices: tuple[Words, ...]
     """Messages for the user, oldest first; each is sent once."""
