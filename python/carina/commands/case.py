@@ -1,4 +1,4 @@
-"""Opening and closing a case, stopping jobs, and undo."""
+"""Commands that open and close a case, stop jobs, undo and redo."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class OpenCaseFile(LocalCommand, frozen=True):
     """Open a case file of this machine."""
 
     path: Any
-    """A :class:`pathlib.Path`."""
+    """Path of the case file, a :class:`pathlib.Path`."""
     ct: Any = None
-    """Where its CT lies now, a :class:`pathlib.Path`; None looks where it was."""
+    """Present path of the case's CT, a :class:`pathlib.Path`; None uses the recorded path."""
 
 
 class OpenDemo(Command, frozen=True):
@@ -78,7 +78,7 @@ class KeepCts(Command, frozen=True):
 
 
 class OpenFiles(LocalCommand, frozen=True):
-    """Open files that are no case of this machine, such as dropped ones: not kept in the list of recent cases."""
+    """Open files that belong to no case of this machine, such as dropped files; recent cases do not list them."""
 
     path: str
 
@@ -87,11 +87,11 @@ class OpenVolume(LocalCommand, frozen=True):
     """Open a volume that is already in memory."""
 
     volume: Any
-    """A :class:`carina.volume.Volume`."""
+    """Volume, a :class:`carina.volume.Volume`."""
     kept: Any = None
-    """A :class:`carina.case.Moment` to go on from; None begins anew."""
+    """Saved state to continue from, a :class:`carina.case.Moment`; None starts a new case."""
     follows: bool = False
-    """Another process owns the case: nothing is looked for here."""
+    """Whether another process owns the case, so that this process looks for no saved state."""
 
 
 class CloseCase(Command, frozen=True):
@@ -119,24 +119,24 @@ class SaveCase(Command, frozen=True):
     """
 
     path: PathText | None = None
-    """Where to; null is where it was saved before."""
+    """Path of the file; null is the path where the case was saved before."""
     replace: bool = False
-    """Whether a file that is there already may be replaced."""
+    """Whether an existing file may be replaced."""
 
 
 class KeepNow(LocalCommand, frozen=True):
-    """Write what is not on the disk yet, before anything else is done; it would be written by itself soon."""
+    """Write unsaved changes to the disk before the next command, instead of by the next automatic save."""
 
 
 class FollowMoment(LocalCommand, frozen=True):
-    """Show the open case as it is now in the process that owns it; the sight stays."""
+    """Show the open case in the state of the process that owns it; the display settings stay."""
 
     moment: Any
-    """A :class:`carina.case.Moment` of the same case."""
+    """State of the same case, a :class:`carina.case.Moment`."""
 
 
 class TakeOver(LocalCommand, frozen=True):
-    """Own the case that was followed until now, and keep it from now on: its owner has gone."""
+    """Become the owner of the followed case and save it from now on, because its owner has ended."""
 
     case_id: Identifier
 

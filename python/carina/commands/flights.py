@@ -1,4 +1,4 @@
-"""Flights that were recorded into the case: their names, their order, and their file."""
+"""Commands on recorded flights of a case: name, description, order, replay, deletion."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class FlyFlight(Command, frozen=True):
     number: FlightNumber
     time_s: Annotated[float, Meta(ge=0.0, le=86_400.0)]
     goes_on: bool = False
-    """A flight under way: ignored if anything else has moved the tip since the last of these."""
+    """Whether the command continues a running flight: it is ignored if another command has moved the tip meanwhile."""
 
 
 class RemoveFlight(Command, frozen=True):

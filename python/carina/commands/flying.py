@@ -1,4 +1,4 @@
-"""Moving the tip."""
+"""Commands that move the tip."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Place(Command, frozen=True):
 
 
 class PlacePose(LocalCommand, frozen=True):
-    """Tip to a pose; free mode afterwards."""
+    """Set the pose of the tip and enter free mode."""
 
     lps_from_camera: Matrix4
 

@@ -1,4 +1,4 @@
-"""Key frames: the list, the flight through it, and its file."""
+"""Commands on key frames: the list, the flight through it, and its file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Seconds = Annotated[float, Meta(ge=0.0, le=86_400.0)]
 
 
 def _kind(name: str) -> str:
-    """``KeyFrameAdd`` as ``add``."""
+    """Return the wire name of an edit: ``KeyFrameAdd`` gives ``add``."""
     return name.removeprefix("KeyFrame").lower()
 
 
@@ -72,10 +72,10 @@ class EditKeyFrames(Command, frozen=True):
 
 
 class KeyFrameFlying(FrozenValue, frozen=True):
-    """How the key frames are flown through."""
+    """Settings of the flight through the key frames."""
 
     speed_mm_s: Speed
-    """On the ways that name none of their own."""
+    """Speed on legs without their own speed."""
     through: Through
 
 
@@ -97,11 +97,11 @@ class FlyKeyFrames(Command, frozen=True):
 
     time_s: Seconds
     goes_on: bool = False
-    """A flight under way: ignored if anything else has moved the tip since the last of these."""
+    """Whether the command continues a running flight: it is ignored if another command has moved the tip meanwhile."""
 
 
 class TakeKeyFrameFile(LocalCommand, frozen=True):
-    """Take the key frames of a file in the place of these; undoable. Those of another case are refused."""
+    """Replace the key frames by those of a file; undoable. Key frames of another case are rejected."""
 
     path: Any
-    """Text or :class:`pathlib.Path`."""
+    """Path of the file, text or :class:`pathlib.Path`."""

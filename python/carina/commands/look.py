@@ -1,7 +1,8 @@
-"""How the case is shown.
+"""Commands that change the display of the case.
 
-What only sets a field of the look (undoable) or of the sight (:class:`carina.render.Sight`, which is not) says so by
-``sets`` and needs nothing else: the session does it, and the window holds it until the server has answered.
+A command that only sets a field of the look (undoable) or of the sight (:class:`carina.render.Sight`, not undoable)
+names this field in ``sets`` and needs no other code: the session sets the field, and the window shows the new value
+until the server has responded.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ class Look(FrozenValue, frozen=True):
     """What the airway view is seen through, and from where: chosen by a person, and undone."""
 
     scope: Identifier | None = DEFAULT_SCOPE
-    """The instrument, by name; null is a pinhole."""
+    """Name of the instrument; null is a pinhole."""
     outline: Outline = "round"
     """Outline of the picture."""
     fov_deg: float = scope_preset(DEFAULT_SCOPE).usual_fov_deg
-    """The scope's, unless a person chose another."""
+    """Field of view; the scope's, unless the user chose another."""
     operator: Operator = "head"
 
 
@@ -62,13 +63,13 @@ class SetTransfer(Command, frozen=True):
     document: dict[str, Any] | None = None
 
     def choice_problem(self) -> str | None:
-        """Exactly one."""
+        """Return an error text unless exactly one of both fields is set."""
         if (self.preset is None) == (self.document is None):
             return "set_transfer: expected exactly one of preset and document"
         return None
 
 
-# ------------------------------------------------------------------ without
+# ------------------------------------------------------------------ without a step of undo
 
 
 class SetCrosshair(Command, frozen=True):

@@ -1,4 +1,4 @@
-"""Targets as things with a size, and how the way to them is planned."""
+"""Commands on targets with a size, and on the plans of routes to them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ TargetRank = Annotated[int, Meta(ge=1, le=9)]
 
 
 class Instruments(FrozenValue, frozen=True):
-    """A scope, and what goes through its channel."""
+    """Scope, and the tool in its working channel."""
 
     scope: Identifier = "thin"
-    """Of the library of instruments."""
+    """Name in the library of instruments."""
     tool: Identifier = "needle-21g"
 
 
@@ -28,11 +28,11 @@ class PlanOptions(Instruments, frozen=True):
     """With what a target is to be reached, and what counts against a route."""
 
     vessel_margin_mm: Annotated[float, Meta(ge=0.0, le=50.0)] = 3.0
-    """A vessel nearer to the needle than this counts against a route."""
+    """Distance between needle and vessel below which the vessel counts against a route."""
     moved_mm: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None
-    """How far the target may have moved since the CT; null goes by the lobe."""
+    """Possible displacement of the target since the CT; null uses the default of the target's lobe."""
     entry_mm: Annotated[float, Meta(ge=0.0, le=500.0)] | None = None
-    """From nose or mouth to where the tree begins; null leaves depths and working lengths open."""
+    """Distance from nose or mouth to the start of the tree; null leaves depths and working lengths unknown."""
 
 
 class SetPlanOptions(PlanOptions, Command, frozen=True, kw_only=True):
@@ -48,7 +48,7 @@ class DescribeTarget(Command, frozen=True):
     called: OwnName
     remark: TargetNote = ""
     rank: TargetRank = 1
-    """1 comes first."""
+    """Rank; 1 is the first."""
 
 
 class ChoosePlannedRoute(Command, frozen=True):
@@ -56,21 +56,21 @@ class ChoosePlannedRoute(Command, frozen=True):
 
     target_id: Identifier
     number: Annotated[int, Meta(ge=1, le=100)] = 1
-    """1 is the best."""
+    """Number of the route; 1 is the best."""
 
 
 class SeeTurn(Command, frozen=True):
     """Put the tip where a turn of the chosen route is seen from, as the list of turns tells its hour."""
 
     number: Annotated[int, Meta(ge=1, le=100)]
-    """In the list, from 1."""
+    """Number of the turn in the list, from 1."""
 
 
 class KeepDrive(Command, frozen=True):
     """Keep the simulated drive of an instrument, on the route that is taken, as a flight of the case."""
 
     scope: Identifier
-    """Whose verdict it belongs to."""
+    """Name of the instrument whose drive is stored."""
 
 
 class GrowTarget(Command, frozen=True):
@@ -92,7 +92,7 @@ class BrushTarget(Command, frozen=True):
     target_id: Identifier
     stroke_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
     brush_mm: Annotated[float, Meta(ge=0.5, le=MAX_BRUSH_MM)]
-    """Radius."""
+    """Radius of the brush."""
     takes_away: bool = False
 
 
@@ -111,11 +111,11 @@ class MarkSphere(Command, frozen=True):
 
 
 class TakeTarget(LocalCommand, frozen=True):
-    """A target from a file: a mask, a DICOM SEG or an RTSTRUCT."""
+    """Add a target from a file: a mask, a DICOM SEG or an RTSTRUCT."""
 
     path: str
     structure: str | None = None
-    """Name or number, where the file has several."""
+    """Name or number of the structure, if the file has several."""
 
 
 class MapLungs(Command, frozen=True):

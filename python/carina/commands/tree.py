@@ -1,4 +1,4 @@
-"""Airways: where they begin, the edits of their tree, targets and routes."""
+"""Commands on airways: root, edits of the tree, targets and routes."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class AskedPath(FrozenValue, frozen=True, kw_only=True):
 
     cost: PathCost = "lumen"
     root_lps: PointLps | None = None
-    """Where the path begins, for the costs ``walls`` and ``paper``; null begins where the airways do."""
+    """Start of the path, for the costs ``walls`` and ``paper``; null is the root of the airways."""
 
     def choice_problem(self) -> str | None:
-        """Paths through the lumen begin where the airways do."""
+        """Return an error text if a path through the lumen has its own start."""
         if self.cost == "lumen" and self.root_lps is not None:
             name = snake_case(type(self).__name__)
             return f"{name}: expected the cost walls or paper with a start point of its own; found lumen"
@@ -71,14 +71,14 @@ class ChooseRoute(Command, frozen=True):
     branch_id: BranchId | None = None
 
     def choice_problem(self) -> str | None:
-        """One destination at most."""
+        """Return an error text if both destinations are set."""
         if self.target_id is not None and self.branch_id is not None:
             return "choose_route: expected a target or a branch; found both"
         return None
 
 
 def _kind(name: str) -> str:
-    """``AddBranch`` as ``add-branch``."""
+    """Return the wire name of an edit: ``AddBranch`` gives ``add-branch``."""
     return snake_case(name).replace("_", "-")
 
 
@@ -92,13 +92,15 @@ class AddBranch(TreeEdit, frozen=True):
     """A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it."""
 
     lps: PointLps
-    """Where the branch ends, LPS mm."""
+    """End of the branch, LPS mm."""
     even_without_evidence: bool = False
-    """Whether to draw the branch where the CT shows no wall round the way; it is then ``manual``. Without it such an
-    edit ends with ``no_evidence``."""
+    """Whether to draw the branch even if the CT shows no continuous wall; the branch is then ``manual``.
+
+    Without it such an edit ends with ``no_evidence``.
+    """
 
     def __post_init__(self) -> None:
-        """Three finite numbers, and a true or false."""
+        """Check for three finite numbers and a truth value."""
         force_setattr(self, "lps", _point("the end of the branch", self.lps))
         if not isinstance(self.even_without_evidence, bool):
             msg = f"even_without_evidence: expected true or false, found {self.even_without_evidence!r}"
@@ -110,10 +112,10 @@ class CutBranch(TreeEdit, frozen=True):
 
     branch_id: BranchId
     at_mm: PathMm = 0.0
-    """How far along the branch, mm; 0 takes the whole branch."""
+    """Position along the branch, mm; 0 removes the whole branch."""
 
     def __post_init__(self) -> None:
-        """A branch's number, and a place."""
+        """Check for a branch's ID and a position."""
         _whole("branch_id", self.branch_id)
         force_setattr(self, "at_mm", _number("at_mm", self.at_mm, 0.0, math.inf))
 
@@ -122,10 +124,10 @@ class Bridge(TreeEdit, frozen=True):
     """Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air."""
 
     lps: PointLps
-    """In the airway beyond, LPS mm."""
+    """Point in the airway beyond the obstruction, LPS mm."""
 
     def __post_init__(self) -> None:
-        """Three finite numbers."""
+        """Check for three finite numbers."""
         force_setattr(self, "lps", _point("the point beyond the obstruction", self.lps))
 
 
@@ -133,10 +135,10 @@ class MoveRoot(TreeEdit, frozen=True):
     """Begin all paths elsewhere; branches that are then flown the other way are turned round."""
 
     lps: PointLps
-    """The new root, LPS mm."""
+    """New root, LPS mm."""
 
     def __post_init__(self) -> None:
-        """Three finite numbers."""
+        """Check for three finite numbers."""
         force_setattr(self, "lps", _point("the start", self.lps))
 
 
@@ -145,10 +147,10 @@ class MoveFork(TreeEdit, frozen=True):
 
     branch_id: BranchId
     lps: PointLps
-    """Where the fork is to be, LPS mm."""
+    """New position of the fork, LPS mm."""
 
     def __post_init__(self) -> None:
-        """A branch's number, and three finite numbers."""
+        """Check for a branch's ID and three finite numbers."""
         _whole("branch_id", self.branch_id)
         force_setattr(self, "lps", _point("the fork", self.lps))
 
@@ -157,14 +159,14 @@ class PaintLumen(TreeEdit, frozen=True):
     """A stroke of a brush that makes voxels lumen, or takes lumen away."""
 
     points_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
-    """The way of the brush's centre, LPS mm; straight between points."""
+    """Path of the brush's centre, LPS mm; straight between points."""
     radius_mm: Annotated[float, Meta(ge=0.1, le=MAX_BRUSH_MM)]
     plane: BrushPlane = "axial"
-    """The slice that the brush is a disc in, one voxel thick; ``ball`` paints in all directions."""
+    """Slice in which the brush is a disc of one voxel thickness; ``ball`` paints in all directions."""
     erase: bool = False
 
     def __post_init__(self) -> None:
-        """Points, a radius, a plane."""
+        """Check for points, a radius and a plane."""
         points = self.points_lps
         if isinstance(points, str) or not 1 <= len(points) <= MAX_STROKE_POINTS:
             msg = f"stroke: expected 1 to {MAX_STROKE_POINTS} points, found {len(points)}"
@@ -185,7 +187,7 @@ class SmoothBranch(TreeEdit, frozen=True):
     branch_id: BranchId
 
     def __post_init__(self) -> None:
-        """A branch's number."""
+        """Check for a branch's ID."""
         _whole("branch_id", self.branch_id)
 
 
@@ -194,10 +196,10 @@ class RenameBranch(TreeEdit, frozen=True):
 
     branch_id: BranchId
     name: OwnName | None
-    """None: the automatic name."""
+    """New name; None restores the automatic name."""
 
     def __post_init__(self) -> None:
-        """A branch's number, and a name with a letter in it."""
+        """Check for a branch's ID and a name with a letter."""
         _whole("branch_id", self.branch_id)
         if self.name is None:
             return

@@ -67,6 +67,7 @@ class AutoFlight:
         self._times, self._places = np.array(times), np.array(places)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"AutoFlight({self._path!r}, {self.duration_s:.1f} s)"
 
     @property

@@ -170,10 +170,12 @@ class FlightPath:
         return curve
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the arguments of the path for pickle; the curve is computed again."""
         values = (self._source_lps, self._up_lps, self._forks_mm, self._lookouts_mm, self._max_deviation_mm)
         return _path_of, values
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"FlightPath(length_mm={self.length_mm:.1f}, num_forks={len(self._forks_mm)})"
 
     @property

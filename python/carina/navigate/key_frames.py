@@ -170,6 +170,7 @@ class KeyFrameFlight:
             check_duration(self.duration_s)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"KeyFrameFlight({len(self._poses)} key frames, {self.duration_s:.1f} s)"
 
     @property

@@ -60,6 +60,7 @@ class AirwayWay:
     apex: int
 
     def __post_init__(self) -> None:
+        """Convert the points to float64 and check the fields."""
         points = np.array(self.points_lps, dtype=np.float64)
         if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
             raise UsageError(

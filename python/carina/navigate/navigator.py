@@ -100,6 +100,7 @@ class Navigator:
         self.place(pose)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         at = ", ".join(f"{v:.1f}" for v in self._pose.position_lps)
         along = f", path_mm={self._path_mm:.1f}" if self._mode == "path" else ""
         return f"Navigator(mode={self._mode!r}, at_lps=({at}){along}, operator={self._operator!r})"

@@ -66,6 +66,7 @@ class SampleFilter:
         self._latency_s = 0.0
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"SampleFilter({self._settings!r})"
 
     @property

@@ -148,6 +148,7 @@ class Pilot:
         self._off_lps: MM3 = np.zeros(3)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         held = "" if self.holder is None else f", held by {as_words(self.holder)}"
         return f"Pilot({self.navigator!r}{held})"
 

@@ -120,6 +120,7 @@ class Recorder:
         pilot.on_move = self._moved
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         ended = "" if self.trouble is None else ", ended early"
         return f"Recorder({self.length_s:.1f} s, {self.num_moves} moves, {self.num_poses} poses{ended})"
 

@@ -197,6 +197,7 @@ class SampleGate:
         self._unsaid: Counter[tuple[str, Refusal]] = Counter()
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         held = "free" if self._holder is None else f"held by {as_words(self._holder)}"
         return f"SampleGate({len(self._seen)} devices, {held})"
 

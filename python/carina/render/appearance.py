@@ -92,6 +92,7 @@ class Appearance:
     """Strength of pale ridges at forks, from the airway tree, 0..1."""
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_guides(self.guides_mm)
         if self.exposure is not None and not 0 <= self.exposure <= 1e6:
             raise RenderError(f"exposure must be between 0 and 1000000; found {self.exposure}")

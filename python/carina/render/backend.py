@@ -126,6 +126,7 @@ class Backend:
             self._measurements = {_key(v): v for v in _read(record)}
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"Backend({self.mode!r})"
 
     def adapters(self) -> tuple[Adapter, ...]:

@@ -135,6 +135,7 @@ class Decoration:
     cell_mm: float
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         shape = self.cells.shape
         if len(shape) != 4 or shape[3] != len(CHANNELS) or min(shape) < 2 or self.cells.dtype != np.float32:
             msg = f"a decoration: expected (nz, ny, nx, {len(CHANNELS)}) float32, 2 cells or more; found {shape}"

@@ -123,9 +123,11 @@ class Renderer:
         self._planes = PlaneCaster(volume)
 
     def __reduce__(self) -> NoReturn:
+        """Raise an error: the object is bound to its process and cannot be pickled."""
         refuse_pickle(self, "pickle its volume, and create a carina.Renderer of it in the other process")
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         ready = "prepared" if self.prepared else "not prepared"
         return f"Renderer({self._volume!r}, transfer={self.transfer.name!r}, {ready})"
 

@@ -52,6 +52,7 @@ class Slab(FrozenValue, frozen=True):
     kind: SlabKind
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(self, RenderError, "render.setting", thickness_mm=any_number(), kind=text_of())
         if not 0.0 <= self.thickness_mm <= 100.0:
             raise RenderError(

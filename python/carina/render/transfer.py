@@ -46,6 +46,7 @@ class Light:
     """Distance at which half the light remains; None for light that does not decrease with distance."""
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,
@@ -119,6 +120,7 @@ class TransferFunction:
     appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,

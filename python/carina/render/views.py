@@ -157,6 +157,7 @@ class AirwayView:
     texture: bool = True
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         _check(self.width, self.height, fov_deg=self.fov_deg)
         check_fields(
             self,
@@ -268,6 +269,7 @@ class CutPlaneView(GreyView):
     centre_lps: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         GreyView.__post_init__(self)
         check_fields(self, RenderError, "render.setting", pose=A_POSE, extent_mm=any_number())
         _check_mm("the extent of a cut-plane", self.extent_mm)
@@ -295,6 +297,7 @@ class TriPlaneView(OrbitView):
     look_at: Literal["point", "volume"] = "point"
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         OrbitView.__post_init__(self)
         _check(self.width, self.height, window_hu=self.window_hu)
         clear = number_from(-40_000.0, 40_000.0, optional=True)
@@ -320,6 +323,7 @@ class XrayView:
     window_hu: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         _check(self.width, self.height, window_hu=self.window_hu)
         _check_plane(self.axis)
 
@@ -365,6 +369,7 @@ class DrrView:
     window_mm: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         _check(self.width, self.height, window_hu=self.window_mm)
         check_fields(
             self,
@@ -427,6 +432,7 @@ class PathView(GreyView):
     centre_mm: float = 0.0
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         GreyView.__post_init__(self)
         check_fields(
             self,
@@ -463,6 +469,7 @@ class SliceView(GreyView):
     mm_per_px: float | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         GreyView.__post_init__(self)
         _check_plane(self.plane)
         _check_mm("the size of a pixel", self.mm_per_px)
@@ -601,6 +608,7 @@ class Picture:
     decorated: tuple[DecorationName, ...] = ()
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         height, width = self.rgb.shape[:2]
         return f"Picture({self.view!r}, {width}x{height}, {self.stats.method}, {self.stats.seconds:.3g} s)"
 

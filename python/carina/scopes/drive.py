@@ -210,16 +210,20 @@ class ScopeDrive:
         self._state = self._seen(self._core.state)
 
     def __copy__(self) -> ScopeDrive:
+        """Return an independent copy."""
         return self.copy()
 
     def __deepcopy__(self, _memo: object) -> ScopeDrive:
         # Both copies share the wall, which never changes.
+        """Return an independent copy."""
         return self.copy()
 
     def __reduce__(self) -> NoReturn:
+        """Raise an error: the object is bound to its process and cannot be pickled."""
         refuse_pickle(self, "create a carina.ScopeDrive in the other process, and drive it to the same place")
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"ScopeDrive({self._scope.name!r}, insertion_mm={self._state.insertion_mm:.1f})"
 
     @property

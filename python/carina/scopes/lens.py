@@ -84,6 +84,7 @@ class Lens:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,
@@ -170,6 +171,7 @@ class ImageField:
     vignette: float = 0.0
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(self, RenderError, "render.camera", outline=text_of(), edge_px=any_number(), vignette=any_number())
         if self.outline not in OUTLINES:
             raise RenderError(
@@ -202,6 +204,7 @@ class DepthOfField:
     far_mm: float
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,
@@ -276,6 +279,7 @@ class Optics:
         return self._core.rays(shape=field.outline, edge_px=field.edge_px, vignette=field.vignette)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"Optics({self.lens.model}, fov_deg={self.fov_deg:.1f})"
 
 

@@ -37,6 +37,7 @@ class PathFrames:
     lps_from_frame: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        """Convert the fields to float64 arrays and check them."""
         check_fields(self, path_mm=array_of(None), lps_from_frame=array_of(None, 4, 4))
         object.__setattr__(self, "path_mm", np.asarray(self.path_mm, dtype=np.float64))
         object.__setattr__(self, "lps_from_frame", np.asarray(self.lps_from_frame, dtype=np.float64))

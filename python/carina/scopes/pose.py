@@ -52,6 +52,7 @@ class Pose:
     lps_from_camera: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        """Check the matrix and store a copy as float64."""
         check_fields(self, lps_from_camera=numbers_within(FAR_MM))
         m = np.array(self.lps_from_camera, dtype=np.float64)
         if m.shape != (4, 4) or not np.isfinite(m).all():
@@ -71,6 +72,7 @@ class Pose:
         object.__setattr__(self, "lps_from_camera", m)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         at, look = (as_words(tuple(np.round(self.lps_from_camera[:3, n], 3).tolist())) for n in (3, 2))
         return f"Pose(position_lps={at}, forward_lps={look})"
 

@@ -56,6 +56,7 @@ class WallField:
     core: _core.WallField
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(self, core=instance(_core.WallField, "make one with carina.wall_field"))
 
     @classmethod
@@ -130,12 +131,15 @@ class WallField:
         return cls(made)
 
     def __copy__(self) -> WallField:
+        """Return an independent copy."""
         return self
 
     def __deepcopy__(self, _memo: object) -> WallField:
+        """Return an independent copy."""
         return self
 
     def __reduce__(self) -> NoReturn:
+        """Raise an error: the object is bound to its process and cannot be pickled."""
         refuse_pickle(
             self, "pickle the airways, and make the wall from them with carina.wall_field in the other process"
         )

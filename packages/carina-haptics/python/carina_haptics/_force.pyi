@@ -25,7 +25,7 @@ class ForceLoop:
     def felt(self) -> dict[str, Any]:
         """Latest force."""
     def figures(self) -> dict[str, Any]:
-        """Timing statistics."""
+        """Return the timing statistics."""
     def stop(self) -> None:
         """Stop the loop."""
 
@@ -34,7 +34,7 @@ def forces_along(
     numbers: tuple[float, float, float, float, float, float, float],
     samples: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Samples (n, 9) to forces (n, 3), a millisecond each."""
+    """Return forces (n, 3) of samples (n, 9), one per millisecond."""
 
 def force_limits() -> tuple[float, float, float]:
     """Limits of the law: N, N per ms, N per mm."""
