@@ -311,7 +311,7 @@ def public_methods(lineage: Iterable[ast.ClassDef]) -> set[str]:
 def attributes(lineage: Iterable[ast.ClassDef]) -> dict[str, str]:
     """Return the attributes of a class with their annotated types.
 
-    "" for an attribute set on ``self`` without a type.
+    The type of an attribute that is set on ``self`` without annotation is "".
     """
     found: dict[str, str] = {}
     for node in lineage:

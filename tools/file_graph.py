@@ -30,10 +30,7 @@ class Import:
     line: int
     target: Path
     kind: str
-    """Kind: ``import``; ``function`` for an import inside a function.
-
-    ``types`` for one that only type checkers follow.
-    """
+    """Kind: ``import``, ``function`` (inside a function) or ``types`` (only for type checkers)."""
 
 
 # ---------------------------------------------------------------- Python

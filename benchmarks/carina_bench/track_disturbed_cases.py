@@ -137,7 +137,7 @@ def stepped_points(points_lps: Points, step: Step, volume: Volume) -> tuple[Poin
 def noisy(volume: Volume, noise_hu: float, *, seed: int, sigma_mm: float = 0.0) -> Volume:
     """Return the CT with additional noise of this standard deviation.
 
-    Correlated by a Gaussian, or white if sigma is 0.
+    The noise is correlated by a Gaussian, or white if sigma is 0.
     """
     rng = np.random.default_rng((seed, 13))
     noise = rng.standard_normal(volume.shape_zyx).astype(np.float32)

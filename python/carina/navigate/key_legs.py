@@ -93,7 +93,7 @@ class Leg:
     rest_mm: float | None = None
     """Position in mm of a rest, where the path turns sharply from one bronchus into its sibling.
 
-    None without a rest.
+    The value is None without a rest.
     """
 
     @property

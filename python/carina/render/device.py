@@ -243,7 +243,7 @@ class DeviceCaster:
     def _race(self, scene: Scene, view: AirwayView, on_device: _core.GpuScene | None) -> tuple[float, float]:
         """Return the shortest time of a picture in ms, on the CPU and on the device.
 
-        Turns alternate to share other load.
+        The turns alternate, so that other load affects both.
         """
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(NUM_PAIRS):

@@ -647,7 +647,7 @@ class Picture:
     def place(self) -> dict[str, Any]:
         """Return view, pose and field of view as a ``carina-pose`` document, LPS mm.
 
-        None for a field that the view lacks.
+        Fields that the view lacks are None.
         """
 
         def rows(matrix: NDArray[np.float64] | None) -> list[list[float]] | None:

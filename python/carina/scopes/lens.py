@@ -260,14 +260,14 @@ class Optics:
     def directions_of(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return unit directions (n, 3) in camera space of picture points (n, 2).
 
-        NaN for points without a direction.
+        The directions of points outside the lens model are NaN.
         """
         return self._core.directions(np.ascontiguousarray(pixels, dtype=np.float64))
 
     def pixels_of(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the picture points (n, 2) of directions (n, 3) of any length in camera space.
 
-        NaN for invisible ones.
+        The points of invisible directions are NaN.
         """
         return self._core.pixels(np.ascontiguousarray(directions, dtype=np.float64))
 
