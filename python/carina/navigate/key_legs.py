@@ -154,10 +154,11 @@ def build_legs(poses: Sequence[Points], ways: Sequence[AirwayWay | None]) -> tup
     ways
         n - 1: the airway between a pose and the next, or None for a curve through space.
 
-    Notes ----- A leg through space is a centripetal Catmull-Rom curve (Yuksel, Schaefer, Keyser, "Parameterization and
-    applications of Catmull-Rom curves", CAD 43(7), 2011), which of its family makes no loops and stays nearest to the
-    chords. On it the gaze turns along the great circle with a steady horizon; along an airway the camera turns with the
-    airway.
+    Notes
+    -----
+    A leg through space is a centripetal Catmull-Rom curve (Yuksel, Schaefer, Keyser, "Parameterization and applications
+    of Catmull-Rom curves", CAD 43(7), 2011), which of its family makes no loops and stays nearest to the chords. On it
+    the gaze turns along the great circle with a steady horizon; along an airway the camera turns with the airway.
     """
     at = np.array([pose[:3, 3] for pose in poses])
     legs: list[Leg | None] = [
