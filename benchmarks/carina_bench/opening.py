@@ -63,8 +63,8 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
 def measure(request: dict[str, Any]) -> dict[str, Any]:
     """Measure a synthetic chest as DICOM slices, as packed and plain NIfTI, and from the cache, in turn.
 
-    All files are in memory and deleted afterwards. The results of :func:`open_volume` and of the cache are compared
-    voxel by voxel.
+    All files are in the system's file cache and are deleted afterwards. The results of :func:`open_volume` and of the
+    cache are compared voxel by voxel.
     """
     phantom = generate_phantom(spacing_mm=request["spacing_mm"], box_lps=BOX_LPS, progress=progress_printer())
     volume = phantom.volume
@@ -116,7 +116,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _look(volume: Volume) -> object:
-    """Compute the properties of a volume that opening from files does not provide."""
+    """Return value range, quality and digest of a volume, which the reader of files does not provide."""
     fresh = Volume(volume.hu_zyx, volume.lps_from_ijk)
     return fresh.value_range, quality_gate(fresh), ct_digest(fresh)
 

@@ -34,10 +34,10 @@ class SetLumenThreshold(Command, frozen=True):
 
 
 class AskedPath(FrozenValue, frozen=True, kw_only=True):
-    """What a target's path costs, and where it begins.
+    """Cost and start of the path to a target.
 
-    ``lumen`` keeps to the middle of the airways; the target is snapped to the lumen within 5 mm, and said.
-    ``walls`` and ``paper`` (its sections 6.3 and 6.2) search all of the scan, whatever it shows, and move nothing.
+    The cost ``lumen`` keeps the path in the middle of the airways; the target is moved to the lumen within 5 mm, and
+    the move is reported. The costs ``walls`` and ``paper`` (paper 6.3 and 6.2) search the whole scan and move no point.
     """
 
     cost: PathCost = "lumen"

@@ -33,9 +33,9 @@ __all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording"
 FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
+"""Longest line in characters: a path of a million points."""
 MAX_LENGTH_S = 1e7
 """Longest recording in seconds: four months."""
-"""Longest line in characters: a path of a million points."""
 
 
 def case_key(volume: Volume) -> dict[str, Any]:

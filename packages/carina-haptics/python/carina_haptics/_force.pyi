@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 @final
 class ForceLoop:
-    """The force law 1,000 times a second."""
+    """Loop that evaluates the force law 1,000 times a second on its own thread."""
 
     def __new__(
         cls,
@@ -21,9 +21,9 @@ class ForceLoop:
     @property
     def port(self) -> int | None: ...
     def put(self, at_lps: Sequence[float], velocity_mm_s: Sequence[float], forward_lps: Sequence[float]) -> bool:
-        """Pass a sample; False if refused."""
+        """Pass a sample; return False if it is rejected."""
     def felt(self) -> dict[str, Any]:
-        """Latest force."""
+        """Return the latest force."""
     def figures(self) -> dict[str, Any]:
         """Return the timing statistics."""
     def stop(self) -> None:
@@ -37,4 +37,4 @@ def forces_along(
     """Return forces (n, 3) of samples (n, 9), one per millisecond."""
 
 def force_limits() -> tuple[float, float, float]:
-    """Limits of the law: N, N per ms, N per mm."""
+    """Return the limits of the force law: N, N per ms, N per mm."""
