@@ -60,7 +60,7 @@ def bench_render(
     repeats: BenchRepeats = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure whole frames beside VTK and a numba baseline, leaping beside brute force, and the first frame.
+    """Compare whole frames with VTK and a numba baseline, leaping with brute force; measure the first frame.
 
     Sections: frames, small, views, first-frame, paper (the paper's setting). The last, and one real case, need
     CARINA_DATA_DIR. A missed limit is a result and no failure: the exit code is 0.
@@ -105,7 +105,7 @@ def bench_track(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the path tracker beside its peers, and the airway tree beside the truth.
+    """Compare the path tracker with its peers, and the airway tree with the truth.
 
     Parts: speed, paper, quality, hard (only if it is named), visible, names, measures, evidence. A part that this
     version does not have, or whose peers or data are missing, is named and omitted. A missed limit is a result and no

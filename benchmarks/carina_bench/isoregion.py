@@ -65,7 +65,7 @@ def _summary(times: dict[str, Times], slow: str, fast: str) -> dict[str, Any]:
 
 
 def maps(request: Request) -> list[dict[str, Any]]:
-    """Measure the IsoRegion map of many labels beside scipy's chessboard distance of two: one thread, CPU time."""
+    """Compare the IsoRegion map of many labels with scipy's chessboard distance of two: one thread, CPU time."""
     ndimage: Any = importlib.import_module("scipy.ndimage")
     rows = []
     for name in request["cases"]:
@@ -131,7 +131,7 @@ def prepared_maps(request: Request) -> list[dict[str, Any]]:
 
 
 def projections(request: Request) -> list[dict[str, Any]]:
-    """Measure three maximum intensity projections beside numpy: one thread, CPU time."""
+    """Compare three maximum intensity projections with numpy: one thread, CPU time."""
     rows = []
     for name in request["cases"]:
         case = _case(name)
@@ -150,7 +150,7 @@ def projections(request: Request) -> list[dict[str, Any]]:
 
 
 def planes(request: Request) -> list[dict[str, Any]]:
-    """Measure an oblique slice of 256 x 256 beside ``vtkImageReslice``: one thread, CPU time."""
+    """Compare an oblique slice of 256 x 256 with ``vtkImageReslice``: one thread, CPU time."""
     from carina_bench.vtk_peer import vtk_reslice
 
     size = 256

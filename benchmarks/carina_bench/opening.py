@@ -1,4 +1,4 @@
-"""``carina bench open``: opening of a CT from its files beside opening of the same CT from the cache."""
+"""``carina bench open``: opening of a CT from its files compared with opening from the cache."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def prepared(volume: Volume, transfer: TransferFunction, simd: str | None = None
 
 
 def frames(request: Request) -> list[dict[str, Any]]:
-    """Measure whole frames of 512 x 512 beside VTK and the numba baseline: one thread, CPU time, in turn.
+    """Compare whole frames of 512 x 512 with VTK and the numba baseline: one thread, CPU time, in turn.
 
     Carina renders the benchmark's scene and the default look of the window. VTK has no such look, so VTK renders the
     benchmark's scene in both comparisons.

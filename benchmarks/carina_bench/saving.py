@@ -1,4 +1,4 @@
-"""``carina bench saving``: pictures of a flight whose edits are saved, beside the same flight without saving."""
+"""``carina bench saving``: pictures of a flight whose edits are saved, compared with the flight without saving."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def paper(rows: Rows) -> list[str]:
 
 
 def beside(rows: Rows) -> list[str]:
-    """Return the lines of one function beside its peer."""
+    """Return the lines of the comparison of one function with its peer."""
     lines = []
     for row in rows:
         times = ", ".join(f"{key} {value['median']:.4g} ms" for key, value in row["cpu_ms"].items())

@@ -175,7 +175,7 @@ def _hundredths(point: tuple[float, float, float]) -> tuple[float, ...]:
     return tuple(round(v, 2) for v in point)
 
 
-# ------------------------------------------------------------------ what the scope sees
+# ------------------------------------------------------------------ airway view
 
 
 def _airway(s: ViewSettings) -> View:
@@ -263,7 +263,7 @@ def _slice_row(plane: Plane) -> ViewRow:
     )
 
 
-# ------------------------------------------------------------------ through the whole chest
+# ------------------------------------------------------------------ X-ray projections and radiographs
 
 
 def _xray_row(name: ViewName, axis: Plane, short: str, words: str) -> ViewRow:
@@ -289,7 +289,7 @@ def _drr(s: ViewSettings) -> View:
     return DrrView(arm.primary_deg, arm.secondary_deg, *size, mm_per_px=scale, tone=arm.tone, window_mm=s.window_hu)
 
 
-# ------------------------------------------------------------------ along the route, and from outside
+# ------------------------------------------------------------------ views along the route, and external views
 
 
 def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *, straight: bool) -> ViewRow:

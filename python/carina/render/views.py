@@ -564,7 +564,7 @@ class Picture:
 
     ``numpy.asarray`` returns ``rgb``.
 
-    Attributes
+    Parameters
     ----------
     rgb
         Pixels, (height, width, 3) uint8.
