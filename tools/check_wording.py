@@ -127,7 +127,7 @@ WRAPPED: dict[str, tuple[list[str], str]] = {
 
 
 def wrapped(text: str) -> Frame:
-    """Return the frame of a function of :data:`WRAPPED`."""
+    """Return parameters and sentence of a function of :data:`WRAPPED`."""
     params, sentence = WRAPPED[text]
     names = re.findall(r"{(\w+)}", sentence)
     params = [*params, *(name for name in names if name not in params)]

@@ -213,7 +213,7 @@ def code_of(tree: ast.Module) -> Iterator[ast.AST]:
 
 
 def draw(parts: list[str], seed: int, number: int) -> list[Mutant]:
-    """Return a number of mutants drawn from all possible ones; the same for a seed and the same files."""
+    """Draw ``number`` mutants from all possible ones; equal seeds and files give equal mutants."""
     paths = sorted(path for part in parts for path in (PACKAGE / part).rglob("*.py"))
     every = sorted((m for path in paths for m in mutants_of(path)), key=lambda m: (m.path, m.line, m.column, m.after))
     random.Random(seed).shuffle(every)

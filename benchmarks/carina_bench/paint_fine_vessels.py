@@ -107,8 +107,8 @@ def fine_vessels(
     clear = space.in_lung(flat, LUNG_MM, num=6)
     there = np.concatenate([tube.points for tube in tubes])
     outer = np.concatenate([tube.outer_mm() for tube in tubes])
-    # Points of a tube are half a millimetre apart, so the distance to the tube is less than that to a point by 0.1 mm
-    # at most.
+    # Points of a tube are half a millimetre apart, so the distance to the nearest point exceeds that to the tube by
+    # less than 0.1 mm.
     tree = spatial.cKDTree(there)
     gap, nearest = tree.query(flat, k=4, distance_upper_bound=float(outer.max()) + 2.0 * RADII_MM[1])
     nearest = np.minimum(nearest, len(there) - 1)

@@ -29,7 +29,8 @@ BEND_RAD = math.radians(40.0)
 # Half the length of the airway over which the direction of the camera is averaged, so that the camera turns smoothly
 # into a fork.
 LOOK_MM = 8.0
-# A key frame beside the centreline is left over four times its distance, and over at least this many mm.
+# The path moves from a key frame beside the centreline to the centreline over four times their distance, and over at
+# least EASE_MM.
 EASE, EASE_MM = 4.0, 4.0
 # Largest distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
 ROUND_MM = 1.0
@@ -84,7 +85,7 @@ class Leg:
     place_mm: NDArray[np.float64]
     points_lps: Points
     tangents: Points
-    """Unit vectors; zeros for a leg of no length."""
+    """Unit tangents of the path at the points; zeros for a leg of no length."""
     frames: Points | None = None
     """Directions of the airway at the points, ``(n, 3, 3)``, distal forward.
 
