@@ -319,10 +319,10 @@ class Renderer:
 
 
 def _between(first_s: float | None, last_s: float | None, seconds: float) -> float | None:
-    """Return the processor time between two readings, per picture thread.
+    """Return the mean processor time per picture thread between two readings.
 
-    The result is None if a reading is missing, or if ``seconds`` and the readings do not fit together because the
-    number of picture threads changed between them (a force device started or ended).
+    The result is None if a reading is missing, or if the difference is negative or exceeds the wall time ``seconds``.
+    The readings then belong to different sets of threads, because a force device started or ended between them.
     """
     if first_s is None or last_s is None or not 0.0 <= last_s - first_s <= 1.1 * seconds:
         return None

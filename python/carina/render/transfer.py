@@ -334,8 +334,8 @@ def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
     """Return a transfer function for a volume that is not in HU, from the volume's histogram.
 
     Otsu's threshold separates dark voxels (air) from bright voxels (tissue). The opacity ramp of the endoscopic preset
-    is scaled by the difference between the means of the two classes and placed around the middle between them, as the
-    preset's ramp is placed around the half-maximum in HU.
+    is placed around the threshold, as it is placed around the half-maximum in HU, and scaled by the difference between
+    the means of the two classes.
 
     Parameters
     ----------

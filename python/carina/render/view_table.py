@@ -66,7 +66,7 @@ FlatViewName = Literal[Plane, "cut-plane"]
 OrbitViewName = Literal["tree", "tri-plane"]
 """Names of the views whose camera orbits the displayed object."""
 LEAD_VIEW: Literal["airway"] = "airway"
-"""Name of the view from the scope's tip, which is rendered first; the other views share the remaining time."""
+"""Name of the view from the scope's tip, which keeps its frame rate; other views share the remaining time."""
 FINDER_VIEW: Literal["cut-plane"] = "cut-plane"
 """Name of the view that replaces :data:`LEAD_VIEW` where the airway view cannot be rendered in time."""
 CellName = Literal["airway", Plane, "cut-plane", "xray", "outside"]
