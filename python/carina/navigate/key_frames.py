@@ -180,7 +180,7 @@ class KeyFrameFlight:
 
     @property
     def key_times_s(self) -> tuple[float, ...]:
-        """Times of the key frames after the first, s."""
+        """Time of each key frame since the first, s."""
         return tuple(float(t) for t in self._times)
 
     @property

@@ -264,7 +264,7 @@ class SampleGate:
         return device in self._seen
 
     def gone(self, device: str) -> None:
-        """Remove a disconnected device; it may return with any clock."""
+        """Reset the state of a disconnected device, which may return with any clock, and release the scope from it."""
         seen = self._seen.get(device)
         if seen is not None:
             seen.last_s = seen.backwards_since_s = None
@@ -325,6 +325,6 @@ class SampleGate:
                 return "too many samples"
         holder = self._holder
         if holder is not None and holder != device and now_s - self._seen[holder].arrived_s < self._silence_s:
-            # A released stick requests no movement, so no message is needed.
+            # A released stick requests no movement, so its sample is admitted.
             return None if _at_rest(sample) else "another device is moving the scope"
         return None

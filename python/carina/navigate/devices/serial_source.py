@@ -16,7 +16,7 @@ from carina.navigate.samples import PoseSample
 __all__ = ["FastrakSource", "HandleSource", "found_ports", "serial_ports"]
 
 BAUD = 115_200
-# Timeout of a read in seconds; then the port is read again.
+# Timeout of a read, and time without data after which the setup commands are sent again, in seconds.
 READ_S = 0.05
 SILENT_S = 2.0
 
