@@ -32,19 +32,19 @@ class OpenDemo(Command, frozen=True):
 
 
 class OpenRecent(Command, frozen=True):
-    """Open a case of ``start.recent``; its path never travels."""
+    """Open a case of ``start.recent``, by its ID; the path of the case is never sent."""
 
     recent_id: Identifier
 
 
 class BeginAnew(Command, frozen=True):
-    """Begin another case of the open CT; the one that was continued stays in the list."""
+    """Start a new case of the open CT; the present case stays in the list."""
 
 
 class RenameCase(Command, frozen=True):
-    """Call a case of the list by a name of one's own; null is what the scan calls itself.
+    """Give a case in the list a name; null restores the name from the scan.
 
-    The name stays on this machine: no file that is saved or exported holds it.
+    The name stays on this machine: no saved or exported file contains it.
     """
 
     recent_id: Identifier
@@ -52,27 +52,27 @@ class RenameCase(Command, frozen=True):
 
 
 class ForgetCase(Command, frozen=True):
-    """Take a case out of the list, and what is kept of its CT; for a day it can be brought back."""
+    """Delete a case from the list, and its cached CT; the case can be restored for a day."""
 
     recent_id: Identifier
 
 
 class RestoreCase(Command, frozen=True):
-    """Bring a forgotten case back."""
+    """Restore a deleted case."""
 
     recent_id: Identifier
 
 
 class EmptyForgotten(Command, frozen=True):
-    """Remove all forgotten cases from the disk, for good."""
+    """Delete all deleted cases from the disk permanently."""
 
 
 class EmptyCtCache(Command, frozen=True):
-    """Remove the CTs that are kept to open faster; they are read from their files again."""
+    """Delete the cached CTs; Carina then reads them from their files again."""
 
 
 class KeepCts(Command, frozen=True):
-    """Whether CTs that are opened are kept to open faster; without, those kept are removed."""
+    """Set whether opened CTs are cached for faster opening; off deletes the cached CTs."""
 
     on: bool
 
@@ -95,7 +95,7 @@ class OpenVolume(LocalCommand, frozen=True):
 
 
 class CloseCase(Command, frozen=True):
-    """Back to the start page."""
+    """Close the case and return to the start page."""
 
 
 class Cancel(Command, frozen=True):
@@ -105,17 +105,17 @@ class Cancel(Command, frozen=True):
 
 
 class Undo(Command, frozen=True):
-    """Take back the last change."""
+    """Undo the last change."""
 
 
 class Redo(Command, frozen=True):
-    """Do it again."""
+    """Redo the last undone change."""
 
 
 class SaveCase(Command, frozen=True):
-    """Write the case as one whole file, which is kept up to date while the case is open.
+    """Write the whole case to one file, which is then updated while the case is open.
 
-    Nothing needs it against loss: what is done is always kept on this machine.
+    The file is not needed against loss: Carina always saves the case on this machine.
     """
 
     path: PathText | None = None
@@ -142,6 +142,6 @@ class TakeOver(LocalCommand, frozen=True):
 
 
 class GoToStep(Command, frozen=True):
-    """Have so many steps of the history hold, from 0: others are taken back, or done again."""
+    """Undo or redo changes until this number of steps of the history is in effect, counted from 0."""
 
     step: Annotated[int, Meta(ge=0, le=1_000_000)]

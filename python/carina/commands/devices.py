@@ -17,19 +17,19 @@ Gain = Annotated[float, Meta(ge=0.01, le=100.0)]
 
 
 class DeviceGone(Command, frozen=True):
-    """A device was unplugged."""
+    """Remove a disconnected device."""
 
     device: DeviceName
 
 
 class TakeDevice(Command, frozen=True):
-    """This device moves the tip from now on."""
+    """Let a device move the tip from now on."""
 
     device: DeviceName
 
 
 class SetControl(Command, frozen=True):
-    """How a device moves the tip: its place (registered), what the hand does, or along the path."""
+    """Set how a device moves the tip: absolute (registered position), relative (hand movement), or along the path."""
 
     control: Control
 
@@ -39,7 +39,7 @@ class CycleControl(LocalCommand, frozen=True):
 
 
 class DeviceControls(FrozenValue, frozen=True):
-    """How a device's movement becomes that of the tip.
+    """Mapping from the movement of a device to the movement of the tip.
 
     Examples
     --------
@@ -74,13 +74,13 @@ class DeviceControls(FrozenValue, frozen=True):
 
 
 class SetControls(Command, frozen=True):
-    """Gains, clutch, speeds and filter of devices."""
+    """Set gains, clutch, speeds and filter of devices."""
 
     controls: DeviceControls
 
 
 class Calibrate(Command, frozen=True):
-    """Register a tracker to the patient by pairs of points (3 or more); no pairs forget it."""
+    """Register a tracker to the patient by pairs of points (3 or more); no pairs remove the registration."""
 
     device: DeviceName
     tracker_mm: Annotated[tuple[Three, ...], Meta(max_length=100)]
@@ -88,16 +88,16 @@ class Calibrate(Command, frozen=True):
 
 
 class ArmPen(AskedPath, Command, frozen=True):
-    """What the pen's first button sets, at the pen's own tip (``pen``); null lets it change the way to move.
+    """Set which kind of point the pen's first button marks at the pen's tip (``pen``); null lets it cycle the control.
 
-    ``start`` is where paths of the costs ``walls`` and ``paper`` begin: windows are told (``start_marked``).
+    ``start`` is the start of paths of the costs ``walls`` and ``paper``: windows receive the message ``start_marked``.
     """
 
     tool: Literal["root", "start", "target"] | None
 
 
 class JoinPen(Command, frozen=True):
-    """In absolute movement the tip comes to the registered pen at once, instead of easing over."""
+    """Move the tip to the registered pen at once in absolute control, instead of gradually."""
 
 
 class RecordFlight(LocalCommand, frozen=True):
@@ -108,4 +108,4 @@ class RecordFlight(LocalCommand, frozen=True):
 
 
 class StopRecording(Command, frozen=True):
-    """End the recording."""
+    """End the recording of the flight."""

@@ -23,11 +23,11 @@ class TakeMask(LocalCommand, frozen=True):
 
 
 class AnswerMask(Command, frozen=True):
-    """Answer ``state.mask_question``: which label is the airway; whether to resample."""
+    """Answer ``state.mask_question``: the label of the airways, and whether to resample."""
 
     label: Annotated[int, Meta(ge=-(2**53), le=2**53)] | None = None
     resample: bool = False
 
 
 class DismissMask(Command, frozen=True):
-    """Forget the mask that ``state.mask_question`` asks about."""
+    """Discard the mask of ``state.mask_question``."""

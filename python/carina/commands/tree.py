@@ -22,13 +22,13 @@ PathCost = Literal["lumen", "walls", "paper"]
 
 
 class SetRoot(Command, frozen=True):
-    """Find the airways again from this point."""
+    """Find the airways again from this root."""
 
     lps: PointLps
 
 
 class SetLumenThreshold(Command, frozen=True):
-    """Find the airways again with this threshold; null lets Carina choose."""
+    """Find the airways again with this threshold; null uses Carina's own."""
 
     value: Annotated[float, Meta(ge=-32_768.0, le=32_767.0)] | None
 
@@ -53,19 +53,19 @@ class AskedPath(FrozenValue, frozen=True, kw_only=True):
 
 
 class AddTarget(AskedPath, Command, frozen=True):
-    """A target, with the path that leads there."""
+    """Add a target, with the path to it."""
 
     lps: PointLps
 
 
 class RemoveTarget(Command, frozen=True):
-    """Take a target away."""
+    """Delete a target."""
 
     target_id: Identifier
 
 
 class ChooseRoute(Command, frozen=True):
-    """Route to a target or to the end of a branch; exactly one of both is set, or none for no route."""
+    """Set the route to a target or to the end of a branch; at most one of both, neither for no route."""
 
     target_id: Identifier | None = None
     branch_id: BranchId | None = None
@@ -89,7 +89,7 @@ class TreeEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
 
 
 class AddBranch(TreeEdit, frozen=True):
-    """A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it."""
+    """Add a branch to a point, by the least-cost path through the lumen or, beyond it, by the best evidence."""
 
     lps: PointLps
     """End of the branch, LPS mm."""
@@ -108,7 +108,7 @@ class AddBranch(TreeEdit, frozen=True):
 
 
 class CutBranch(TreeEdit, frozen=True):
-    """Take a branch away with all that hangs on it, from a place along it."""
+    """Delete a branch with all its descendants, from a position along it."""
 
     branch_id: BranchId
     at_mm: PathMm = 0.0
@@ -121,7 +121,7 @@ class CutBranch(TreeEdit, frozen=True):
 
 
 class Bridge(TreeEdit, frozen=True):
-    """Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air."""
+    """Continue the airways from the nearest tree point through mucus or tumour to a point in air beyond it."""
 
     lps: PointLps
     """Point in the airway beyond the obstruction, LPS mm."""
@@ -132,7 +132,7 @@ class Bridge(TreeEdit, frozen=True):
 
 
 class MoveRoot(TreeEdit, frozen=True):
-    """Begin all paths elsewhere; branches that are then flown the other way are turned round."""
+    """Set another root of all paths; branches whose direction changes are reversed."""
 
     lps: PointLps
     """New root, LPS mm."""
@@ -143,7 +143,7 @@ class MoveRoot(TreeEdit, frozen=True):
 
 
 class MoveFork(TreeEdit, frozen=True):
-    """Move the point where a branch ends and its children begin; the adjoining centrelines follow."""
+    """Move the point where a branch ends and its children start; the adjoining centrelines follow."""
 
     branch_id: BranchId
     lps: PointLps
@@ -156,7 +156,7 @@ class MoveFork(TreeEdit, frozen=True):
 
 
 class PaintLumen(TreeEdit, frozen=True):
-    """A stroke of a brush that makes voxels lumen, or takes lumen away."""
+    """Add voxels to the lumen, or remove them, by a stroke of a brush."""
 
     points_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
     """Path of the brush's centre, LPS mm; straight between points."""
@@ -182,7 +182,7 @@ class PaintLumen(TreeEdit, frozen=True):
 
 
 class SmoothBranch(TreeEdit, frozen=True):
-    """Make a branch's centreline smoother; its ends stay."""
+    """Smooth a branch's centreline; its ends stay."""
 
     branch_id: BranchId
 
@@ -192,7 +192,7 @@ class SmoothBranch(TreeEdit, frozen=True):
 
 
 class RenameBranch(TreeEdit, frozen=True):
-    """Give a branch a name of one's own, or the automatic one back."""
+    """Rename a branch, or restore its automatic name."""
 
     branch_id: BranchId
     name: OwnName | None
@@ -213,7 +213,7 @@ AnyTreeEdit: TypeAlias = AddBranch | CutBranch | Bridge | MoveRoot | MoveFork | 
 
 
 class EditTree(Command, frozen=True):
-    """One edit of the airway tree: a job, and one step of undo."""
+    """Edit the airway tree: a job, and one step of undo."""
 
     edit: AnyTreeEdit
 

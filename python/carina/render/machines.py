@@ -23,7 +23,7 @@ class Machine(Processor, frozen=True):
 
 
 class MemberStatus(Machine, frozen=True):
-    """One machine that renders with others."""
+    """State of one machine that renders pictures together with others."""
 
     name: Words
     state: Literal["ready", "late", "away", "loading"]

@@ -39,14 +39,17 @@ Method = Literal["leap", "brute"]
 
 
 class GreyWindow(FrozenValue, frozen=True):
-    """Grey window of all slice views; numbers of the file where the volume is not HU."""
+    """Grey window of all slice views; raw values where the volume is not in HU."""
 
     width_hu: Annotated[float, Meta(ge=1.0, le=65_536.0)]
     level_hu: Annotated[float, Meta(ge=-32_768.0, le=32_768.0)]
 
 
 class Slab(FrozenValue, frozen=True):
-    """A thick slice: the largest, smallest or mean value over its thickness; ``min`` shows airways, 0 mm are thin."""
+    """Thick slice that shows the largest, smallest or mean value over its thickness.
+
+    ``min`` shows airways; 0 mm is a thin slice.
+    """
 
     thickness_mm: Annotated[float, Meta(ge=0.0, le=100.0)]
     kind: SlabKind
@@ -63,7 +66,7 @@ class Slab(FrozenValue, frozen=True):
 
 
 class Orbit(FrozenValue, frozen=True):
-    """Camera of an outside view: azimuth 0 is from anterior, distance null fits."""
+    """Camera of an external view: azimuth 0 looks from anterior; null as distance fits the view to its content."""
 
     azimuth_deg: Angle
     elevation_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
@@ -71,7 +74,7 @@ class Orbit(FrozenValue, frozen=True):
 
 
 class FlatPlace(FrozenValue, frozen=True):
-    """Where a planar view was zoomed or panned to: scale of a slice, or width of the cut-plane; null fits."""
+    """Zoom and centre of a planar view: scale of a slice, or width of the cut-plane; null shows the whole area."""
 
     mm_per_px: MmPerPixel | None = None
     extent_mm: Annotated[float, Meta(ge=2.0, le=1000.0)] | None = None
@@ -80,7 +83,7 @@ class FlatPlace(FrozenValue, frozen=True):
 
 
 class Carm(FrozenValue, frozen=True):
-    """Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits."""
+    """Angles of the radiograph's C-arm (LAO and cranial above 0), tone, and scale at the centre; null fits."""
 
     primary_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
     secondary_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
@@ -89,7 +92,7 @@ class Carm(FrozenValue, frozen=True):
 
 
 class Reformation(FrozenValue, frozen=True):
-    """Turn and scale of the views along the route: null fits the route, else the tip is in the middle."""
+    """Angle of the cutting plane and scale of the views along the route; null as scale fits the whole route."""
 
     turn_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
     mm_per_px: MmPerPixel | None
@@ -100,7 +103,7 @@ THIN = Slab(0.0, "min")
 
 
 class Sight(FrozenValue, frozen=True):
-    """How a case is looked at, which is no step of undo."""
+    """Display settings of a case, which are no step of undo."""
 
     crosshair_lps: PointLps | None = None
     """Point that slices and the tri-plane view show; null follows the tip."""
