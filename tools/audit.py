@@ -1,9 +1,9 @@
-"""Licences of all dependencies against an allow list, and known advisories where a database can be reached.
+"""Check the licences of all dependencies against an allow list, and search databases for known advisories.
 
-Licences are read from what lies on this machine, always: Rust by ``cargo metadata``, npm by the lock file, Python by
-what is installed of the lock files. Advisories need ``cargo audit``, ``pip-audit`` and ``npm audit``, and the network.
-A check that could not run, or not on all packages, fails, unless ``tools/audit.toml`` accepts the gap (``[[gaps]]``).
-That file also holds the accepted advisories. Each entry needs a reason and a last day; after that day the audit fails.
+Licences are always read from this machine: Rust by ``cargo metadata``, npm by the lock file, Python from the installed
+packages of the lock files. Advisories need ``cargo audit``, ``pip-audit`` and ``npm audit``, and the network. A check
+that could not run, or not on all packages, fails, unless ``tools/audit.toml`` accepts the gap (``[[gaps]]``). That file
+also lists the accepted advisories. Each entry needs a reason and a last day; after that day the audit fails.
 
 Run: ``python tools/audit.py`` (part of ``make check``).
 """
@@ -26,7 +26,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 WITHIN_S = 15.0
-"""For one database: a network that swallows packets must not hold up a check."""
+"""Timeout for one database in seconds, so that a network without responses does not delay the checks."""
 LOCKS = ("requirements.lock", "requirements-cluster.lock")
 
 CHECKS = (
@@ -55,18 +55,18 @@ CLASSIFIERS = {
 
 @dataclass(slots=True)
 class Result:
-    """What a look at one kind of dependencies gave."""
+    """Result of the check of one kind of dependencies."""
 
     what: str
     num_seen: int = 0
     bad: list[str] = field(default_factory=list)
     unseen: list[str] = field(default_factory=list)
-    """What could not be looked at, and why: one line each."""
+    """Checks that could not run, with the reason: one line each."""
     accepted: list[str] = field(default_factory=list)
-    """Gaps that ``audit.toml`` accepts: the text of the gap, the last day and the reason, one line each."""
+    """Gaps that ``audit.toml`` accepts: description, last day and reason, one line each."""
 
     def lines(self) -> list[str]:
-        """For people: what is bad, what was not looked at, and what was good."""
+        """Return the lines to print: failures, checks that did not run, and successes."""
         told = [f"{self.what}: {words}" for words in self.bad]
         told += [f"{self.what}: NOT looked at: {words}" for words in self.unseen]
         told += [f"{self.what}: NOT looked at, accepted {words}" for words in self.accepted]
@@ -78,7 +78,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Acceptance that one check cannot run, or not on all packages, until a day."""
+    """Accepted gap: one check may be incomplete until a day."""
 
     reason: str
     until: datetime.date
@@ -86,7 +86,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """The content of ``audit.toml``."""
+    """Content of ``audit.toml``."""
 
     licences: frozenset[str]
     known: dict[str, str]
@@ -96,7 +96,7 @@ class Allowed:
 
 
 def read_allowed(path: Path) -> Allowed:
-    """Read the allow list; an entry without a reason or an end is refused."""
+    """Read the allow list; raise an error for an entry without a reason or a last day."""
     document = tomllib.loads(path.read_text(encoding="utf-8"))
     licences = document.get("licences", {})
     known, advisories = {}, {}
@@ -120,7 +120,7 @@ def read_allowed(path: Path) -> Allowed:
 
 
 def judge_gaps(results: Iterable[Result], allowed: Allowed, today: datetime.date) -> None:
-    """Make each gap an accepted one, or an error if ``audit.toml`` does not accept the gap or no longer does."""
+    """Make each gap an accepted one, or an error if ``audit.toml`` does not accept it (any more)."""
     for result in results:
         gap = allowed.gaps.get(result.what)
         unseen, result.unseen = result.unseen, []
@@ -137,9 +137,10 @@ def judge_gaps(results: Iterable[Result], allowed: Allowed, today: datetime.date
 
 
 def licence_allowed(expression: str, allowed: Iterable[str]) -> bool:
-    """Whether an SPDX expression (AND, OR, WITH, brackets; ``A/B`` as old Cargo writes OR) can be kept.
+    """Return whether an SPDX expression allows the use of a package.
 
-    Anything that is not understood is not allowed.
+    The expression may contain AND, OR, WITH, brackets, and ``A/B`` as old Cargo writes OR. An expression that cannot be
+    parsed is not allowed.
     """
     names = frozenset(name.lower() for name in allowed)
     words = re.findall(r"[()]|[^\s()]+", expression.replace("/", " OR "))
@@ -150,7 +151,7 @@ def licence_allowed(expression: str, allowed: Iterable[str]) -> bool:
         value = both()
         while at < len(words) and words[at].upper() == "OR":
             at += 1
-            # Not `value or both()`: the words must be read in any case.
+            # Not `value or both()`: both() must consume its words in any case.
             right = both()
             value = value or right
         return value
@@ -199,7 +200,7 @@ def _judge(result: Result, name: str, licence: str | None, allowed: Allowed) -> 
 
 
 def rust_licences(root: Path, allowed: Allowed, run: Callable[..., Any] = subprocess.run) -> Result:
-    """All crates of the lock file whose sources are on this machine."""
+    """Check all crates of the lock file whose sources are on this machine."""
     result = Result("licences, Rust")
     if shutil.which("cargo") is None:
         result.unseen.append("all crates: cargo is not installed")
@@ -223,7 +224,7 @@ def rust_licences(root: Path, allowed: Allowed, run: Callable[..., Any] = subpro
 
 
 def npm_licences(root: Path, allowed: Allowed) -> Result:
-    """All packages of the lock file, which names their licences."""
+    """Check all packages of the npm lock file, which contains their licences."""
     result = Result("licences, npm")
     lock = json.loads((root / "web" / "package-lock.json").read_text(encoding="utf-8"))
     for place, package in sorted(lock["packages"].items()):
@@ -234,7 +235,7 @@ def npm_licences(root: Path, allowed: Allowed) -> Result:
 
 
 def locked_python(root: Path) -> dict[str, str]:
-    """Name and version of each Python package of the lock files."""
+    """Return name and version of each Python package of the lock files."""
     found = {}
     for lock in LOCKS:
         for line in (root / lock).read_text(encoding="utf-8").splitlines():
@@ -245,7 +246,7 @@ def locked_python(root: Path) -> dict[str, str]:
 
 
 def python_licence(about: Any) -> str | None:
-    """The SPDX expression of a package's metadata; from its classifiers where it has none."""
+    """Return the SPDX expression of a package's metadata, or that of its classifiers."""
     expression = about.get("License-Expression")
     if expression:
         return str(expression)
@@ -258,7 +259,7 @@ def python_licence(about: Any) -> str | None:
 
 
 def python_licences(root: Path, allowed: Allowed, about: Callable[[str], Any] = metadata.metadata) -> Result:
-    """All packages of the lock files that are installed here."""
+    """Check all packages of the lock files that are installed here."""
     result = Result("licences, Python")
     missing = []
     for name in sorted(locked_python(root)):
@@ -280,7 +281,7 @@ def python_licences(root: Path, allowed: Allowed, about: Callable[[str], Any] = 
 def judge_advisories(
     result: Result, found: Iterable[tuple[str, str, str]], allowed: Allowed, today: datetime.date
 ) -> None:
-    """Advisories (id, package, words) that nobody has excepted, or whose exception has ended."""
+    """Add the advisories (ID, package, text) that are not accepted, or whose last day has passed, to the result."""
     for number, package, words in sorted(set(found)):
         until = allowed.advisories.get(number.upper())
         if until is None:
@@ -290,7 +291,7 @@ def judge_advisories(
 
 
 def _asked(result: Result, command: list[str], cwd: Path, run: Callable[..., Any]) -> Any:
-    """What a tool says as JSON; None where it could not be asked, with a line that says why."""
+    """Return the JSON output of a tool; None if the tool failed, with the reason added to the result."""
     tool = command[0] if command[0] != "cargo" else "cargo-audit"
     if shutil.which(tool) is None:
         remedy = f" (install it with: {TOOLS[tool]})" if tool in TOOLS else ""
@@ -312,7 +313,7 @@ def _asked(result: Result, command: list[str], cwd: Path, run: Callable[..., Any
 def rust_advisories(
     root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
 ) -> Result:
-    """By ``cargo audit`` and RustSec's database."""
+    """Check Rust advisories by ``cargo audit`` and RustSec's database."""
     result = Result("advisories, Rust")
     report = _asked(result, ["cargo", "audit", "--json"], root, run)
     if report is None:
@@ -331,7 +332,10 @@ def rust_advisories(
 def python_advisories(
     root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
 ) -> Result:
-    """By ``pip-audit``. It calls what it could not look up "skipped", and ends with 0: those are not good."""
+    """Check Python advisories by ``pip-audit``.
+
+    ``pip-audit`` lists packages that it could not check as "skipped" and exits with 0; they count as not checked.
+    """
     result = Result("advisories, Python")
     command = ["pip-audit", "--format", "json", "--progress-spinner", "off", "--no-deps", "--disable-pip"]
     for lock in LOCKS:
@@ -356,7 +360,7 @@ def python_advisories(
 def npm_advisories(
     root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
 ) -> Result:
-    """By ``npm audit`` and the registry."""
+    """Check npm advisories by ``npm audit`` and the registry."""
     result = Result("advisories, npm")
     report = _asked(result, ["npm", "audit", "--json", "--package-lock-only", "--fetch-retries=0"], root / "web", run)
     if report is None:
@@ -369,7 +373,7 @@ def npm_advisories(
     found = []
     for name, entry in report["vulnerabilities"].items():
         for via in entry.get("via", []):
-            # A text names another package of the report, through which this one is concerned.
+            # A text instead of a dictionary names another package of the report, through which this one is affected.
             if isinstance(via, dict):
                 number = str(via.get("url", "")).rpartition("/")[2] or str(via.get("source"))
                 found.append((number, name, str(via.get("title", ""))))

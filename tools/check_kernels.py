@@ -1,8 +1,8 @@
-"""Finds vector kernels of the compiled module that have lost their instruction set.
+"""Find vector kernels of the compiled module that have lost their instruction set.
 
-A closure inside a kernel may be compiled as a function of its own, and then without the kernel's instruction set: each
-vector operation in it becomes a call. The result is right and several times slower, so that no test notices. Here the
-calls are looked for in the disassembled module.
+A closure inside a kernel may be compiled as a separate function without the kernel's instruction set: each vector
+operation in it then becomes a call. The result is correct but several times slower, so no test notices. This program
+searches the disassembled module for such calls.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from pathlib import Path
 MODULE = Path(__file__).parents[1] / "python" / "carina" / "_core.abi3.so"
 FUNCTION = re.compile(r"^[0-9a-f]+ <(?P<name>.*)>:$")
 OPERATION = re.compile(r"\bcall\b.*<core::core_arch::")
-# Ask the processor what it can do, once.
+# Functions that detect the processor's features, once.
 ALLOWED = ("compiler_builtins::", "std_detect::", "blake3::")
 
 
 def lost_kernels(disassembly: str) -> Counter[str]:
-    """Functions that call vector operations, and how many calls stand in each."""
+    """Return the functions that call vector operations, with the number of calls in each."""
     lost: Counter[str] = Counter()
     function = ""
     for line in disassembly.splitlines():
@@ -34,7 +34,7 @@ def lost_kernels(disassembly: str) -> Counter[str]:
 
 
 def main() -> int:
-    """Print what was found; 1 if there is anything."""
+    """Print the kernels found; return 1 if there are any."""
     if platform.system() != "Linux" or platform.machine() != "x86_64":
         print("kernels: looked at on Linux with x86-64 alone")
         return 0

@@ -1,4 +1,4 @@
-"""Refuse imports against the architecture, import cycles between files, and classes and views beyond their limits.
+"""Reject imports against the architecture, import cycles between files, and classes and views beyond their limits.
 
 The import rules are the blocks in ARCHITECTURE.md, so that text and check cannot differ. The limits are constants.
 Run: ``python tools/check_layers.py`` (part of ``make check``).
@@ -18,7 +18,7 @@ from pathlib import Path
 from file_graph import Import, all_imports, circles, in_words, without_tests
 
 ROOT = Path(__file__).resolve().parent.parent
-# A clock as well: state is given the time.
+# Includes clocks: the state receives the time as an argument.
 BROWSER = re.compile(
     r"\b(?:(?:document|window|WebSocket|HTMLElement|CanvasRenderingContext2D|localStorage)\b[.(]|(?:performance|Date)\.now\b)"
 )
@@ -26,7 +26,7 @@ BROWSER = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """Who may import whom, by part name."""
+    """Allowed imports, by name of the part."""
 
     rust: dict[str, frozenset[str]]
     python: dict[str, frozenset[str]]
@@ -34,7 +34,7 @@ class Rules:
     compiled: frozenset[str]
     """Python parts that may import the compiled module."""
     everywhere: frozenset[str]
-    """Python parts that all may import."""
+    """Python parts that every part may import."""
     folders: dict[str, dict[str, frozenset[str]]]
     """Allowed imports between the folders of a Python part, for each part that has such rules."""
 
@@ -65,7 +65,7 @@ def read_rules(text: str) -> Rules:
 
 
 def check_rust(rules: dict[str, frozenset[str]]) -> list[str]:
-    """Crate dependencies against the rules."""
+    """Return the crate dependencies that break the rules."""
     found = []
     for manifest in sorted([*ROOT.glob("crates/*/Cargo.toml"), *ROOT.glob("packages/*/crates/*/Cargo.toml")]):
         part, where = manifest.parent.name, manifest.parent.relative_to(ROOT)
@@ -83,7 +83,7 @@ def check_rust(rules: dict[str, frozenset[str]]) -> list[str]:
 
 
 PACKAGES = {"carina_bench": "benchmarks", "carina_haptics": "carina_haptics", "carina_haptics_bench": "benchmarks"}
-"""The part of each Python package beside ``carina``."""
+"""Part of each Python package other than ``carina``."""
 
 
 def _part_of(module: str) -> str | None:
@@ -117,7 +117,7 @@ def _imported_parts(tree: ast.AST) -> list[tuple[int, str]]:
 
 
 def check_python(rules: Rules) -> list[str]:
-    """Imports between the parts of the Python package."""
+    """Return the imports between the parts of the Python package that break the rules."""
     found = []
     files = [*(ROOT / "python" / "carina").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]
     files += [*ROOT.glob("packages/*/python/**/*.py"), *ROOT.glob("packages/*/benchmarks/**/*.py")]
@@ -141,7 +141,7 @@ def check_python(rules: Rules) -> list[str]:
 
 
 def check_folders(parts: dict[str, dict[str, frozenset[str]]], imports: list[Import]) -> list[str]:
-    """Return imports between the folders of a Python part, and its single files, that break the rules of the part."""
+    """Return imports between the folders and single files of a Python part that break the rules of the part."""
     found = []
     for part, rules in parts.items():
         try:
@@ -167,7 +167,7 @@ def check_folders(parts: dict[str, dict[str, frozenset[str]]], imports: list[Imp
 
 
 def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
-    """Imports between the folders of web/src, and no DOM in the pure state."""
+    """Return forbidden imports between the folders of web/src, and uses of the DOM in the pure state."""
     found = []
     source = ROOT / "web" / "src"
     pattern = re.compile(r"""(?:from|import)\s*\(?\s*["'](\.[^"']+)["']""")
@@ -176,7 +176,7 @@ def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
         if len(inside.parts) == 1:
             continue
         part = inside.parts[0]
-        # A test may wire parts together to see them work; the product may not.
+        # A test may connect parts; the product may not.
         if ".test." in path.name:
             continue
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
@@ -188,7 +188,8 @@ def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
                 if used != part and used not in rules.get(part, frozenset()):
                     allowed = sorted(rules.get(part, ()))
                     found.append(f"web/src/{inside}:{number}: {part} imports {used}; it may import {allowed or 'none'}")
-            # State is tested without a browser and replayed without a screen, so it may not reach for either.
+            # State is tested without a browser and replayed without a screen, so the DOM and clocks are forbidden in
+            # it.
             if part == "state" and (dom := BROWSER.search(line)):
                 found.append(f"web/src/{inside}:{number}: state is pure and may not use {dom.group()}")
     return found
@@ -200,12 +201,12 @@ VIEWS = frozenset(
     {"airway", "cut-plane", "tri-plane", "xray-axial", "xray-coronal", "xray-sagittal"}
     | {"drr", "axial", "coronal", "sagittal", "straightened", "curved"}
 )
-"""Views with a name that means nothing else in the code ("tree" has other meanings)."""
+"""Views whose name has no other meaning in the code (unlike "tree")."""
 MOST_FILES_PER_VIEW = 4
-"""A view is one row of a table in each language (docs/decisions/0102)."""
+"""Limit of files that name a view: a view is one row of a table in each language (docs/decisions/0102)."""
 REPEATED_SHARE = 0.6
 MOST_REPEATING = 5
-"""Record classes of two or more fields of which REPEATED_SHARE is also in another class."""
+"""Limit of record classes of two or more fields of which REPEATED_SHARE is also in another class."""
 MOST_METHODS = {"Session": 15, "Case": 15}
 MOST_ATTRIBUTES = {"OpenCase": 22}
 
@@ -217,7 +218,7 @@ Fields = frozenset[tuple[str, str]]
 
 
 def product_files() -> dict[str, str]:
-    """Return the text of each source file that a user runs, without tests and generated files."""
+    """Return the text of each source file of the product, without tests and generated files."""
     found = {}
     for folder in (ROOT / "python" / "carina", ROOT / "web" / "src", *sorted(ROOT.glob("crates/*/src"))):
         for path in sorted(folder.rglob("*")):
@@ -230,7 +231,7 @@ def product_files() -> dict[str, str]:
 
 
 def files_naming_views(files: Mapping[str, str], trees: Mapping[str, ast.Module]) -> dict[str, list[str]]:
-    """Return, for each view, the files with its name, or the first word of several names, as a string or a key."""
+    """Return, for each view, the files that contain its name as a string or key (or the first of several names)."""
     naming: dict[str, list[str]] = {view: [] for view in sorted(VIEWS)}
     for path, text in files.items():
         if path in trees:
@@ -257,14 +258,14 @@ def _fields_of(node: ast.ClassDef) -> Fields:
     for statement in node.body:
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
             kind = ast.unparse(statement.annotation)
-            # The tag that tells the classes of a union apart is not a field that two classes share.
+            # The tag field that distinguishes the classes of a union does not count as shared.
             if "ClassVar" not in kind and not re.fullmatch(r"""Literal\[['"][^,]*['"]\]""", kind):
                 fields.add((statement.target.id, kind))
     return frozenset(fields)
 
 
 def record_classes(classes: Iterable[tuple[str, ast.ClassDef]]) -> dict[str, Fields]:
-    """Return the fields (name, type) of dataclasses, msgspec structs, named tuples and the classes below them."""
+    """Return the fields (name, type) of dataclasses, msgspec structs, named tuples and their subclasses."""
     classes = list(classes)
     by_name = {node.name: node for _, node in classes}
 
@@ -281,7 +282,7 @@ def record_classes(classes: Iterable[tuple[str, ast.ClassDef]]) -> dict[str, Fie
 
 
 def repeating(classes: Mapping[str, Fields]) -> dict[str, str]:
-    """Return each class of two or more fields that repeats most of another class, with that other class."""
+    """Return each class of two or more fields that repeats most fields of another class, with that other class."""
     found = {}
     records = {name: fields for name, fields in classes.items() if len(fields) > 1}
     for name, fields in records.items():
@@ -308,7 +309,10 @@ def public_methods(lineage: Iterable[ast.ClassDef]) -> set[str]:
 
 
 def attributes(lineage: Iterable[ast.ClassDef]) -> dict[str, str]:
-    """Return the attributes of a class with their types as written; an attribute set on ``self`` without one has ""."""
+    """Return the attributes of a class with their annotated types.
+
+    The type of an attribute that is set on ``self`` without annotation is "".
+    """
     found: dict[str, str] = {}
     for node in lineage:
         found.update(_fields_of(node))
@@ -358,7 +362,7 @@ def check_limits(files: Mapping[str, str]) -> list[str]:
 
 
 def main() -> int:
-    """Print every violation; 1 if there is one."""
+    """Print every violation; return 1 if there is one."""
     rules = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
     imports = all_imports()
     found = [
@@ -368,7 +372,7 @@ def main() -> int:
         *check_web(rules.web),
         *check_limits(product_files()),
     ]
-    # Files of one part may import each other, but not in a circle: shared code belongs in a file that both import.
+    # Files of one part may import each other, but without a cycle: shared code belongs in a file that both import.
     found += [f"circle: {in_words(circle)}" for circle in circles(imports)]
     for line in found:
         print(line)

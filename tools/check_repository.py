@@ -1,5 +1,7 @@
-"""Refuse what must never be committed (machine paths, hosts in lock files, big files), dead paths in the documents, and
-citations of decisions and papers that are not in the repository."""
+"""Reject forbidden content of the repository, dead paths in documents, and citations of missing decisions and papers.
+
+Forbidden are machine paths, hosts in lock files, and large files.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
-BIG_FILES = {"python/carina/_cases/"}  # the bundled CC BY case
+BIG_FILES = {"python/carina/_cases/"}  # The bundled CC BY case.
 NAMED_PATH = re.compile(
     r"`((?:crates|packages|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
 ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
-"""Names of papers that are not in the repository: what they say is in docs/."""
+"""Pattern of citations of papers that are not in the repository; docs/ contains their content."""
 CITED_DECISION = re.compile(r"\bdecisions?[ /](\d{4})\b", re.IGNORECASE)
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
@@ -23,13 +25,13 @@ TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", "
 
 
 def tracked_files() -> list[str]:
-    """Files in git's index."""
+    """Return the files in git's index."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True)
     return [name for name in listed.stdout.decode().split("\0") if name]
 
 
 def dead_paths(name: str) -> list[str]:
-    """Paths that a document names and that do not exist."""
+    """Return the paths in a document that do not exist."""
     text = (ROOT / name).read_text(encoding="utf-8")
     found = []
     for path in sorted(set(NAMED_PATH.findall(text))):
@@ -49,7 +51,7 @@ def dead_decisions(name: str, text: str) -> list[str]:
 
 
 def main() -> int:
-    """Print every finding; 1 if there is one."""
+    """Print every finding; return 1 if there is one."""
     if not (ROOT / ".git").exists():
         print("repository: not a git checkout, nothing to check")
         return 0

@@ -1,9 +1,9 @@
-"""Refuse wrong phrases in the text that users read, wherever the code contains that text.
+"""Reject wrong phrases in text for users, wherever the code contains the text.
 
 ``python tools/check_wording.py`` (in ``make check``) reads the sentences of the window, the phone page, the command
 line and the messages from the syntax trees and compares each with the rules of ``tools/wrong_words.toml``. ``--list
 window`` prints the sentences of one surface, and ``--draw 100 --seed 13`` prints a random sample for a reader who has
-not seen the code. The sentences are not stored: docs/decisions/0101 says why.
+not seen the code. The sentences are not stored: docs/decisions/0101 gives the reason.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ SURFACES = {
 }
 PROSE = re.compile(r"[A-Za-z\u00c0-\u024f)}\]][,.;:]? +[(\u201c\"{\[]?[A-Za-z\u00c0-\u024f{]")
 UNREAD_CALLS = {"compile", "sub", "match", "search", "fullmatch", "TypeVar", "getenv", "TypeAdapter", "debug"}
-"""Calls whose strings are for programs."""
+"""Functions whose string arguments are not text for users."""
 PROGRAMS = {f"python/carina/server/{name}_types.py" for name in ("export", "view", "wire")}
-"""They write TypeScript."""
+"""Programs that generate TypeScript, whose strings are code."""
 MARKUP = re.compile(
     r"<[A-Za-z!?/][^>]*=|<Piece |\bxmlns=|;base64,|[a-z-]+: [^ {]+; "
     r"|[{.][\w-]+ \{|'none';|px \{FONT\}|system-ui|_core\b"
@@ -37,7 +37,7 @@ MARKUP = re.compile(
     r"|^(INSERT|UPDATE|SELECT|DELETE|CREATE|PRAGMA|ATTACH|WITH) "
     r"|^(comment|property|element|format|NRRD0004|attachment|// |/\*\* |export )"
 )
-"""Strings that look like words and are markup, headers of files or types."""
+"""Pattern of strings that look like text but are markup, headers of files or types."""
 TOKENS = {
     "python/carina/case/rescue.py": r"(n|id), .*",
     "python/carina/case/schema.py": r"id INTEGER .*",
@@ -53,7 +53,7 @@ TOKENS = {
         r"((un)?signed )?(char|short|int|long( long)?)( int)?|space (directions|origin|units)|(data|line|byte|old) \w+"
     ),
 }
-"""By file: words of a file format or of a library that look like a person's, and sources of figures."""
+"""Strings by file that look like text for users: terms of a file format or a library, and sources of figures."""
 NEVER = ROOT / "tools" / "wrong_words.toml"
 RUST_ERROR = re.compile(r'#\[error\(\s*"((?:[^"\\]|\\.)*)"', re.DOTALL)
 
@@ -61,7 +61,7 @@ Found = dict[str, list[str]]
 
 
 def is_prose(text: str) -> bool:
-    """Whether a string is words for a person: two of them at least."""
+    """Return whether a string is text for users: at least two words."""
     bare = re.sub(r"\{[^}]*\}", "{x}", text)
     if re.search(r"\}[ ,;:%]* [a-z]{3,}\b|(^|\s)[a-z]{3,}[,:;]? \{", bare) and MARKUP.search(text) is None:
         return True
@@ -73,7 +73,7 @@ def is_prose(text: str) -> bool:
 
 
 def name_of(node: ast.expr) -> str:
-    """What stands in braces: the last name of what is filled in."""
+    """Return the placeholder name for an expression in braces: its last identifier."""
     match node:
         case ast.Attribute(value=value, attr="__name__"):
             return "type" if isinstance(value, ast.Call) else name_of(value)
@@ -106,9 +106,9 @@ def name_of(node: ast.expr) -> str:
 
 
 Frame = tuple[list[str], list[str | int]]
-"""Parameters of a function, and its sentence: text, and which parameter stands where."""
+"""Parameters of a function, and its sentence: texts, and indices of the parameters between them."""
 FRAMER = re.compile(r"_?(damaged|lying|refused?)")
-"""Functions that put a sentence together from what they are given: their calls are the sentences."""
+"""Pattern of functions that build a sentence from their arguments: the calls are collected as sentences."""
 
 
 WRAPPED: dict[str, tuple[list[str], str]] = {
@@ -123,11 +123,11 @@ WRAPPED: dict[str, tuple[list[str], str]] = {
     "_number": (["what", "value"], "{what}: expected a number {limits}, found {value}"),
     "_change_key": (["key_id", "verb"], "{verb} key frame {number}"),
 }
-"""Functions that make a sentence in several steps: parameters by place, and what is read in the end."""
+"""Functions that build a sentence in several steps: positional parameters, and the final sentence."""
 
 
 def wrapped(text: str) -> Frame:
-    """A frame from a sentence of :data:`WRAPPED`."""
+    """Return parameters and sentence of a function of :data:`WRAPPED`."""
     params, sentence = WRAPPED[text]
     names = re.findall(r"{(\w+)}", sentence)
     params = [*params, *(name for name in names if name not in params)]
@@ -136,7 +136,7 @@ def wrapped(text: str) -> Frame:
 
 
 def assigned_in(scope: ast.AST) -> dict[str, list[ast.expr]]:
-    """What is assigned to each plain name of a function or module, in order, without its inner functions."""
+    """Return the expressions assigned to each plain name of a function or module, in order, without inner functions."""
     found: dict[str, list[ast.expr]] = {}
     waiting = list(ast.iter_child_nodes(scope))
     while waiting:
@@ -149,7 +149,7 @@ def assigned_in(scope: ast.AST) -> dict[str, list[ast.expr]]:
             case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value):
                 found.setdefault(name, []).append(value)
             case ast.Name(id=name, ctx=ast.Store()):
-                # Set in another way, too: by a loop, or added to.
+                # The name is also set by a loop or an augmented assignment.
                 found.setdefault(name, []).append(node)
         waiting += [
             child
@@ -160,16 +160,17 @@ def assigned_in(scope: ast.AST) -> dict[str, list[ast.expr]]:
 
 
 class Texts:
-    """Strings of one function as they are read: in braces what is filled in, in brackets what depends.
+    """Strings of one function as users read them.
 
-    ``used`` grows by the strings that were put into a longer one.
+    Braces contain inserted values; brackets contain text that depends on a condition. ``used`` collects the strings
+    that are part of a longer string.
     """
 
     def __init__(self, scope: dict[str, list[ast.expr]], module: dict[str, list[ast.expr]], used: set[int]) -> None:
         self.scope, self.module, self.used = scope, module, used
 
     def literal(self, node: ast.expr) -> str | None:
-        """A string that is written here; None for anything else."""
+        """Return the text of a string literal; None for any other expression."""
         match node:
             case ast.Constant(value=str(value)):
                 self.used.add(id(node))
@@ -187,7 +188,7 @@ class Texts:
                 return None
 
     def choices(self, node: ast.IfExp) -> list[str] | None:
-        """The strings of which one is read; None where none of them is written here."""
+        """Return the alternatives of a conditional expression; None if none of them is a literal."""
         found: list[str] = []
         is_written = False
         for side in (node.body, node.orelse):
@@ -202,7 +203,7 @@ class Texts:
         return list(dict.fromkeys(filter(None, found))) if is_written else None
 
     def literals(self, *nodes: ast.expr) -> list[str] | None:
-        """Strings that are all written here, or None."""
+        """Return the texts of string literals; None if one of the expressions is no literal."""
         used = set(self.used)
         texts = [self.literal(node) for node in nodes]
         found = [text for text in texts if text is not None]
@@ -212,7 +213,7 @@ class Texts:
         return found
 
     def joined(self, node: ast.JoinedStr) -> str:
-        """A string with what is filled in."""
+        """Return the text of an f-string with placeholders for its inserted values."""
         return "".join(
             self.filled(part.value)
             if isinstance(part, ast.FormattedValue)
@@ -223,7 +224,7 @@ class Texts:
         )
 
     def filled(self, node: ast.expr) -> str:
-        """What a person reads in the place of an expression."""
+        """Return the text that users read in place of an expression."""
         if isinstance(node, ast.Name):
             values = self.scope.get(node.id, [])
             if len(values) == 1 and isinstance(values[0], ast.IfExp | ast.JoinedStr | ast.Constant):
@@ -242,7 +243,7 @@ class Texts:
         return "{" + name_of(node) + "}"
 
     def given(self, node: ast.expr, line: int) -> str | None:
-        """The string that a call is given: written there, or assigned above it."""
+        """Return the string of a call's argument: a literal, or one assigned above the call."""
         if isinstance(node, ast.Name):
             above = [value for value in self.scope.get(node.id, []) if value.lineno < line]
             if node.id not in self.scope:
@@ -252,7 +253,7 @@ class Texts:
 
 
 def frame_of(node: ast.FunctionDef, used: set[int]) -> Frame | None:
-    """The sentence that a function makes of its parameters."""
+    """Return the sentence that a function builds from its parameters."""
     params = [arg.arg for arg in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
     for inner in ast.walk(node):
         if not isinstance(inner, ast.JoinedStr):
@@ -273,7 +274,10 @@ def frame_of(node: ast.FunctionDef, used: set[int]) -> Frame | None:
 
 
 class Reader(ast.NodeVisitor):
-    """Strings of a module that are prose. Docstrings are not, except those of verbs: ``--help`` shows them."""
+    """Visitor that collects the texts for users in a module.
+
+    Docstrings do not count, except those of commands, which ``--help`` shows.
+    """
 
     def __init__(self, tree: ast.Module, verbs: frozenset[str], frames: dict[str, Frame], used: set[int]) -> None:
         self.kept: list[tuple[int, int, str, int]] = []
@@ -283,19 +287,22 @@ class Reader(ast.NodeVisitor):
 
     @property
     def found(self) -> list[tuple[int, int, str]]:
-        """Sentences with their places; not those that are parts of others."""
+        """Return the sentences with their positions, without those that are part of another sentence."""
         return sorted((line, column, text) for line, column, text, node in self.kept if node not in self.used)
 
     def keep(self, node: ast.stmt | ast.expr, text: str, *, whole: bool = False) -> None:
+        """Store a text with the position of its node; a ``whole`` text is never dropped as part of another."""
         tidy = " ".join(text.split()).removesuffix(";")
         if tidy:
             self.kept.append((node.lineno, node.col_offset, tidy, 0 if whole else id(node)))
 
     def visit_Expr(self, node: ast.Expr) -> None:
+        """Visit an expression statement, unless it is a docstring."""
         if not isinstance(node.value, ast.Constant):
             self.generic_visit(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
+        """Collect the docstring of a command, then the texts of the function's body."""
         if node.name in self.verbs and (docstring := ast.get_docstring(node)):
             for paragraph in docstring.split("\n\n"):
                 self.keep(node, paragraph, whole=True)
@@ -305,6 +312,7 @@ class Reader(ast.NodeVisitor):
         self.texts = outside
 
     def visit_Call(self, node: ast.Call) -> None:
+        """Collect the sentence that the call builds, then the texts of its arguments."""
         name = name_of(node.func) if isinstance(node.func, ast.Name | ast.Attribute) else ""
         if name in UNREAD_CALLS:
             return
@@ -317,7 +325,7 @@ class Reader(ast.NodeVisitor):
         self.generic_visit(node)
 
     def keep_framed(self, node: ast.Call, frame: Frame) -> None:
-        """The sentence that a call makes, if it is given a part of it."""
+        """Store the sentence that a call builds, if one of its parts is an argument of the call."""
         params, parts = frame
         given = dict(zip(params, node.args, strict=False)) | {
             keyword.arg: keyword.value for keyword in node.keywords if keyword.arg is not None
@@ -340,16 +348,18 @@ class Reader(ast.NodeVisitor):
             self.keep(node, sentence.replace(" :", ":"), whole=True)
 
     def visit_Constant(self, node: ast.Constant) -> None:
+        """Collect a string literal that is text for users."""
         if isinstance(node.value, str) and is_prose(node.value):
             self.keep(node, node.value)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
+        """Collect an f-string that is text for users, with placeholders for its values."""
         used = set(self.used)
         text = self.texts.joined(node)
         if is_prose(text):
             self.keep(node, text)
         else:
-            # Its parts are read for themselves.
+            # The parts of the concatenation are collected separately.
             self.used.intersection_update(used)
         for part in node.values:
             if isinstance(part, ast.FormattedValue):
@@ -357,7 +367,7 @@ class Reader(ast.NodeVisitor):
 
 
 def verbs_of(tree: ast.Module) -> set[str]:
-    """Functions that typer shows: decorated with ``app.command()``, or handed to it."""
+    """Return the functions that typer shows: decorated with ``app.command()``, or passed to it."""
     verbs = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef) and any(
@@ -428,7 +438,7 @@ def from_rust() -> Found:
 
 
 def from_web() -> dict[str, Found]:
-    """Sentences of the window and of the phone's page."""
+    """Return the sentences of the window and of the phone's page."""
     source = ROOT / "web" / "src"
     files = [
         path
@@ -451,7 +461,7 @@ def from_web() -> dict[str, Found]:
 
 
 def collect() -> dict[str, Found]:
-    """All sentences: surface, file, in the file's order, each once in a file."""
+    """Return all sentences by surface and file, in the order of the file, each once per file."""
     found = {**from_web(), **from_python()}
     found["messages"].update(from_rust())
     return {
@@ -461,7 +471,7 @@ def collect() -> dict[str, Found]:
 
 
 def wrong(found: dict[str, Found]) -> list[str]:
-    """Return each sentence with a phrase that a rule refuses, and the replacement that the rule names."""
+    """Return each sentence with a forbidden phrase, and the replacement that the rule names."""
     rules = [
         (re.compile(rule["found"], re.IGNORECASE), rule["say"])
         for rule in tomllib.loads(NEVER.read_text(encoding="utf-8"))["never"]
@@ -477,7 +487,7 @@ def wrong(found: dict[str, Found]) -> list[str]:
 
 
 def main() -> int:
-    """Check all sentences, or print some of them."""
+    """Check all sentences, or print some of them; return 1 if a sentence is wrong."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--list", choices=sorted(SURFACES), help="print the sentences of one surface, by file")
     parser.add_argument("--draw", type=int, metavar="N", help="print a random sample of N sentences")

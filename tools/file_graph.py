@@ -1,12 +1,12 @@
-"""Which file imports which, inside the parts of Carina, and the circles among them.
+"""Graph of the imports between the files of Carina, and its cycles.
 
-A circle of files is one file in disguise: none of them can be read, tested or moved without the others. What the files
-of a circle share belongs into a file below them. ``check_layers.py`` refuses every circle; this file by itself prints
-them, and how many files and floors each folder has.
+The files of a cycle cannot be read, tested or moved separately. Shared code of a cycle belongs in a file that all of
+them import. ``check_layers.py`` rejects every cycle; this program prints the cycles, and the number of files and layers
+of each folder.
 
-An import counts wherever it stands: one inside a function hides a circle from the interpreter, one under
-``TYPE_CHECKING`` hides it from both, and neither makes the files any easier to tell apart. Tests may import what they
-like: a circle through a test is none.
+Every import counts: an import inside a function hides a cycle from the interpreter, one under ``TYPE_CHECKING`` also
+from type checkers, but the files still depend on each other. Tests may import any file: a cycle through a test does not
+count.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True, slots=True)
 class Import:
-    """One file names another."""
+    """Import of one file by another."""
 
     source: Path
     line: int
     target: Path
     kind: str
-    """``import``; ``function`` for one inside a function; ``types`` for one that only type checkers follow."""
+    """Kind: ``import``, ``function`` (inside a function) or ``types`` (only for type checkers)."""
 
 
 # ---------------------------------------------------------------- Python
@@ -39,7 +39,7 @@ class Import:
 def _python_modules(packages: Iterable[Path]) -> dict[str, Path]:
     modules = {}
     for package in packages:
-        # The stub stands for the compiled module.
+        # The stub represents the compiled module.
         for path in [*package.rglob("*.py"), *package.glob("_*.pyi")]:
             pieces = path.relative_to(package.parent).with_suffix("").parts
             modules[".".join(pieces[:-1] if pieces[-1] == "__init__" else pieces)] = path
@@ -68,7 +68,10 @@ def _import_nodes(node: ast.AST, kind: str = "import") -> Iterator[tuple[ast.Imp
 
 
 def python_imports(packages: Iterable[Path]) -> list[Import]:
-    """Imports between the files of some packages; ``from a import b`` means the file of ``a.b`` where there is one."""
+    """Return the imports between the files of packages.
+
+    ``from a import b`` refers to the file of ``a.b`` if it exists.
+    """
     modules = _python_modules(packages)
     found = []
     for name, path in sorted(modules.items()):
@@ -106,12 +109,12 @@ _RUST_PATH = re.compile(r"(?<![\w:])(\w+(?:::\w+)+)")
 
 
 def _blanked(text: str) -> str:
-    """The same text with comments and strings emptied; offsets and lines stay."""
+    """Return the text with comments and strings blanked; offsets and lines are unchanged."""
     return _RUST_TOKENS.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text)
 
 
 def without_tests(text: str) -> str:
-    """Return the text of a Rust file without the modules that are compiled for tests alone."""
+    """Return the text of a Rust file without the modules that are compiled only for tests."""
     for match in reversed(list(_RUST_MODULE.finditer(text))):
         if "cfg(test)" not in match.group(1).replace(" ", ""):
             continue
@@ -125,7 +128,7 @@ def without_tests(text: str) -> str:
 
 
 def _leaves(tree: str, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
-    """(path, name it gets here) for each leaf of a use tree."""
+    """Yield (path, local name) for each leaf of a ``use`` tree."""
     tree = tree.strip()
     brace = tree.find("{")
     if brace >= 0:
@@ -153,7 +156,7 @@ class _RustFile:
     module: tuple[str, ...]
     text: str
     names: dict[str, tuple[str, ...]]
-    """What ``use`` brings in: name here -> path as written."""
+    """Names that ``use`` imports: local name -> path as written."""
     globs: list[tuple[str, ...]]
 
 
@@ -185,9 +188,9 @@ def _read_crate(source: Path) -> dict[tuple[str, ...], _RustFile]:
 def _resolve(
     files: Mapping[tuple[str, ...], _RustFile], module: tuple[str, ...], pieces: tuple[str, ...], depth: int = 0
 ) -> Path | None:
-    """The file that defines what a path names, through re-exports; None outside the crate.
+    """Return the file that defines the item of a path, through re-exports; None outside the crate.
 
-    ``module`` may be one that stands inside a file.
+    ``module`` may be a module inside a file.
     """
     if pieces[0] == "crate":
         at, rest = (), pieces[1:]
@@ -210,7 +213,7 @@ def _resolve(
         again = holder.names.get(rest[0])
         if again is not None:
             return _resolve(files, at, again + rest[1:], depth + 1)
-        # What a glob hands on is looked for where it points.
+        # An item that a glob re-exports is searched in the target of the glob.
         for glob in holder.globs:
             found = _resolve(files, at, glob, depth + 1)
             if found is not None and re.search(
@@ -222,7 +225,7 @@ def _resolve(
 
 
 def _inline_modules(text: str) -> list[tuple[int, int, str]]:
-    """(begin, end, name) of modules that stand inside a file."""
+    """Return (begin, end, name) of the modules inside a file."""
     found = []
     for match in _RUST_MODULE.finditer(text):
         if match.group(3) == "{":
@@ -235,7 +238,7 @@ def _inline_modules(text: str) -> list[tuple[int, int, str]]:
 
 
 def rust_imports(source: Path) -> list[Import]:
-    """Paths between the modules of one crate, those in ``use`` and those in the code, tests aside."""
+    """Return the paths between the modules of one crate, in ``use`` and in code, without tests."""
     files = _read_crate(source)
     found = []
     for module, file in sorted(files.items()):
@@ -266,12 +269,12 @@ _TYPESCRIPT_IMPORT = re.compile(
 
 
 def is_test(path: Path) -> bool:
-    """Whether a file of the web client is a test or is there for tests."""
+    """Return whether a file of the web client is a test or a helper of tests."""
     return ".test." in path.name or path.name.startswith("testing")
 
 
 def typescript_imports(source: Path) -> list[Import]:
-    """Relative imports and re-exports between the files of the web client, tests aside."""
+    """Return the relative imports and re-exports between the files of the web client, without tests."""
     found = []
     for path in sorted([*source.rglob("*.ts"), *source.rglob("*.tsx")]):
         if is_test(path):
@@ -287,11 +290,11 @@ def typescript_imports(source: Path) -> list[Import]:
     return found
 
 
-# ---------------------------------------------------------------- circles and floors
+# ---------------------------------------------------------------- cycles and layers
 
 
 def _components(edges: Mapping[Path, set[Path]]) -> list[list[Path]]:
-    """Strongly connected files (Tarjan 1972), those on which others rest first."""
+    """Return the strongly connected components (Tarjan 1972), dependencies first."""
     order: dict[Path, int] = {}
     low: dict[Path, int] = {}
     stack: list[Path] = []
@@ -330,7 +333,7 @@ def _edges(imports: Iterable[Import]) -> dict[Path, set[Path]]:
 
 
 def circles(imports: Iterable[Import]) -> list[list[Import]]:
-    """One shortest circle of imports out of each knot of files that reach each other."""
+    """Return one shortest cycle of imports of each strongly connected component."""
     imports = list(imports)
     edges = _edges(imports)
     found = []
@@ -362,7 +365,7 @@ def circles(imports: Iterable[Import]) -> list[list[Import]]:
 
 
 def floors(imports: Iterable[Import], folder: Path) -> int:
-    """How many files rest on each other at most, inside one folder; a knot is one floor."""
+    """Return the number of layers of a folder: the longest chain of dependencies, with a cycle as one layer."""
     inside = [one for one in imports if one.source.is_relative_to(folder) and one.target.is_relative_to(folder)]
     edges = _edges(inside)
     height: dict[Path, int] = {}
@@ -373,7 +376,7 @@ def floors(imports: Iterable[Import], folder: Path) -> int:
 
 
 def all_imports(root: Path = ROOT) -> list[Import]:
-    """Every import between files of the product."""
+    """Return every import between files of the product."""
     packages = [root / "python" / "carina", root / "benchmarks" / "carina_bench"]
     packages += [path.parent for path in sorted(root.glob("packages/*/*/*/__init__.py"))]
     found = python_imports(packages)
@@ -383,7 +386,7 @@ def all_imports(root: Path = ROOT) -> list[Import]:
 
 
 def in_words(circle: list[Import], root: Path = ROOT) -> str:
-    """A circle as the lines that make it."""
+    """Return a cycle as text: its files with the lines of the imports."""
     marks = {"import": "", "function": " (inside a function)", "types": " (for types)"}
     return " -> ".join(
         [f"{one.source.relative_to(root)}:{one.line}{marks[one.kind]}" for one in circle]
@@ -392,7 +395,7 @@ def in_words(circle: list[Import], root: Path = ROOT) -> str:
 
 
 def main() -> int:
-    """Print circles and floors; 1 if there is a circle."""
+    """Print cycles and layers; return 1 if there is a cycle."""
     imports = all_imports()
     found = circles(imports)
     for circle in found:

@@ -1,4 +1,4 @@
-"""Find a Vulkan driver for the GPU tests; ``--install`` installs Debian's software one where there is none."""
+"""Find a Vulkan driver for the GPU tests; ``--install`` installs Debian's software driver if there is none."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-# lavapipe is in the first; the second is the loader that finds it.
+# The first package contains lavapipe; the second is the loader that finds it.
 PACKAGES = ("mesa-vulkan-drivers", "libvulkan1")
 PLACES = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 NAMED = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 
 
 def find_driver() -> str | None:
-    """A Vulkan driver's manifest, or the system's own API on macOS and Windows; else None."""
+    """Return the path of a Vulkan driver's manifest, or the system's own API on macOS and Windows; else None."""
     if sys.platform in {"darwin", "win32"}:
         return "Metal" if sys.platform == "darwin" else "Direct3D 12"
     if ctypes.util.find_library("vulkan") is None:
@@ -27,7 +27,7 @@ def find_driver() -> str | None:
 
 
 def install_driver() -> bool:
-    """Install Debian's lavapipe where this is a Debian and we are root; say what to do otherwise."""
+    """Install Debian's lavapipe if this is Debian and the user is root; else print the remedy."""
     apt = shutil.which("apt-get")
     if apt is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
         print(

@@ -1,4 +1,4 @@
-"""Find a Chromium or Chrome for the browser tests; ``--install`` installs Debian's where there is none."""
+"""Find a Chromium or Chrome for the browser tests; ``--install`` installs Debian's if there is none."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PACKAGES = ("chromium", "fonts-dejavu-core")
 
 
 def find_browser() -> str | None:
-    """Path of an installed browser: ``CARINA_BROWSER``, the PATH, the usual places; else None."""
+    """Return the path of an installed browser: ``CARINA_BROWSER``, the PATH, the usual folders; else None."""
     named = os.environ.get("CARINA_BROWSER")
     if named:
         return named
@@ -28,7 +28,7 @@ def find_browser() -> str | None:
 
 
 def install_browser() -> bool:
-    """Install Debian's chromium where this is a Debian and we are root; say what to do otherwise."""
+    """Install Debian's chromium if this is Debian and the user is root; else print the remedy."""
     apt = shutil.which("apt-get")
     if apt is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
         print(

@@ -1,6 +1,6 @@
-"""Install Carina in place with uv, and show each crate that is compiled with the time since the start.
+"""Install Carina in place with uv, and show each compiled crate with the time since the start.
 
-uv prints the output of a build only among its own messages (``-v``); this program picks the lines of cargo and Vite
+uv prints the output of a build only among its own messages (``-v``); this program selects the lines of cargo and Vite
 and writes the whole output to ``build/install.log``.
 
 Run: ``python3 tools/install_package.py UV PYTHON`` (part of ``make build`` and ``make setup``).

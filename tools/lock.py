@@ -1,11 +1,11 @@
-"""Export the locks (exact versions and hashes) from pyproject.toml, or check that they are not stale.
+"""Export the lock files (exact versions and hashes) from pyproject.toml, or check that they are current.
 
-``requirements-run.lock`` is what Carina needs to run (``make run``), ``requirements.lock`` what development needs;
-``requirements-cluster.lock`` holds Ray and what belongs to it as well,
-for the tests of the cluster: 76 MB that nobody should download to look at a CT.
-``requirements-docs.lock`` is what writes the documentation (``make docs``) and nothing else.
+``requirements-run.lock`` lists the packages that Carina needs to run (``make run``), ``requirements.lock`` those for
+development. ``requirements-cluster.lock`` adds Ray and its dependencies for the tests of the cluster: 76 MB that other
+users need not download. ``requirements-docs.lock`` lists only the packages that build the documentation
+(``make docs``).
 
-``uv.lock`` itself is not committed: it names the registry's hosts. The export names none.
+``uv.lock`` is not committed, because it contains the hosts of the registry. The exported files contain no hosts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MARK = "# pyproject: "
 
 
 def _fingerprint(name: str) -> str:
-    """Hash of what decides a lock: the dependency tables of pyproject.toml."""
+    """Return a hash of the inputs of a lock file: the dependency tables of pyproject.toml."""
     import tomllib
 
     data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -50,10 +50,10 @@ def _fingerprint(name: str) -> str:
 
 
 def export(uv: str, name: str) -> str:
-    """A lock's text."""
+    """Return the text of a lock file."""
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "requirements.txt"
-        # Every dependency, every platform; the project itself is built, not locked.
+        # All dependencies and platforms; the project itself is built, not locked.
         command = [uv, "export", "-q", "--no-emit-project", "--no-header", "--no-annotate", "-o", str(out)]
         command += LOCKS[name]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
@@ -63,7 +63,7 @@ def export(uv: str, name: str) -> str:
 
 
 def main() -> int:
-    """Write or check the lock."""
+    """Write or check the lock files."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="fail if the lock does not match pyproject.toml")
     parser.add_argument("--uv", default="uv", help="the uv to use")

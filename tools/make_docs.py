@@ -1,6 +1,7 @@
-"""Write the documentation as pages: ``make docs``. Every warning is an error.
+"""Build the documentation: ``make docs``. Every warning is an error.
 
-Carina is imported from ``.venv`` for the Python reference, Sphinx comes from ``.venv-docs``, which holds nothing else.
+The Python reference imports Carina from ``.venv``; Sphinx comes from ``.venv-docs``, which contains only Sphinx and its
+dependencies.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ def main() -> int:
     )
     if not found:
         sys.exit("Sphinx is not installed; run: make docs")
-    # -E and -a read and write every page again: after a failed run Sphinx skips unchanged pages, and so their warnings.
+    # -E and -a rebuild every page: after a failed run Sphinx skips unchanged pages, and so their warnings.
     options = ["-W", "--keep-going", "-q", "-E", "-a"]
     command = [sys.executable, "-m", "sphinx", *options, "-b", "html", "docs", str(OUT)]
-    # Carina's own libraries come before those of Sphinx, so that the reference describes the package that is tested.
+    # Carina's own libraries precede those of Sphinx, so that the reference describes the tested package.
     sources = [ROOT / "python", *sorted(ROOT.glob("packages/*/python"))]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, [*sources, found[0]]))}
     ran = subprocess.run(command, cwd=ROOT, env=environment, check=False)

@@ -1,10 +1,10 @@
-"""Make the pictures of the window that the README shows, and the start page's, in a real browser.
+"""Make the pictures of the window for the README and the start page, in a real browser.
 
 Run after a visible change: ``.venv/bin/python tools/make_pictures.py``, then look at every picture before a commit.
-Each picture of the window carries a stamp, in a comment that no viewer shows: what stands where in the window, in which
-colours. ``tests/e2e/test_pictures.py`` compares it with the window of today. Pictures show the bundled CC BY case or
-the phantom only, never another patient. (The gallery's pictures are golden images of ``examples/02_gallery``, and those
-of ``docs/cluster.md`` come from ``carina bench cluster``.)
+Each picture of the window contains a stamp, in a comment that no viewer shows: the positions and colours of the
+window's elements. ``tests/e2e/test_pictures.py`` compares the stamp with the present window. Pictures show only the
+bundled CC BY case or the phantom, never another patient. (The gallery's pictures are golden images of
+``examples/02_gallery``, and those of ``docs/cluster.md`` come from ``carina bench cluster``.)
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ class Shot:
     """A picture of the whole window."""
 
     path: str
-    """Below the repository."""
+    """Path of the picture in the repository."""
     case: str
     ahead_mm: float
-    """How far before the route's first fork the tip stands."""
+    """Distance of the tip before the route's first fork, mm."""
 
 
 SHOTS = (Shot("docs/pictures/workstation-patient.jpg", "patient", 25.0),)
 
-# The start page shows each bundled case as the tip sees its carina.
+# The start page shows each bundled case with the view of its carina.
 DEMOS = ("phantom", "patient")
 DEMO_SIZE = (392, 294)
 DEMO_MAX_BYTES = 60_000
-# The middle of the airway view's picture, inside its round edge, scaled into the card.
+# The centre of the airway view's picture, inside its round edge, scaled to the card.
 CARD = """([width, height]) => {
     const from = document.querySelector('canvas[data-view=airway]');
     const card = document.createElement('canvas');
@@ -66,9 +66,8 @@ CARD = """([width, height]) => {
     return card.toDataURL('image/jpeg', 0.86).split(',')[1];
 }"""
 
-# Everything in sight that a person reads or presses. Numbers that stand alone (not RB10) are left out: they are
-# measured, and their last digit may differ from one processor to the next. So is the status bar, which tells of this
-# machine.
+# All visible elements that a user reads or presses. Isolated numbers (unlike RB10) are excluded: they are measured, and
+# their last digit may differ between processors. The status bar is excluded because it describes this machine.
 PARTS = """() => {
     const withoutNumbers = (words) => words.replace(/(?<![A-Za-z\\d+.])\\d+(\\.\\d+)?/g, '#');
     const inSight = (element) => {
@@ -106,26 +105,26 @@ PARTS = """() => {
     }
     return parts;
 }"""
-# Which fonts a machine has decides how wide its words are.
+# The width of text depends on the fonts of the machine.
 FONT = """() => {
     const context = document.createElement('canvas').getContext('2d');
     context.font = `100px ${getComputedStyle(document.body).fontFamily}`;
     return Math.round(context.measureText('Left lower lobe 0123456789').width);
 }"""
-# A box may be wider by a digit, a colour of a picture's sixteenth by rounding.
+# Tolerances: a box may be wider by a digit; a mean colour may differ by rounding.
 BOX_TOLERANCE_PX = 12
 COLOUR_TOLERANCE = 10
 
 
 def at_rest(station: Workstation, shot: Shot) -> None:
-    """Lead a fresh window of the shot's case to what the picture shows, and wait for its last picture."""
+    """Bring a new window of the shot's case to the state of the picture, and wait for its last picture."""
     station.wait_ready()
     station.go_to(station.state("route.spans[0].to_mm") - shot.ahead_mm)
     wait_pictures(station)
 
 
 def wait_pictures(station: Workstation) -> None:
-    """Wait until every view is at rest, the small ones, which follow the tip later, too."""
+    """Wait until every view is at rest, including the small ones, which follow the tip later."""
     station.wait_still()
     before = None
     while True:
@@ -139,14 +138,14 @@ def wait_pictures(station: Workstation) -> None:
 
 
 def stamp_of(station: Workstation) -> dict[str, Any]:
-    """What the window shows now: its parts, and each view's colours on a grid of 4 x 4."""
+    """Return the stamp of the present window: its elements, and each view's colours on a grid of 4 x 4."""
     page = station.page
     colours = {view: coarse(station.pixels(view)) for view in station.shown_views()}
     return {"font": page.evaluate(FONT), "parts": page.evaluate(PARTS), "colours": colours}
 
 
 def coarse(pixels: list[int]) -> list[int]:
-    """Means of red, green and blue over 8 x 8 pixels of a 32 x 32 RGBA picture."""
+    """Return the means of red, green and blue over 8 x 8 pixels of a 32 x 32 RGBA picture."""
     cells = [(row, column) for row in range(4) for column in range(4)]
     inner = [(y, x) for y in range(8) for x in range(8)]
     return [
@@ -157,7 +156,7 @@ def coarse(pixels: list[int]) -> list[int]:
 
 
 def changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """What a person would see changed between two stamps, a line for each; empty where the picture still holds."""
+    """Return the visible changes between two stamps, one line each; empty if the picture is current."""
     lines = []
     old, new = ([(part["what"], part["look"]) for part in stamp["parts"]] for stamp in (then, now))
     if old != new:
@@ -177,13 +176,14 @@ def changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
     return lines
 
 
-# A JPEG begins with segments: 0xFF, a kind, a length that counts itself, data (ITU-T T.81, B.1.1.4; comments B.2.4.5).
+# A JPEG starts with segments: 0xFF, a kind, a length that includes its own two bytes, data (ITU-T T.81, B.1.1.4;
+# comments B.2.4.5).
 START_OF_SCAN, COMMENT = 0xDA, 0xFE
 KEYWORD = b"Carina window\0"
 
 
 def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Kind, place and data of each segment before the pixels."""
+    """Yield kind, position and data of each segment before the pixels."""
     at = 2
     while jpeg[at + 1] != START_OF_SCAN:
         (size,) = struct.unpack_from(">H", jpeg, at + 2)
@@ -192,7 +192,7 @@ def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def with_stamp(jpeg: bytes, stamp: dict[str, Any]) -> bytes:
-    """The picture with its stamp as a comment, behind the header (JFIF wants to be first)."""
+    """Return the picture with its stamp as a comment after the JFIF header, which must be first."""
     data = KEYWORD + zlib.compress(json.dumps(stamp, separators=(",", ":")).encode(), 9)
     _, at, header = next(segments(jpeg))
     end = at + 4 + len(header)
@@ -200,7 +200,7 @@ def with_stamp(jpeg: bytes, stamp: dict[str, Any]) -> bytes:
 
 
 def stamp_in(jpeg: bytes) -> dict[str, Any] | None:
-    """The stamp of a picture; None where it has none."""
+    """Return the stamp of a picture; None if it has none."""
     for kind, _, data in segments(jpeg):
         if kind == COMMENT and data.startswith(KEYWORD):
             stamp: dict[str, Any] = json.loads(zlib.decompress(data[len(KEYWORD) :]))
@@ -209,7 +209,7 @@ def stamp_in(jpeg: bytes) -> dict[str, Any] | None:
 
 
 def save(path: Path, data: bytes, max_bytes: int) -> None:
-    """Write a picture that is not too heavy for a page."""
+    """Write a picture; raise an error if it is too large for a page."""
     if len(data) > max_bytes:
         sys.exit(f"{path} would take {len(data)} bytes, more than {max_bytes}")
     path.parent.mkdir(parents=True, exist_ok=True)

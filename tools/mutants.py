@@ -1,17 +1,17 @@
-"""Change one thing in the code, see whether a test notices: mutants of the session, the server and the tracker.
+"""Mutation tests: change one operator or number in the code, and check whether a test fails.
 
-A mutant is one of: a comparison turned (``<`` to ``>=``), a bound moved by one (``n > 3`` to ``n > 4``), ``and`` and
-``or`` turned, a sign turned. Which ones are made is drawn with a seed from the tree as it stands; the checkout itself
-is never changed, since each mutant lives in a copy of the package that the tests are led to::
+A mutant is one of: a comparison reversed (``<`` to ``>=``), a number changed by one (``n > 3`` to ``n > 4``), ``and``
+and ``or`` exchanged, a sign reversed. A seed selects the mutants from the present files. The checkout is never changed:
+each mutant exists only in a copy of the package that the tests import::
 
     python tools/mutants.py                  # 40 mutants, seed 1
-    python tools/mutants.py --list           # what would be made
+    python tools/mutants.py --list           # list the mutants without running tests
     python tools/mutants.py --only 7 --only 12
     python tools/mutants.py --seed 2 --parts server
 
-A mutant meets the test files that name its module, then those of the parts around it; with ``--thorough`` what is left
-meets all the others, browser tests included. A mutant that lives is a missing test, or says the same in other words:
-somebody must look.
+The tests of a mutant are the test files that name its module, then those of the neighbouring parts; with ``--thorough``
+a surviving mutant is tested by all other tests too, including browser tests. A surviving mutant means a missing test or
+an equivalent program: a developer must decide.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "python" / "carina"
 TESTS = ROOT / "tests"
-# Where the tests of a part are, the nearest first.
+# Test folders for each part, the nearest first.
 NEAR = {
     "session": ("session", "server", "contract", "navigate"),
     "server": ("server", "contract", "session"),
@@ -61,14 +61,14 @@ COMPARISONS = {
     "is not": "is",
 }
 BOUNDING = {"min", "max", "minimum", "maximum", "clip", "range"}
-# Comparisons and bounds are what cases and limits are made of.
+# Order of the kinds of mutants; comparisons and bounds are frequent, because cases and limits depend on them.
 TURNS = ("comparison", "bound", "comparison", "bound", "and-or", "comparison", "bound", "sign")
 Position = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One change of one line; columns are characters from 0, lines count from 1."""
+    """Change of one line of code; columns count characters from 0, lines count from 1."""
 
     kind: str
     path: Path
@@ -79,11 +79,11 @@ class Mutant:
 
     @property
     def place(self) -> str:
-        """As an editor finds it."""
+        """Return the position in the form that editors open."""
         return f"{self.path.relative_to(ROOT)}:{self.line}:{self.column + 1}"
 
     def text(self) -> str:
-        """The file with the change in it."""
+        """Return the text of the file with the change."""
         lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
         line = lines[self.line - 1]
         assert line[self.column :].startswith(self.before), self
@@ -91,13 +91,13 @@ class Mutant:
         return "".join(lines)
 
     def told(self) -> str:
-        """Place, change and line, for a person."""
+        """Return position, change and line as text."""
         line = self.path.read_text(encoding="utf-8").splitlines()[self.line - 1].strip()
         return f"{self.place}: {self.before!r} to {self.after!r} in: {line}"
 
 
 class Source:
-    """A file's tokens and syntax tree, whose places are brought together."""
+    """Tokens and syntax tree of a file, with common positions."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -108,26 +108,26 @@ class Source:
         self._tokens = [t for t in tokenize.generate_tokens(io.StringIO(text).readline) if t.type not in skipped]
 
     def _at(self, line: int, byte: int) -> Position:
-        """The syntax tree counts bytes, the tokens characters."""
+        """Return the position in characters for a position of the syntax tree, which counts bytes."""
         return line, len(self._lines[line - 1].encode()[:byte].decode())
 
     def start(self, node: ast.expr) -> Position:
-        """Where it begins."""
+        """Return the start position of an expression."""
         return self._at(node.lineno, node.col_offset)
 
     def end(self, node: ast.expr) -> Position:
-        """Behind its last character."""
+        """Return the position after the last character of an expression."""
         assert node.end_lineno is not None
         assert node.end_col_offset is not None
         return self._at(node.end_lineno, node.end_col_offset)
 
     def text(self, node: ast.expr) -> str:
-        """As it is written; it stands on one line."""
+        """Return the source text of an expression, which must be on one line."""
         (line, first), (_, last) = self.start(node), self.end(node)
         return self._lines[line - 1][first:last]
 
     def operator(self, left: ast.expr, right: ast.expr) -> tuple[Position, str] | None:
-        """What stands between two operands; None where it runs over two lines."""
+        """Return position and text of the operator between two operands; None if it continues over two lines."""
         first, last = self.end(left), self.start(right)
         begins = bisect.bisect_left(self._tokens, first, key=lambda token: token.start)
         ends = bisect.bisect_left(self._tokens, last, key=lambda token: token.start)
@@ -138,7 +138,7 @@ class Source:
 
 
 def mutants_of(path: Path) -> Iterator[Mutant]:
-    """Every mutant that can be made of a file."""
+    """Yield every possible mutant of a file."""
     source = Source(path)
 
     def change(kind: str, at: Position, before: str, after: str) -> Mutant:
@@ -174,21 +174,21 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
 
 
 def name_of(function: ast.expr) -> str:
-    """Without what it belongs to: ``clip`` of ``np.clip``."""
+    """Return the last identifier of a function's name: ``clip`` of ``np.clip``."""
     return (
         function.attr if isinstance(function, ast.Attribute) else function.id if isinstance(function, ast.Name) else ""
     )
 
 
 def is_joined(side: ast.expr) -> bool:
-    """Whether it is a text or a list: those are joined, not added."""
+    """Return whether an operand is a text or a list, which ``+`` concatenates instead of adding."""
     return isinstance(side, ast.JoinedStr | ast.List | ast.Tuple) or (
         isinstance(side, ast.Constant) and isinstance(side.value, str)
     )
 
 
 def moved(number: str) -> str:
-    """A number and one, in its last digit: 500 to 501, 3.0 to 4.0, 0.05 to 0.06, 1e-9 to 2e-9."""
+    """Return a number increased by one in its last digit: 500 to 501, 3.0 to 4.0, 0.05 to 0.06, 1e-9 to 2e-9."""
     found = re.fullmatch(r"([\d_]+)(?:\.([\d_]*))?(e[+-]?\d+)?", number)
     if found is None:
         return f"{number} + 1"
@@ -200,7 +200,7 @@ def moved(number: str) -> str:
 
 
 def code_of(tree: ast.Module) -> Iterator[ast.AST]:
-    """What decides: without annotations, assertions, and what only a type checker reads."""
+    """Yield the nodes of code that runs: without annotations, assertions, and code for type checkers."""
     waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
@@ -213,7 +213,7 @@ def code_of(tree: ast.Module) -> Iterator[ast.AST]:
 
 
 def draw(parts: list[str], seed: int, number: int) -> list[Mutant]:
-    """So many mutants of all that can be made, the same ones for a seed and a tree."""
+    """Draw ``number`` mutants from all possible ones; equal seeds and files give equal mutants."""
     paths = sorted(path for part in parts for path in (PACKAGE / part).rglob("*.py"))
     every = sorted((m for path in paths for m in mutants_of(path)), key=lambda m: (m.path, m.line, m.column, m.after))
     random.Random(seed).shuffle(every)
@@ -226,12 +226,12 @@ def draw(parts: list[str], seed: int, number: int) -> list[Mutant]:
 
 
 def part_of(path: Path) -> str:
-    """The folder of the package."""
+    """Return the part of a module: its folder in the package."""
     return path.relative_to(PACKAGE).parts[0]
 
 
 def test_steps(path: Path, *, thorough: bool) -> list[tuple[str, list[str]]]:
-    """Markers and files that a mutant of this module meets, one after the other."""
+    """Return the steps of the tests of a mutant in this module: markers and test files."""
     near = [file for folder in NEAR[part_of(path)] for file in sorted((TESTS / folder).glob("test_*.py"))]
     named = re.compile(rf"\b{re.escape(path.stem)}\b") if path.stem != "__init__" else None
     words = {file: file.read_text(encoding="utf-8") for file in near}
@@ -243,7 +243,7 @@ def test_steps(path: Path, *, thorough: bool) -> list[tuple[str, list[str]]]:
 
 
 class Bench:
-    """A copy of the package, in which one mutant at a time lives."""
+    """Copy of the package that contains one mutant at a time."""
 
     def __init__(self, folder: Path, workers: int, limit_s: float) -> None:
         self._python = folder / "python"
@@ -256,10 +256,10 @@ class Bench:
                 copy.symlink_to(path)
 
     def kills(self, mutant: Mutant, *, thorough: bool) -> str | None:
-        """Which test noticed it, or None."""
+        """Return the test that a mutant fails, or None if it survives."""
         copy = self._python / mutant.path.relative_to(PACKAGE.parent)
         for text, done in ((mutant.text(), False), (mutant.path.read_text(encoding="utf-8"), True)):
-            # Two texts of one length within a second look alike to Python's cache.
+            # Python's bytecode cache cannot distinguish two sources of equal size within one second.
             for cached in (copy.parent / "__pycache__").glob(f"{copy.stem}.*"):
                 cached.unlink()
             copy.write_text(text, encoding="utf-8")
@@ -279,7 +279,7 @@ class Bench:
         return None
 
     def run(self, marks: str, files: list[str]) -> str | None:
-        """The first failure of these tests, or None."""
+        """Return the first failure of these tests, or None."""
         command = [sys.executable, "-m", "pytest", "-q", "-x", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
         command += ["-m", marks, "-n", str(self._workers), "--dist", "loadscope", "--no-loadscope-reorder", *files]
         environment = {**os.environ, "PYTHONPATH": str(self._python)}
@@ -290,7 +290,7 @@ class Bench:
             try:
                 code = process.wait(self._limit_s)
             except BaseException as trouble:
-                # With the workers and what they started: a mutant that hangs holds on to them.
+                # The process group includes the workers and their children, which a hanging mutant would keep alive.
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
                 if isinstance(trouble, subprocess.TimeoutExpired):
@@ -298,14 +298,14 @@ class Bench:
                 raise
             output.seek(0)
             said = output.read()
-        if code in {0, 5}:  # passed; none collected under these markers
+        if code in {0, 5}:  # 0: all passed; 5: no tests were collected for these markers.
             return None
         failed = re.search(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", said, re.MULTILINE)
         return failed.group(1) if failed else "the run itself: " + " ".join(said.split())[-300:]
 
 
 def main() -> int:
-    """Make the mutants, tell which died; 1 where one lives."""
+    """Test the mutants and print the result of each; return 1 if one survives."""
     words = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     words.add_argument("--seed", type=int, default=1)
     words.add_argument("--number", type=int, default=40, help="how many are drawn")

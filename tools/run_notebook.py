@@ -1,10 +1,10 @@
-"""Run a notebook without a notebook server, and write what it shows as one page of HTML.
+"""Run a notebook without a notebook server, and write its output as one HTML page.
 
     python tools/run_notebook.py examples/04_notebook/from_ct_to_film.ipynb -o page.html
 
 Cells run in order in one namespace, in a folder of their own. As in a notebook, the last line of a cell is shown if it
-is an expression: by ``_repr_html_``, ``_repr_png_`` or ``repr``. Magics and widgets are not understood, on purpose: an
-example should not need them. The notebook in the repository holds no outputs.
+is an expression: by ``_repr_html_``, ``_repr_png_`` or ``repr``. Magics and widgets are not supported on purpose: an
+example should not need them. The notebook in the repository contains no outputs.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ STYLE = (
 
 @dataclass(frozen=True)
 class Shown:
-    """A cell that was run."""
+    """Cell that was run, with its output."""
 
     kind: str
     source: str
     value: Any = None
-    """Of the last expression; None where a cell shows none."""
+    """Value of the last expression; None if the cell shows none."""
     printed: str = ""
 
 
 def run_notebook(path: Path, folder: Path) -> tuple[list[Shown], dict[str, Any]]:
-    """Run all cells with ``folder`` as the working folder; returns what they show, and their names."""
+    """Run all cells with ``folder`` as the working folder; return their output and the namespace."""
     document = json.loads(path.read_text(encoding="utf-8"))
     names: dict[str, Any] = {"__name__": "__main__"}
     cells = []
@@ -74,7 +74,7 @@ def _run(source: str, where: str, names: dict[str, Any]) -> Shown:
 
 
 def as_html(cells: list[Shown], title: str) -> str:
-    """One page."""
+    """Return the cells and their output as one HTML page."""
     parts = []
     for cell in cells:
         if cell.kind == "markdown":
@@ -99,7 +99,7 @@ def _drawn(value: Any) -> str:
 
 
 def _markdown(text: str) -> str:
-    """Headings, paragraphs and code in a line: all that an example writes."""
+    """Convert the Markdown that examples use to HTML: headings, paragraphs and inline code."""
     blocks = []
     for block in text.split("\n\n"):
         words = re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(block))
@@ -109,7 +109,7 @@ def _markdown(text: str) -> str:
 
 
 def main() -> int:
-    """Run and write."""
+    """Run the notebook and write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("notebook", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)

@@ -1,4 +1,4 @@
-"""The verbs below ``carina bench``."""
+"""Commands of ``carina bench``."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def bench_render(
     repeats: BenchRepeats = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Whole frames beside VTK and a numba baseline; leaping beside brute force; the first frame; the paper's setting.
+    """Compare whole frames with VTK and a numba baseline, leaping with brute force; measure the first frame.
 
-    Sections: frames, small, views, first-frame, paper. The last, and one real case, need CARINA_DATA_DIR. A missed
-    limit is a result and no failure: the exit code is 0.
+    Sections: frames, small, views, first-frame, paper (the paper's setting). The last, and one real case, need
+    CARINA_DATA_DIR. A missed limit is a result and no failure: the exit code is 0.
 
     Example: carina bench render --quick --only frames --case patient
     """
@@ -79,9 +79,10 @@ def bench_isoregion(
     repeats: BenchRepeats = None,
     as_json: JsonOption = False,
 ) -> None:
-    """IsoRegion map, projections and oblique slices of a large CT beside scipy, numpy and VTK; the server's memory.
+    """Measure the IsoRegion map, projections and oblique slices of a large CT, and the server's memory.
 
-    Sections: map, prepare, projections, plane, memory. A missed limit is a result and no failure: the exit code is 0.
+    The peers are scipy, numpy and VTK. Sections: map, prepare, projections, plane, memory. A missed limit is a result
+    and no failure: the exit code is 0.
 
     Example: carina bench isoregion --only map --json
     """
@@ -104,10 +105,10 @@ def bench_track(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """The path tracker beside its peers, and the airway tree beside the truth.
+    """Compare the path tracker with its peers, and the airway tree with the truth.
 
     Parts: speed, paper, quality, hard (only if it is named), visible, names, measures, evidence. A part that this
-    version does not have, or whose peers or data are missing, is named and left out. A missed limit is a result and no
+    version does not have, or whose peers or data are missing, is named and omitted. A missed limit is a result and no
     failure: the exit code is 0.
 
     Example: carina bench track --only speed --quick
@@ -123,7 +124,7 @@ def bench_track(
 def bench_open(
     output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
 ) -> None:
-    """A CT of 512x512x600 from DICOM slices and NIfTI files beside the same CT from the cache, in turn.
+    """Measure the opening of a CT of 512x512x600 from DICOM, from NIfTI, and from the cache, in turn.
 
     Needs no extra. A missed limit is a result and no failure: the exit code is 0.
 
@@ -143,10 +144,10 @@ def bench_reopen(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """A kept case of 512x512x600, from the click to its state and its first pictures: warm, and from the disk.
+    """Measure the time from the click on a saved case of 512x512x600 to its state and its first pictures.
 
-    In a running Carina, without a browser. Needs no extra. A missed limit is a result and no failure: the exit code
-    is 0.
+    The case is opened from the disk cache in memory, and from the disk, in a running Carina without a browser. Needs no
+    extra. A missed limit is a result and no failure: the exit code is 0.
 
     Example: carina bench reopen --quick
     """
@@ -161,7 +162,7 @@ def bench_reopen(
 def bench_saving(
     output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
 ) -> None:
-    """A flight at 30 pictures a second with four edits a second: how late pictures are while they are saved, and not.
+    """Measure the delay of pictures in a flight at 30 pictures a second with four edits a second, saved and not saved.
 
     Needs no extra and a quiet machine. A missed limit is a result and no failure: the exit code is 0.
 
@@ -181,7 +182,7 @@ def bench_stream(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """From a hand's movement to the changed, decoded 512x512 picture, over loopback: keys and a device.
+    """Measure the time from a hand's movement to the changed, decoded 512x512 picture, for keys and a device.
 
     A missed limit is a result and no failure: the exit code is 0.
 
@@ -201,11 +202,11 @@ def bench_cluster(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Many machines: the paper's Tables 1 and 2, simulated, on machines that sleep, and on real ones; what Ray costs.
+    """Measure many machines: the paper's Tables 1 and 2, simulated and real, and the cost of Ray.
 
     Sections: network, simulation, sleeping, real, transport, kills. All but the first two need the extra `cluster`.
-    Each is printed as it ends; one that fails is named at its place, and the others go on. Plots of Figures 9, 10 and
-    11 go to the folder.
+    Each section is printed when it ends; a section that fails is reported at its place, and the others continue. Plots
+    of Figures 9, 10 and 11 are written to the folder.
 
     Example: carina bench cluster --only simulation
     """

@@ -1,8 +1,8 @@
-"""The look read blind: tracheas turned by unknown angles, whose back wall a reader tells by the clock.
+"""Blind reading of the endoscopic look: readers state the clock position of the back wall in rotated tracheas.
 
-``python -m carina_bench.blind draw FOLDER CASE ...`` writes pictures, half of them without decoration, beside the
-answers in ``key.json``, which no reader should see. A reader writes hours into a file, ``{"00": 4.5, ...}``: 12 for
-the top of the picture. ``python -m carina_bench.blind score FOLDER/key.json HOURS.json`` prints how far off they are.
+``python -m carina_bench.blind draw FOLDER CASE ...`` writes pictures, half of them without decoration, and their
+answers in ``key.json``, which readers must not see. A reader writes hours into a file, ``{"00": 4.5, ...}``: 12 for
+the top of the picture. ``python -m carina_bench.blind score FOLDER/key.json HOURS.json`` prints their errors.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SIZE = 512
 
 
 def turned(pose: Pose, roll_rad: float) -> Pose:
-    """The same view with the scope turned about its axis."""
+    """Return the view with the scope rolled about its axis."""
     c, s = math.cos(roll_rad), math.sin(roll_rad)
     matrix = pose.lps_from_camera.copy()
     matrix[:3, :3] = matrix[:3, :3] @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -40,13 +40,13 @@ def turned(pose: Pose, roll_rad: float) -> Pose:
 
 
 def back_hour(pose: Pose) -> float:
-    """Where in the picture the patient's back lies, by the clock: 0 to 12, 0 is the top and 3 the right."""
+    """Return the clock position of the patient's back in the picture: 0 to 12, 0 is the top and 3 the right."""
     right, down, _ = pose.lps_from_camera[:3, :3].T @ np.array(TO_THE_BACK_LPS)
     return float(np.degrees(np.arctan2(right, -down)) / 30.0 % 12.0)
 
 
 def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
-    """Write pictures and their key, and return how many pictures there are."""
+    """Write pictures and their key; return the number of pictures."""
     rng = np.random.default_rng(seed)
     shown: list[tuple[Renderer, str, float, Pose, bool]] = []
     for case in cases:
@@ -70,7 +70,7 @@ def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
         pose = turned(pose, rng.uniform(0.0, 2.0 * np.pi))
         scope = scope_preset("generic")
         view = AirwayView.of_scope(scope, pose, width=SIZE, height=SIZE, texture=decorated)
-        # The colours alone: a saved picture would hold its pose.
+        # Only the pixels are saved: a saved `Picture` would contain its pose.
         pictures.save(folder, f"{n:02d}", renderer.render(view).rgb)
         key[f"{n:02d}"] = {
             "case": case,
@@ -83,7 +83,7 @@ def draw(folder: Path, cases: Sequence[str], seed: int | None = None) -> int:
 
 
 def scores(key: Mapping[str, Mapping[str, Any]], told: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """How far off the hours of a reader are, with decoration and without.
+    """Return the errors of a reader's hours, with decoration and without.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def scores(key: Mapping[str, Mapping[str, Any]], told: Mapping[str, float]) -> d
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Draw pictures, or score a reader."""
+    """Write the pictures, or score a reader."""
     parser = argparse.ArgumentParser(prog="python -m carina_bench.blind", description=__doc__)
     kinds = parser.add_subparsers(dest="kind", required=True)
     drawn = kinds.add_parser("draw")

@@ -1,4 +1,4 @@
-"""Volumes to measure on, and the poses in them."""
+"""Volumes for the measurements, and poses in them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["PHANTOMS", "Case", "open_case", "open_phantom"]
 
 Progress = Callable[[str, float | None], None]
 
-# Boxes in LPS mm: so much of the chest that the shape is exactly the name's.
+# Boxes in LPS mm, chosen so that the volume's shape is exactly that of the name.
 PHANTOMS: dict[str, dict[str, Any]] = {
     "phantom-128": {"spacing_mm": 1.8, "box_lps": ((-115.2, -117.0, -120.4), (115.1, 113.3, 110.0))},
     "phantom-256": {"spacing_mm": 0.9, "box_lps": ((-115.2, -117.0, -119.6), (114.4, 112.6, 110.0))},
@@ -36,16 +36,16 @@ PHANTOMS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A volume, a pose in the middle of its trachea, and a flight from there into a segmental bronchus."""
+    """Volume, a pose in the middle of its trachea, and a flight from there into a segmental bronchus."""
 
     name: str
     volume: Volume
     trachea: Pose
     flight: tuple[Pose, ...]
     lumen_zyx: NDArray[np.uint8] | None = None
-    """Where the airways were found in a CT."""
+    """Lumen of the airways that were found in a CT, or None."""
     tree: AirwayTree | None = None
-    """Those airways."""
+    """Tree of these airways, or None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,14 +58,14 @@ class _Branch:
 
 
 def open_case(name: str, *, poses: int, progress: Progress | None = None) -> Case:
-    """A phantom by name, ``patient`` (the bundled case), or a CT by its path.
+    """Open a phantom by name, ``patient`` (the bundled case), or a CT by its path.
 
     Raises
     ------
     VolumeImportError
         If the path cannot be opened.
     NoResultError
-        If no airway is found in it.
+        If no airway is found in the CT.
     """
     lumen = tree = None
     if name in PHANTOMS:
@@ -84,25 +84,25 @@ def open_case(name: str, *, poses: int, progress: Progress | None = None) -> Cas
 
 
 def open_phantom(name: str, progress: Progress | None = None) -> tuple[Volume, list[NDArray[np.float64]]]:
-    """A phantom of :data:`PHANTOMS`, the top of its trachea, and the tips of its airways inside the volume (LPS mm)."""
+    """Return a phantom of :data:`PHANTOMS`, and the top of its trachea and the airway tips in it (LPS mm)."""
     volume, branches = _phantom(name, progress)
     parents = {branch.parent for branch in branches}
     trunk = next(branch for branch in branches if branch.parent is None)
     tips = [branch.points[-1] for branch in branches if branch.id not in parents]
-    # The box may cut the trachea's top: its first point inside.
+    # The box may cut off the top of the trachea, so the first point inside the volume is used.
     top = next(point for point in trunk.points if volume.contains_lps(point))
     return volume, [top, *(tip for tip in tips if volume.contains_lps(tip))]
 
 
 def _name_of(path: Path) -> str:
-    """A folder that says only what is in it has its parent's name too."""
+    """Return a name for a path; a folder with a generic name is preceded by its parent's name."""
     return f"{path.parent.name}-{path.name}" if path.name.lower() in {"dicom", "ct", "images"} else path.name
 
 
 def _poses(branches: Sequence[_Branch], count: int) -> tuple[Pose, tuple[Pose, ...]]:
     by_id = {b.id: b for b in branches}
     root = next(b for b in branches if b.parent is None)
-    # Trachea 0, main 1, lobar 2, segmental 3 (on the right the intermediate bronchus is between: 4).
+    # Trachea 0, main 1, lobar 2, segmental 3 (on the right 4, because of the intermediate bronchus).
     segmental = [b for b in branches if 3 <= b.generation <= 4] or [max(branches, key=lambda b: b.generation)]
     target = max(segmental, key=lambda b: (b.radius_mm, b.id))
     chain = [target]
@@ -110,7 +110,7 @@ def _poses(branches: Sequence[_Branch], count: int) -> tuple[Pose, tuple[Pose, .
         chain.insert(0, by_id[chain[0].parent])
     if len(chain) < 2:
         raise NoResultError("the airways of this volume have no branch to fly into", code="track.no-result")
-    # To the middle of the segmental bronchus; a child's first point is its parent's last.
+    # To the middle of the segmental bronchus; the first point of a child is the last point of its parent.
     half = target.points[: max(len(target.points) // 2, 2)]
     points = np.concatenate([chain[0].points, *(b.points[1:] for b in chain[1:-1]), half[1:]])
     path = FlightPath(points)
@@ -127,7 +127,7 @@ def _phantom(name: str, progress: Progress | None) -> tuple[Volume, list[_Branch
     if not (values_file.is_file() and truth_file.is_file()):
         made = generate_phantom(**options, progress=progress)
         folder.mkdir(parents=True, exist_ok=True)
-        # Whole or not at all: written beside its place, then renamed; the truth last.
+        # The files are written to a temporary folder and renamed, the truth last, so that no file is incomplete.
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
             part = Path(scratch) / "values.npy"
             np.save(part, made.volume.hu_zyx, allow_pickle=False)

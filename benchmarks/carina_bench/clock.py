@@ -1,4 +1,4 @@
-"""Times taken in turn, so that a busy moment of the machine falls on all alike."""
+"""Alternating measurements of times, so that other load of the machine affects all functions alike."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ __all__ = ["Times", "median_ratio", "take_turns"]
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """What one function took in each round, ms."""
+    """Times of one function in each round, ms."""
 
     cpu_ms: tuple[float, ...]
-    """CPU time of the whole process, all threads."""
+    """CPU time of the whole process, all threads, ms."""
     wall_ms: tuple[float, ...]
 
     @property
     def median_ms(self) -> float:
-        """Median CPU time."""
+        """Median CPU time, ms."""
         return statistics.median(self.cpu_ms)
 
     @property
     def min_ms(self) -> float:
-        """Least CPU time."""
+        """Least CPU time, ms."""
         return min(self.cpu_ms)
 
     def to_json(self) -> dict[str, Any]:
-        """For the report."""
+        """Return the times as JSON values for the report."""
         return {
             "median": round(self.median_ms, 3),
             "min": round(self.min_ms, 3),
@@ -45,7 +45,7 @@ class Times:
 def take_turns(functions: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, Times]:
     """Run the functions A B C A B C ..., after one round that does not count.
 
-    The next round starts with another function, so that none always follows the same one.
+    Each round starts with another function, so that no function always follows the same one.
     """
     names = list(functions)
     cpu: dict[str, list[float]] = {name: [] for name in names}
@@ -70,8 +70,8 @@ def take_turns(functions: Mapping[str, Callable[[], object]], repeats: int) -> d
 
 
 def median_ratio(slow: Times, fast: Times) -> float:
-    """How many times as fast: the median over the rounds of the ratio within a round.
+    """Return the speed ratio: the median over the rounds of the ratio within a round.
 
-    Within a round both met the same neighbours; the ratio of two medians would mix a quiet round with a busy one.
+    Within a round other load affects both functions alike; the ratio of two medians could mix a quiet and a busy round.
     """
     return statistics.median(a / b for a, b in zip(slow.cpu_ms, fast.cpu_ms, strict=True))

@@ -1,4 +1,4 @@
-"""``carina bench cluster``: the paper's Tables 1 and 2 by simulation and on real processes; what Ray itself costs."""
+"""``carina bench cluster``: the paper's Tables 1 and 2 by simulation and with real processes, and the cost of Ray."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ PAPER_TABLE_1 = {
                           8: (7.48, 4.51, 56, 315812)},
 }  # fmt: skip
 PAPER_TABLE_2 = {"head, 128x128x64": (16.91, 9.98, 62, 396048), "lung, 256x256x200": (15.83, 9.54, 60, 338778)}
-# Paper 5.2 names 2 Suns, 2 SGIs and 12 PCs and not their speeds: assumed, relative to the fastest.
+# Paper 5.2 names 2 Suns, 2 SGIs and 12 PCs without their speeds; these are assumed, relative to the fastest.
 ASSUMED_SPEEDS = (*(0.8,) * 2, *(1.0,) * 2, *(0.7,) * 12)
-# Between machines on 1 Gbit/s, measured with the same transport (docs/decisions/0109): a call there and back, and its
-# jitter; what the console does for an answer; bytes on its link.
+# Between machines on 1 Gbit/s, measured with the same transport (docs/decisions/0109): time of a call in both
+# directions, and its jitter; time of the console for an answer; bytes per second of its link.
 CALL_S, CALL_JITTER_S, CONSOLE_S, LINK_BYTES_PER_S = 0.0012, 0.0003, 0.001, 125e6
 
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """A way to share out work."""
+    """Scheme for dividing the work."""
 
     name: str
     settings: ClusterSettings
@@ -74,9 +74,10 @@ SCHEMES = (
 
 
 def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> int:
-    """Run the sections and print what came of each as it ends; plots and ``cluster.json`` go to ``folder``.
+    """Run the sections and print each result; write plots and ``cluster.json`` to ``folder``.
 
-    A section that fails is told and named under ``failed``; what the others found is printed and kept. 1 if one failed.
+    A section that fails is reported and listed under ``failed``; the results of the others are kept. Return 1 if a
+    section failed.
     """
     unknown = [name for name in only if name not in SECTIONS]
     if unknown:
@@ -100,7 +101,7 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
     }
     failed: dict[str, dict[str, str]] = {}
     result["failed"] = failed
-    # Measured once, by the first section that wants it.
+    # Measured once, by the first section that needs the costs.
     costs = cache(lambda: {name: _measure(name, quick) for name in GRIDS})
     sections: dict[str, Callable[[list[str]], Any]] = {
         "network": _network,
@@ -134,18 +135,18 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
 
 
 def serial_share(speedups: Sequence[tuple[float, float]]) -> float:
-    """The serial share s of Amdahl's 1 / S(n) = s + (1 - s) / n that fits pairs (n, S): least squares in 1 / S."""
+    """Fit the serial share s of Amdahl's 1 / S(n) = s + (1 - s) / n to pairs (n, S) by least squares in 1 / S."""
     slopes = [(1.0 - 1.0 / n, 1.0 / speedup - 1.0 / n) for n, speedup in speedups]
     return sum(a * b for a, b in slopes) / sum(a * a for a, _ in slopes)
 
 
 def _network(lines: list[str]) -> list[dict[str, Any]]:
-    """One serial share for the paper's network, fitted on 2 and 8 machines, against its rows for 4 and 16."""
+    """Compare the paper's rows for 4 and 16 machines with one serial share, fitted on 2 and 8 machines."""
     rows: list[dict[str, Any]] = []
     lines.append(
         "The paper's network as one serial share (Amdahl), fitted on its 2 and 8 machines, checked on 4 and 16:"
     )
-    # Of 16 machines that differ, so many of the fastest.
+    # 16 different machines count as this number of the fastest ones.
     counts = {2: 2.0, 4: 4.0, 8: 8.0, 16: sum(ASSUMED_SPEEDS)}
     for grid, table in PAPER_TABLE_1.items():
         fps, _, _, response_us = zip(*(table[n] for n in CONCURRENCY), strict=True)
@@ -184,15 +185,15 @@ def _network(lines: list[str]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class _Cost:
-    """What a picture costs one machine."""
+    """Cost of a picture for one machine."""
 
     frame_s: float
     profile: np.ndarray[Any, np.dtype[np.float64]]
-    """Of each row, 1 on average."""
+    """Relative cost of each row, 1 on average."""
 
 
 def _case(name: str) -> tuple[Volume, Pose, np.ndarray[Any, np.dtype[np.uint8]]]:
-    """A phantom resampled to a grid of the paper's, and a place in its trachea."""
+    """Return a phantom resampled to one of the paper's grids, with a pose in its trachea and its lumen."""
     found = generate_phantom(spacing_mm=2.0)
     shape = GRIDS[name]
     volume = found.volume
@@ -211,7 +212,7 @@ def _case(name: str) -> tuple[Volume, Pose, np.ndarray[Any, np.dtype[np.uint8]]]
 
 
 def _flight_view(pose: Pose) -> Callable[[int], View]:
-    """The same place, the camera turning slowly: rows change their cost from frame to frame."""
+    """Return the views of a slowly turning camera at a fixed position; the cost of rows changes between frames."""
 
     def view(number: int) -> View:
         turn = 0.12 * np.sin(number / 25)
@@ -250,7 +251,7 @@ def _measure(name: str, quick: bool) -> _Cost:
             tries.append(time.perf_counter() - began_s)
         bands.append(min(tries))
     profile = np.repeat(np.array(bands), band)
-    # The quickest: what else the machine does is no cost of the picture.
+    # The shortest time excludes other load of the machine.
     return _Cost(min(times), profile / profile.mean())
 
 
@@ -279,7 +280,7 @@ def _row(fps: float, alone_fps: float, num: int, response_s: float) -> dict[str,
 def _simulated(costs: dict[str, _Cost], quick: bool, lines: list[str]) -> dict[str, Any]:
     num = 120 if quick else 400
     skip = 40
-    # Two settings: this machine's own speed, where the network is what limits; and the paper's frame time, where the
+    # Two settings: this machine's own speed, which the network limits; and the paper's frame time, for which the
     # schemes can be compared with its rows.
     found: dict[str, Any] = {"cost": {}, "table_1": [], "table_2": []}
     lines.append("Simulation of this scheduler, calibrated with measured costs of rows and calls (not a measurement):")
@@ -290,7 +291,7 @@ def _simulated(costs: dict[str, _Cost], quick: bool, lines: list[str]) -> dict[s
             "frame_ms_paper": round(paper.frame_s * 1e3),
         }
         for machine, used in (("here", cost), ("paper", paper)):
-            # Speed-up is against one of the fastest machines, with everything.
+            # Speed-up is relative to one of the fastest machines that renders everything.
             alone = 0.0
             for scheme in SCHEMES:
                 for n in CONCURRENCY:
@@ -312,7 +313,7 @@ def _simulated(costs: dict[str, _Cost], quick: bool, lines: list[str]) -> dict[s
 
 
 def _paper_row(row: dict[str, Any]) -> tuple[float, float, int, int] | None:
-    """What the paper prints for such a row; nothing where the frame time or the scheme is another."""
+    """Return the paper's values for a row; None for another frame time or scheme."""
     if row["machine"] == "here" or row["scheme"] != "all":
         return None
     return PAPER_TABLE_2[row["grid"]] if row["renderers"] == 16 else PAPER_TABLE_1[row["grid"]][row["renderers"]]
@@ -352,7 +353,7 @@ def _sleeping(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[st
 
 
 def _plot_tables(result: dict[str, Any], folder: Path) -> None:
-    """Figures 9 and 10: the paper's rows, the simulation, and the real scheduler with sleeping machines."""
+    """Plot Figures 9 and 10: the paper's rows, the simulation, and the real scheduler with sleeping machines."""
     names = {"paper": "simulated", "asleep": "real Ray, asleep"}
     for file, title, value, up in (
         ("frame-rate.svg", "Frame rate (paper, Figure 9)", "fps", "fps"),
@@ -408,7 +409,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
                         renderer = ClusterRenderer(local, console, spread_all=True)
                         renderer.prepare()
                         wait_ready(console, n)
-                        # One machine has one frame open: another would only wait.
+                        # A single machine needs one open frame: a second would only wait.
                         ahead = 1 if n == 1 else 3
                         fly(renderer, console, view_of, seconds=1.5, rate_hz=None, ahead=ahead)
                         seconds = 3.0 if quick else 8.0
@@ -422,7 +423,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
 
 
 def _transport(quick: bool, folder: Path | None, lines: list[str]) -> list[dict[str, Any]]:
-    """Draws the timeline into ``folder`` where there is one."""
+    """Measure the transport; draw the timeline into ``folder`` unless it is None."""
     from carina_bench.cluster_real import real_head, transport
 
     say("transport: eight renderers that sleep 4 ms a strip, 30 pictures a second")
@@ -455,14 +456,14 @@ def _kills(quick: bool, lines: list[str]) -> dict[str, Any]:
 
 
 def _timeline(flown: Any, title: str) -> str:
-    """Figure 11 of a real run: the last frames of a flight."""
+    """Return Figure 11 of a real run as SVG: the last frames of a flight."""
     frames = sorted({job.frame_id for job in flown.jobs})[-12:-6]
     jobs: dict[str, list[tuple[float, float, int]]] = {}
     for job in flown.jobs:
         if job.frame_id in frames:
             name = job.lane.rpartition(" ")[2]
-            # A renderer begins its part so long before its answer is here, and after the part before: transport lies
-            # before and after, and takes now more, now less.
+            # A renderer starts its part this long before its answer arrives, and after its previous part: the varying
+            # times of the transport lie before and after the rendering.
             end_ms = job.answered_s * 1e3
             row = jobs.setdefault(name, [])
             begin_ms = max(end_ms - job.seconds * 1e3, row[-1][1] if row else -math.inf)

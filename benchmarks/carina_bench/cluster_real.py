@@ -1,4 +1,4 @@
-"""What a real Ray does on this machine: transport, lost renderers, and as many true renderers as there are cores."""
+"""Measurements with a real Ray on this machine: transport, lost renderers, and one real renderer per core."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ __all__ = [
 IP = "127.0.0.2"
 SIDE = 512
 ROW_S = 0.004 / (SIDE / 8)
-"""Eight equal strips of a picture take 4 ms each."""
+"""Time per row: eight equal strips of a picture take 4 ms each."""
 
 
 @contextlib.contextmanager
 def real_head(renderers: int, threads: int | None = None) -> Iterator[tuple[Node, Path]]:
-    """A head on loopback with so many renderers, each of so many threads."""
+    """Start a head on loopback with this number of renderers, each with this number of threads."""
     folder = Path(tempfile.mkdtemp(prefix="carina-ray-"))
     with socket.socket() as probe:
         probe.bind((IP, 0))
@@ -87,7 +87,7 @@ def renderers_ready(
     settings: ClusterSettings,
     **options: Any,
 ) -> Iterator[tuple[Console, RayCluster]]:
-    """A console with so many renderers of a real cluster."""
+    """Yield a console with this number of ready renderers of a real cluster."""
     console = Console(settings, keep_jobs=True)
     cluster = RayCluster(
         console, head[0].address, head[1], ip=IP, limit=num, host_class=host_class, host_options=options, poll_s=0.2
@@ -100,7 +100,7 @@ def renderers_ready(
 
 
 def wait_ready(console: Console, num: int, timeout_s: float = 120.0) -> None:
-    """Until so many renderers have loaded what is shown."""
+    """Wait until this number of renderers have loaded the displayed case."""
     end_s = time.monotonic() + timeout_s
     while True:
         ready = sum(m.state == "ready" and m.name != "console" for m in console.status().members)
@@ -115,27 +115,27 @@ def wait_ready(console: Console, num: int, timeout_s: float = 120.0) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """Frames of a flight, in the order they were wanted."""
+    """Frames of a flight, in the order of their requests."""
 
     wanted_s: tuple[float, ...]
     shown_s: tuple[float, ...]
     overhead_s: tuple[float, ...]
-    """Beyond the slowest strip's own time."""
+    """Time of each frame beyond the time of its slowest strip, s."""
     jobs: tuple[Job, ...]
 
     @property
     def response_s(self) -> float:
-        """From wanted to shown, median."""
+        """Median time from the request to the display of a frame, s."""
         return statistics.median(b - a for a, b in zip(self.wanted_s, self.shown_s, strict=True))
 
     @property
     def fps(self) -> float:
-        """Frames per second, from the first shown to the last."""
+        """Frames per second, from the first displayed frame to the last."""
         return (len(self.shown_s) - 1) / max(1e-9, max(self.shown_s) - min(self.shown_s))
 
     @property
     def gaps_s(self) -> list[float]:
-        """Between shown frames, in the order they were shown."""
+        """Return the times between displayed frames, s, in the order of display."""
         return [float(gap) for gap in np.diff(np.sort(self.shown_s))]
 
 
@@ -149,7 +149,7 @@ def fly(
     ahead: int = 3,
     during: Callable[[float], None] | None = None,
 ) -> Flown:
-    """Want frames at a rate, or as fast as buffers come free, and wait for all of them."""
+    """Request frames at a rate, or as fast as buffers become free, and wait for all of them."""
     jobs = console.jobs
     assert jobs is not None
     jobs.clear()
@@ -180,7 +180,7 @@ def fly(
         number += 1
     for _, future in under_way:
         future.result(timeout=60.0)
-    console.status()  # it answers in order: all callbacks have been called
+    console.status()  # The console answers in order, so all callbacks have been called before this answer.
     slowest: dict[int, float] = {}
     for job in jobs:
         if job.accepted:
@@ -195,12 +195,12 @@ def fly(
 
 
 def stand_in_view(_number: int) -> View:
-    """What stand-ins are asked for."""
+    """Return the view that sleeping renderers receive."""
     return AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=SIDE, height=SIDE)
 
 
 def small_renderer(console: Console) -> ClusterRenderer:
-    """A renderer of a case that is sent at once."""
+    """Return a renderer of a small case, which is sent quickly."""
     hu = np.zeros((16, 16, 16), np.int16)
     renderer = ClusterRenderer(Renderer(Volume(hu, np.eye(4))), console, spread_all=True)
     renderer.prepare()
@@ -208,7 +208,7 @@ def small_renderer(console: Console) -> ClusterRenderer:
 
 
 def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[list[dict[str, Any]], Flown]:
-    """Renderers that sleep, paced at 30 a second and unpaced: what scheduling and transport take."""
+    """Measure the time of scheduling and transport with sleeping renderers, at 30 frames a second and at full rate."""
     rows: list[dict[str, Any]] = []
     with renderers_ready(head, num, SleepingRenderer, ClusterSettings(open_frames=2), row_seconds=ROW_S) as (
         console,
@@ -238,7 +238,7 @@ def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[lis
 
 
 def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str, Any]:
-    """kill -9 of one renderer after the other in flight: gaps between shown frames round each."""
+    """Measure the gaps between displayed frames while renderers are ended one after the other by kill -9."""
     worst = []
     with renderers_ready(head, num, SleepingRenderer, ClusterSettings(), row_seconds=ROW_S) as (console, _):
         renderer = small_renderer(console)

@@ -19,7 +19,7 @@ __all__ = ["Job", "SimulatedCluster", "SimulatedRenderer", "SimulationResult"]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRenderer:
-    """Speed of one machine: time of a row, and time of a call in both directions together."""
+    """Speed of one simulated machine: time of a row, and time of a call in both directions together."""
 
     row_seconds: float
     call_seconds: float = 0.001
@@ -61,7 +61,7 @@ class SimulationResult:
 
 
 class SimulatedCluster:
-    """A cluster of simulated machines that renders frames.
+    """Cluster of simulated machines that renders frames.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The paper's tables on a real Ray whose renderers sleep: scheduler, processes and transport are real.
 
-So eight or sixteen renderers stand on a machine of two cores. Each sleeps as long as the paper's own machine took for
-these rows, rows differing as they do in a picture rendered here.
+So a machine of two cores can run eight or sixteen renderers. Each sleeps as long as the paper's own machine took for
+its rows; the relative cost of the rows is that of a picture rendered here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["SleepingRun", "sleeping_runs"]
 
 @dataclass(frozen=True, slots=True)
 class SleepingRun:
-    """One flight: which grid, how shared out, how fast the machines are, and how it went."""
+    """Result of one flight: grid, scheme, speeds of the machines, and times."""
 
     grid: str
     scheme: str
@@ -48,25 +48,25 @@ def sleeping_runs(
     quick: bool,
     say: Callable[[str], None],
 ) -> Iterator[SleepingRun]:
-    """Fly on machines that sleep.
+    """Run flights on machines that sleep.
 
     Parameters
     ----------
     head
-        A cluster with as many renderers as are asked for.
+        A cluster with at least the number of renderers used.
     frame_s, row_costs
-        By grid: what a picture takes the fastest machine, and each of its rows as a multiple of the mean.
+        By grid: time of a picture on the fastest machine, and cost of each of its rows as a multiple of the mean.
     schemes
         Names and settings. The first is flown on every number of machines, the others on the largest number of equal
-        ones.
+        machines.
     concurrency
         Numbers of equal machines.
     mixed_speeds
-        Of machines that differ, relative to the fastest.
+        Speeds of different machines, relative to the fastest.
     quick
-        Fewer pictures.
+        Whether to render fewer pictures.
     say
-        Told what comes.
+        Function that receives progress messages.
     """
     plain = schemes[0][0]
     for scheme, settings in schemes:
@@ -79,7 +79,7 @@ def sleeping_runs(
                 wait_ready(console, len(speeds), 240.0)
                 for grid, seconds in frame_s.items():
                     _set_pace(console, speeds, seconds / SIDE, tuple(row_costs[grid]))
-                    # One machine has one frame open: another would only wait.
+                    # A single machine needs one open frame: a second would only wait.
                     ahead = 1 if len(speeds) == 1 else settings.open_frames
                     flown = _flown(renderer, console, seconds / sum(speeds), ahead, len(speeds), quick)
                     yield SleepingRun(grid, scheme, speeds, flown)
@@ -94,7 +94,7 @@ def _set_pace(console: Console, speeds: tuple[float, ...], row_s: float, row_cos
 
 
 def _flown(renderer: ClusterRenderer, console: Console, frame_s: float, ahead: int, num: int, quick: bool) -> Flown:
-    # One machine has nothing to settle; the more there are, the shorter is a picture.
+    # One machine has no shares to settle; with more machines a picture is shorter.
     settle_s, frames = (3 * frame_s, 10) if num == 1 else (max(6.0, 30 * frame_s), 20 if num == 2 or quick else 60)
     fly(renderer, console, stand_in_view, seconds=settle_s, rate_hz=None, ahead=ahead)
     return fly(renderer, console, stand_in_view, seconds=frames * frame_s, rate_hz=None, ahead=ahead)

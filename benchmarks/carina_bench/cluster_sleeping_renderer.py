@@ -41,7 +41,7 @@ def _pixels(first: int, end: int, width: int, salt: int) -> NDArray[np.uint8]:
 
 
 class SleepingRenderer(RendererHost):
-    """A renderer that sleeps ``strip_seconds`` for each strip and ``row_seconds`` for each row.
+    """Renderer that sleeps ``strip_seconds`` for each strip and ``row_seconds`` for each row.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Phantoms for the calibration of confidence: good CTs and degraded ones, with strands that look like airways.
 
-A strand is a dark tube in the lung, without a wall or with one on one side only, that leaves an airway: a bulla, a
-fissure or emphysema looks so, and a search may follow it. A found branch is *true* where more than half of its points
+A strand is a dark tube in the lung that leaves an airway, without a wall or with a wall on one side only. It resembles
+a bulla, a fissure or emphysema, and a search may follow it. A found branch is *true* if more than half of its points
 lie within a voxel (the cube root of its volume) of a true lumen.
 """
 
@@ -27,7 +27,7 @@ WALL_MM = 0.9
 
 @dataclass(frozen=True, slots=True)
 class CtCase:
-    """How a phantom's CT is made."""
+    """Parameters of a phantom's CT."""
 
     seed: int
     is_good: bool
@@ -38,7 +38,7 @@ class CtCase:
 
 
 def cases_of(seeds: range, *, is_good: bool) -> Iterator[CtCase]:
-    """One case a seed: good is 0.8 mm with 20 to 30 HU; degraded slices are 1 to 3 mm with 20 to 60 HU."""
+    """Return one case per seed: good is 0.8 mm with 20 to 30 HU; degraded slices are 1 to 3 mm with 20 to 60 HU."""
     for seed in seeds:
         rng = np.random.default_rng((seed, is_good))
         generations = int(rng.integers(5, 8))
@@ -51,13 +51,13 @@ def cases_of(seeds: range, *, is_good: bool) -> Iterator[CtCase]:
 
 
 def true_tree(seed: int, generations: int = 6) -> AirwayTree:
-    """The exact tree of a phantom; hardly any voxels are made."""
+    """Return the exact tree of a phantom, generated with very few voxels."""
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box, generations=generations).truth)
 
 
 def made_case(case: CtCase) -> Volume:
-    """The CT of a case, with its strands."""
+    """Return the CT of a case, with its strands."""
     made = generate_phantom(
         seed=case.seed, spacing_mm=case.spacing_mm, noise_hu=case.noise_hu, generations=case.generations
     )
@@ -69,7 +69,7 @@ def made_case(case: CtCase) -> Volume:
 
 
 def _strands(made: Phantom, case: CtCase, rng: np.random.Generator) -> Iterator[tuple[Points, float, Points | None]]:
-    """Centreline, radius and the side that has a wall."""
+    """Yield centreline, radius, and direction of the wall of each strand (None without a wall)."""
     branches = [b for b in made.truth["branches"] if b["generation"] >= 4]
     for number in rng.choice(len(branches), case.num_strands, replace=False):
         branch: dict[str, Any] = branches[number]
@@ -125,7 +125,7 @@ def _paint(
 
 
 def is_true_branch(case: CtCase, tree: AirwayTree) -> list[bool]:
-    """Of each branch of a found tree, whether it is a true airway."""
+    """Return whether each branch of a found tree is a true airway."""
     voxel_mm = float(np.cbrt(np.prod(case.spacing_mm)))
     points = np.concatenate([b.points for b in tree.branches])
     near = lumen_distance_at(points, seed=case.seed, generations=case.generations) <= voxel_mm

@@ -16,15 +16,15 @@ Points = NDArray[np.float64]
 
 
 def turned(tree: AirwayTree, matrix: NDArray[np.float64]) -> AirwayTree:
-    """Every point x becomes ``matrix`` x; determinants of 1 and -1 only."""
+    """Return the tree with every point multiplied by a matrix; determinants of 1 and -1 only."""
     return AirwayTree(tuple(dataclasses.replace(b, points=b.points @ matrix.T) for b in tree.branches))
 
 
 def degraded(tree: AirwayTree, rng: np.random.Generator, *, amount: float = 1.0) -> AirwayTree:
-    """A tree as a poor CT gives it: points off by noise, generations cut, tips and some bronchi missing, twigs added.
+    """Return a tree as from a poor CT: noise, fewer generations, missing tips and bronchi, additional twigs.
 
     ``amount`` 0 to 1: noise of up to 2.5 mm that changes over some 10 mm, up to a third of the tips pruned, up to four
-    bronchi cut off with all beyond them, up to twelve twigs.
+    bronchi cut off with all branches beyond them, up to twelve twigs.
     """
     tree = _cut(tree, rng, amount)
     tree = _grown_over(tree, rng, round(12.0 * amount * rng.random()))
@@ -47,7 +47,7 @@ def degraded(tree: AirwayTree, rng: np.random.Generator, *, amount: float = 1.0)
 
 
 def warped(tree: AirwayTree, rng: np.random.Generator, spread_deg: float) -> AirwayTree:
-    """Another anatomy: every bronchus, with all beyond it, turned about its start by a random angle."""
+    """Return another anatomy: every bronchus, with the branches beyond it, turned about its start at random."""
     moves: dict[int | None, tuple[NDArray[np.float64], Points]] = {None: (np.eye(3), np.zeros(3))}
     ends: dict[int, Points] = {}
     made = []
@@ -94,7 +94,7 @@ def _cut(tree: AirwayTree, rng: np.random.Generator, amount: float) -> AirwayTre
 
 
 def _grown_over(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayTree:
-    """Blind tubes on the side of branches: each cuts its branch in two."""
+    """Return the tree with blind tubes on the side of branches; each tube divides its branch in two."""
     branches = {b.id: b for b in tree.branches}
     hosts = [b.id for b in tree.branches if len(b.points) > 8 and b.parent is not None]
     for host in rng.choice(hosts, min(num, len(hosts)), replace=False).tolist():
@@ -124,7 +124,10 @@ def _grown_over(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayT
 
 
 def random_tree(rng: np.random.Generator, *, generations: int = 6, two_lungs: bool = False) -> AirwayTree:
-    """Forks in two at random angles, calibres by the cube law; with two lungs, the first fork is a carina."""
+    """Return a tree of binary forks at random angles, calibres by the cube law.
+
+    With two lungs the first is a carina.
+    """
     made: list[tuple[int, int | None, list[int], int, Points, float]] = []
 
     def grow(parent: int | None, start: Points, ahead: Points, radius_mm: float, generation: int) -> int:
@@ -159,7 +162,10 @@ def random_tree(rng: np.random.Generator, *, generations: int = 6, two_lungs: bo
 
 
 def vessel_tree(tree: AirwayTree, rng: np.random.Generator, *, is_vein: bool) -> AirwayTree:
-    """Arteries or veins that end between the tips of an airway tree: neighbours join first, towards the heart."""
+    """Return arteries or veins that end between the tips of an airway tree.
+
+    Neighbours join first, towards the heart.
+    """
     tips = np.array([b.points[-1] for b in tree.tips()])
     ends = tips + rng.normal(size=tips.shape) * (9.0 if is_vein else 4.0)
     heart = np.array([0.0, -5.0, -45.0]) if is_vein else np.array([10.0, -30.0, -25.0])
@@ -182,7 +188,7 @@ def vessel_tree(tree: AirwayTree, rng: np.random.Generator, *, is_vein: bool) ->
         return left[0]
 
     if is_vein:
-        # Two of each side, from above and below the hilum.
+        # Two vessels on each side, from above and below the hilum.
         groups = [
             [k for k, end in enumerate(ends) if (end[0] < 0) == right and (end[2] > np.median(ends[:, 2])) == upper]
             for right in (True, False)

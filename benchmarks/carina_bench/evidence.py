@@ -1,4 +1,4 @@
-"""How many places of plain lung a click makes an airway of, and how many places of true airways it takes."""
+"""Shares of points of lung, and of points of true airways, that a click accepts as airways."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ __all__ = ["lung_points", "missed_points", "removed_branches", "shows_lumen", "t
 Points = NDArray[np.float64]
 
 CLEAR_MM = 5.0
-"""Places of lung are farther than this from every airway."""
+"""Least distance of lung points from every airway, mm."""
 FARTHEST_MM = 40.0
 MISSED_MM = 3.0
-"""A place of a true airway was missed where no lumen was found so near."""
+"""Distance within which no lumen was found around a missed point of a true airway, mm."""
 SURE = 0.95
-"""Least confidence of branches that are taken for true airways."""
+"""Least confidence of branches that count as true airways."""
 SIDES, SEEN_MM, OPEN_SHARE, SEEN_NOISE = 16, 3.0, 0.2, 3.0
 LUNG_HU, OUTSIDE_HU = -650.0, -988.0
 
 
 def lung_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
-    """(num, 3) random places of lung, LPS mm, more than 5 mm from every airway found or true, at most 40 from the tree.
+    """Return (num, 3) random points of lung, LPS mm, more than 5 mm from every airway and at most 40 mm from the tree.
 
     Parameters
     ----------
     truth_zyx
-        (nz, ny, nx) not 0 in true airways; what was found counts as true as well.
+        (nz, ny, nx) not 0 in true airways; found airways count as airways too.
     """
     rng = np.random.default_rng(seed)
     tree = np.concatenate([b.points for b in airways.tree.branches if b.generation >= 2])
@@ -59,12 +59,12 @@ def lung_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], 
 
 
 def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, whole: bool) -> tuple[Airways, Points]:
-    """Airways opened from a mask without some branches, and (num, 3) places, LPS mm, on the middle of those.
+    """Return airways opened from a mask without some branches, and (num, 3) points, LPS mm, in the removed branches.
 
     Parameters
     ----------
     whole
-        Take segmental bronchi away with all that hangs on them; else single tips.
+        Whether to remove segmental bronchi with all their descendants; else single tips.
     """
     rng = np.random.default_rng(seed)
     tree = airways.tree
@@ -95,7 +95,7 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
     i, j, k = voxels[is_gone].T
     mask[k, j, i] = 0
     opened = find_airways(volume, lumen_zyx=mask, root_lps=airways.root_lps)
-    # What the search itself doubts need not be an airway.
+    # A branch of low confidence may not be an airway.
     branches = [b for b in gone.values() if b.confidence is None or b.confidence >= SURE]
     places = []
     for _ in range(num):
@@ -107,9 +107,9 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
 
 
 def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
-    """At most (num, 3) places, LPS mm, in the middle of true airways where the search found no lumen within 3 mm.
+    """Return at most (num, 3) points, LPS mm, in the middle of true airways without a found lumen within 3 mm.
 
-    A mask on thick slices runs over the edge of an oblique lumen by a slice or two: see :func:`shows_lumen`.
+    A mask on thick slices extends beyond the edge of an oblique lumen by a slice or two: see :func:`shows_lumen`.
     """
     rng = np.random.default_rng(seed)
     truth = truth_zyx != 0
@@ -121,7 +121,7 @@ def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8]
         near = around[is_truth & (off_mm <= 2.0)]
         middle = near[np.argmin(np.linalg.norm(volume.to_lps(near) - volume.to_lps(near).mean(axis=0), axis=1))]
         x, y, z = (float(v) for v in volume.to_lps(middle))
-        # What a mask has above the top of the trachea was not missed, but left out.
+        # The part of a mask above the top of the trachea was excluded from the search, not missed.
         if z < airways.root_lps[2] and airways.tracker.core.nearest((x, y, z), MISSED_MM) is None:
             found.append(np.array([x, y, z]))
         if len(found) == num:
@@ -130,10 +130,11 @@ def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8]
 
 
 def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.bool_]:
-    """(n,) whether the CT itself is darker at each (n, 3) place, LPS mm, than round it, as a person sees a lumen.
+    """Return (n,) whether the CT is darker at each (n, 3) point, LPS mm, than around it, as a visible lumen is.
 
-    In one of 13 planes through the place the values rise by three times the noise within 3 mm on four fifths of 16
-    sides. Values are those of the CT, averaged over 2 mm across the plane; of random places of lung 2 to 3 % are so.
+    The condition: in one of 13 planes through the point the values rise by three times the noise within 3 mm on four
+    fifths of 16 sides. Values are those of the CT, averaged over 2 mm across the plane. 2 to 3 % of random points of
+    lung meet the condition.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.b
 
 
 def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
-    """(n,) for each (n, 3) place what a click there does: 1 taken at once, 0 asked or refused, -1 the tree is there."""
+    """Return (n,) the result of a click at each (n, 3) point: 1 accepted, 0 questioned or refused, -1 in the tree."""
     found = np.zeros(len(points), dtype=np.int8)
     for number, point in enumerate(points):
         way = branch_way(volume, airways, point)
@@ -166,7 +167,7 @@ def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
 
 
 def _values_at(volume: Volume, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Trilinear values of the CT, edge-clamped."""
+    """Return trilinear values of the CT, clamped at its edges."""
     last = np.array(volume.shape_zyx[::-1]) - 1
     ijk = np.clip(volume.to_ijk(places.reshape(-1, 3)), 0, last)
     low = np.minimum(ijk.astype(np.int64), last - 1)
@@ -182,7 +183,7 @@ def _values_at(volume: Volume, places: NDArray[np.float64]) -> NDArray[np.float6
 def _round(
     volume: Volume, voxel: NDArray[np.int64], values: NDArray[Any], reach_mm: float
 ) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
-    """Values in the box round a voxel, how far from it their voxels are, mm, and these, i, j, k."""
+    """Return the values in a box around a voxel, and their distances from it in mm and indices i, j, k."""
     reach = np.ceil(reach_mm / np.array(volume.spacing_mm)).astype(int)
     shape = np.array(volume.shape_zyx[::-1])
     low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach, shape - 1)

@@ -1,4 +1,4 @@
-"""What the figures must reach (the limits are those of the project's plan), passed or not."""
+"""Limits that the figures of the benchmarks must reach (from the project's plan)."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ __all__ = ["Gate"]
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """A figure beside its limit."""
+    """Figure with its limit."""
 
     name: str
     figure: float
     limit: float
     better: Literal["higher", "lower"] = "higher"
     aim: bool = False
-    """Reported beside the gates; missing it fails nothing."""
+    """Whether the limit is only reported; missing it fails nothing."""
     note: str | None = None
 
     @property
     def passed(self) -> bool:
-        """Whether the limit is reached; what was not measured is not passed."""
+        """Whether the figure reaches the limit; a missing figure does not."""
         return self.figure >= self.limit if self.better == "higher" else self.figure <= self.limit
 
     def to_json(self) -> dict[str, Any]:
-        """For the report."""
+        """Return the gate as JSON values for the report."""
         return {
             "name": self.name,
             "figure": self.figure,
@@ -38,7 +38,7 @@ class Gate:
         }
 
     def line(self) -> str:
-        """For people."""
+        """Return the gate as a line of text."""
         sign = ">=" if self.better == "higher" else "<="
         word = "passed" if self.passed else "MISSED"
         kind = "aim " if self.aim else "gate"

@@ -34,7 +34,7 @@ def _case(name: str) -> Case:
 
 
 def _memory(kind: str) -> int | None:
-    """``VmRSS`` (now) or ``VmHWM`` (most since ``_forget_peak``) of this process in bytes, where the system says."""
+    """Return ``VmRSS`` (now) or ``VmHWM`` (peak since ``_forget_peak``) of this process in bytes, or None."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -43,13 +43,13 @@ def _memory(kind: str) -> int | None:
 
 
 def _forget_peak() -> None:
-    """From here on the peak counts anew (Linux)."""
+    """Reset the memory peak of this process (Linux)."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def _labels(hu_zyx: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Clear air is one label, every other voxel its 16-HU bin: many labels."""
+    """Return many labels: one for clear air, and one for each 16-HU bin of the other voxels."""
     bins = np.clip((hu_zyx.astype(np.int32) - CLEAR_BELOW_HU) // BIN_HU, 0, 253) + 2
     return np.where(hu_zyx < CLEAR_BELOW_HU, 1, bins).astype(np.uint8)
 
@@ -65,7 +65,7 @@ def _summary(times: dict[str, Times], slow: str, fast: str) -> dict[str, Any]:
 
 
 def maps(request: Request) -> list[dict[str, Any]]:
-    """The IsoRegion map of many labels beside scipy's chessboard distance, which takes two: one thread, CPU time."""
+    """Compare the IsoRegion map of many labels with scipy's chessboard distance of two: one thread, CPU time."""
     ndimage: Any = importlib.import_module("scipy.ndimage")
     rows = []
     for name in request["cases"]:
@@ -75,7 +75,7 @@ def maps(request: Request) -> list[dict[str, Any]]:
         _forget_peak()
         radius = build_isoregion_map(labels)
         peak = _memory("VmHWM")
-        # Two labels, the volume's border as a wall: what both can do must be equal.
+        # With two labels, and the volume's border as a wall, both results must be equal.
         clear = labels == 1
         half = tuple(slice(n // 4, n // 4 + min(n // 2, 160)) for n in clear.shape)
         part = np.ascontiguousarray(clear[half])
@@ -100,7 +100,7 @@ def maps(request: Request) -> list[dict[str, Any]]:
                 **_summary(times, "scipy cdt, two labels", "carina, many labels"),
                 "ns_per_voxel": {key: round(1e6 * value.median_ms / voxels, 3) for key, value in times.items()},
                 "equal_to_scipy_on_two_labels": equal,
-                # Above the labels, the map itself included.
+                # Memory above the labels, including the map itself.
                 "bytes_per_voxel": None if before is None or peak is None else round((peak - before) / voxels, 2),
             }
         )
@@ -109,7 +109,7 @@ def maps(request: Request) -> list[dict[str, Any]]:
 
 
 def prepared_maps(request: Request) -> list[dict[str, Any]]:
-    """From HU to the map that pictures leap by, on all threads: what a person waits for in the background."""
+    """Measure the time from HU to the map for leaping, on all threads, which runs in the background after opening."""
     rows = []
     for name in request["cases"]:
         case = _case(name)
@@ -131,7 +131,7 @@ def prepared_maps(request: Request) -> list[dict[str, Any]]:
 
 
 def projections(request: Request) -> list[dict[str, Any]]:
-    """Three maximum intensity projections beside numpy: one thread, CPU time."""
+    """Compare three maximum intensity projections with numpy: one thread, CPU time."""
     rows = []
     for name in request["cases"]:
         case = _case(name)
@@ -150,7 +150,7 @@ def projections(request: Request) -> list[dict[str, Any]]:
 
 
 def planes(request: Request) -> list[dict[str, Any]]:
-    """An oblique slice of 256 x 256 beside ``vtkImageReslice``: one thread, CPU time."""
+    """Compare an oblique slice of 256 x 256 with ``vtkImageReslice``: one thread, CPU time."""
     from carina_bench.vtk_peer import vtk_reslice
 
     size = 256
@@ -164,7 +164,7 @@ def planes(request: Request) -> list[dict[str, Any]]:
         assert matrix is not None
         reslice = vtk_reslice(case.volume, matrix, size, size)
         slice_of = partial(sample_plane, case.volume, matrix, width=size, height=size, window_hu=WINDOW_HU)
-        # Each twice in a row: the first call of a round may find threads asleep and caches full of other things.
+        # Each function runs twice: the first call of a round may have cold caches and sleeping threads.
         times = take_turns(
             {
                 "vtk": reslice,

@@ -1,4 +1,4 @@
-"""What the figures were taken on."""
+"""Properties of the machine on which the figures were measured."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PEERS = ("vtk", "numba", "scipy", "numpy", "dijkstra3d", "scikit-image")
 
 
 def require_peers(*names: str) -> None:
-    """Refuse to run without the packages to compare with.
+    """Raise an error if a package for comparison is missing.
 
     Raises
     ------
     CarinaError
-        If one is not installed, with the command that installs it; exit code 1 (a missing extra).
+        If a package is not installed, with the command that installs it; exit code 1 (a missing extra).
     """
     missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
@@ -37,7 +37,7 @@ def require_peers(*names: str) -> None:
 
 
 def load_average() -> list[float] | None:
-    """Processes that wanted a core in the last 1, 5 and 15 minutes; None where the system does not say."""
+    """Return the load averages of the last 1, 5 and 15 minutes; None if the system does not report them."""
     try:
         return [round(v, 2) for v in os.getloadavg()]
     except (AttributeError, OSError):
@@ -45,7 +45,7 @@ def load_average() -> list[float] | None:
 
 
 def stolen_s() -> float | None:
-    """Seconds, summed over all cores, that the host of a virtual machine kept them from it; None where not told."""
+    """Return the seconds, summed over all cores, that a virtual machine's host did not run it; None if unknown."""
     try:
         words = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
         return int(words[8]) / os.sysconf("SC_CLK_TCK")
@@ -74,7 +74,7 @@ def _version(package: str) -> str | None:
 
 
 def machine_facts() -> dict[str, Any]:
-    """Processor, instruction sets, cores, load and versions."""
+    """Return processor, instruction sets, cores, load and versions."""
     core = build_info()
     return {
         "cpu": _cpu_model(),

@@ -1,4 +1,4 @@
-"""Peak memory of a real server with a large case, its airways tracked and every view shown."""
+"""Peak memory of a real server with a large case, with its airways tracked and every view displayed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MOVES = 40
 
 
 def _peak_bytes(process_id: int) -> int | None:
-    """Most memory that a process ever held, where the system says so (Linux)."""
+    """Return the peak memory of a process in bytes; None if the system does not report it (only Linux does)."""
     try:
         lines = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -48,7 +48,7 @@ def _peak_bytes(process_id: int) -> int | None:
 
 
 def server_memory(request: dict[str, Any]) -> list[dict[str, Any]]:
-    """Open the case as a person would, wait for the airways, look at every view, fly a little, and read the peak."""
+    """Open the case in a server, wait for the airways, show every view, fly a little, and read the peak memory."""
     rows = []
     for name in request["cases"]:
         volume = open_case(name, poses=2, progress=progress_printer()).volume
@@ -67,7 +67,7 @@ def server_memory(request: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _drive(file: Path, home: Path) -> dict[str, Any]:
-    # A home of its own: nothing cached, nothing of the person's touched.
+    # A temporary home folder, so that nothing is cached and the user's files are not touched.
     environment = {
         **os.environ,
         **{f"XDG_{kind}_HOME": str(home / kind.lower()) for kind in ("CONFIG", "STATE", "CACHE", "DATA")},
@@ -105,7 +105,7 @@ def _drive(file: Path, home: Path) -> dict[str, Any]:
 
 
 def _look_at_everything(access: dict[str, str]) -> set[str]:
-    """Every view until each has come, the airways are known, and a short flight is over."""
+    """Request every view until each has arrived, the airways are known, and a short flight is over."""
     address = access["url"].split("?")[0].rstrip("/").replace("http", "ws", 1) + "/ws"
     end = time.monotonic() + PATIENCE_S
     seen: set[str] = set()
@@ -136,7 +136,7 @@ def _look_at_everything(access: dict[str, str]) -> set[str]:
             document = json.loads(message)
             if document["type"] == "state" and document["stage"] == "ready" and not ready:
                 ready = True
-                # What did not change is not sent again: look elsewhere, at all of it.
+                # An unchanged picture is not sent again, so the size of every view is changed.
                 send({"type": "layout", "views": [{**view, "width": 480} for view in views]})
             if document["type"] == "error":
                 raise CarinaError(f"the server refused the case: {document['message']}", code="machine.benchmark")

@@ -1,7 +1,7 @@
-"""The baseline: every sample of every ray in plain loops, compiled by numba. Its picture must be Carina's.
+"""Baseline: every sample of every ray in plain loops, compiled by numba; its picture must equal Carina's.
 
-Written from the formulas (docs/algorithms.md), with none of Carina's code: index arithmetic, interpolation, gradient,
-table, light and rays are its own, in f64 but for the volume and the table.
+The code follows the formulas (docs/algorithms.md) and uses none of Carina's code: index arithmetic, interpolation,
+gradient, table, light and rays are its own, in f64 except for the volume and the table.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _numba: Any = importlib.import_module("numba")
 
 @_numba.njit(cache=False)
 def _sample(values, x, y, z):
-    """Trilinear, with indices held at the edge."""
+    """Return the trilinear value at a position, with indices clamped to the edge."""
     nz, ny, nx = values.shape
     x0, y0, z0 = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     tx, ty, tz = x - x0, y - y0, z - z0
@@ -42,7 +42,10 @@ def _sample(values, x, y, z):
 
 @_numba.njit(cache=False)
 def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metric, stop):
-    """``turn``: ijk_from_camera without its offset; ``metric``: ijk_from_lps, so that gradients are per mm in LPS."""
+    """Cast one picture.
+
+    ``turn`` is ijk_from_camera without its offset. ``metric`` is ijk_from_lps, so that gradients are per mm in LPS.
+    """
     rgb = np.zeros((size, size, 3), np.uint8)
     nz, ny, nx = values.shape
     last = table.shape[0] - 1
@@ -64,12 +67,12 @@ def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metri
                 x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
                 inside = -0.5 <= x <= nx - 0.5 and -0.5 <= y <= ny - 0.5 and -0.5 <= z <= nz - 0.5
                 if not inside:
-                    # The benchmark's cameras stand in the volume.
+                    # The cameras of the benchmark are inside the volume.
                     if entered or k > 100000:
                         break
                     continue
                 entered = True
-                # Indices clamp to the edge: in the outer half of an edge voxel all is as at its centre.
+                # Indices are clamped to the edge: the outer half of an edge voxel has the value of its centre.
                 x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
                 n = int(np.floor(_sample(values, x, y, z) + 0.5)) - lo
                 n = min(max(n, 0), last)
@@ -103,7 +106,7 @@ def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metri
 
 
 def numba_caster(volume: Volume, transfer: TransferFunction, *, step_vox: float, size: int) -> Any:
-    """A function ``cast(pose) -> (size, size, 3) uint8`` with shading; square pictures."""
+    """Return a function ``cast(pose) -> (size, size, 3) uint8`` with shading, for square pictures."""
     step_mm = step_vox * float(min(volume.spacing_mm))
     lo, hi = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
     table = opacity_table(transfer, step_mm, lo, hi).astype(np.float64)

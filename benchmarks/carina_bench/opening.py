@@ -1,4 +1,4 @@
-"""``carina bench open``: a CT from its files beside the same CT from the cache."""
+"""``carina bench open``: opening of a CT from its files compared with opening from the cache."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ __all__ = ["measure", "report"]
 
 BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
 WHOLE_MM, QUICK_MM = (0.7, 0.7, 0.5), (1.4, 1.4, 1.0)
-"""Spacings at which the box has 512 x 512 x 600, and half as many voxels on each axis."""
+"""Spacings at which the box has 512 x 512 x 600 voxels, and half as many on each axis."""
 CACHED, MAPPED, PLAIN = "from the cache", "mapped and touched", "read without a check"
 FIRST_LOOK = "digest, range and quality"
 WARM_MS = 350.0
 
 
 def report(*, folder: Path, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``open.json``; always 0 when it could be measured: a missed limit is a result."""
+    """Measure, print, and write ``open.json``; return 0 if the measurement was possible, even if a limit is missed."""
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
@@ -61,9 +61,10 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """A synthetic chest as DICOM slices, as NIfTI packed and plain, and from the cache: in turn, all files in memory.
+    """Measure a synthetic chest as DICOM slices, as packed and plain NIfTI, and from the cache, in turn.
 
-    Nothing of it is kept. What :func:`open_volume` gives and what the cache gives are compared, voxel by voxel.
+    All files are in the system's file cache and are deleted afterwards. The results of :func:`open_volume` and of the
+    cache are compared voxel by voxel.
     """
     phantom = generate_phantom(spacing_mm=request["spacing_mm"], box_lps=BOX_LPS, progress=progress_printer())
     volume = phantom.volume
@@ -74,7 +75,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
         slices = _write_slices(volume, place / "slices")
         packed = write_grid(place / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the CT", level=1)
         plain = write_grid(place / "ct.nii", volume.hu_zyx, volume.lps_from_ijk, what="the CT")
-        # The clock is ahead: files that were written a moment ago are not kept.
+        # The clock is ahead, because the cache stores no files that were modified a moment ago.
         cache = VolumeCache(place / "cache", max_bytes=1 << 40, clock=lambda: time.time() + 60.0)
         opened = open_volume(slices)
         source = CtSource.of(slices)
@@ -115,7 +116,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _look(volume: Volume) -> object:
-    """What is found of a volume that comes from its files; as it comes from them, so without what is known of it."""
+    """Return value range, quality and digest of a volume, which the reader of files does not provide."""
     fresh = Volume(volume.hu_zyx, volume.lps_from_ijk)
     return fresh.value_range, quality_gate(fresh), ct_digest(fresh)
 
@@ -134,7 +135,7 @@ def _mapped(voxels: Path, shape_zyx: tuple[int, int, int]) -> np.ndarray[Any, np
 
 
 def _cold_ms(voxels: Path, from_cache: Callable[[], Volume]) -> float | None:
-    """From a file that the system was asked to drop from memory; None where it cannot be asked."""
+    """Return the time of opening from a file that the system dropped from memory; None if it cannot drop files."""
     if not hasattr(os, "posix_fadvise"):
         return None
     with voxels.open("rb") as file:
@@ -145,7 +146,7 @@ def _cold_ms(voxels: Path, from_cache: Callable[[], Volume]) -> float | None:
 
 
 def _write_slices(volume: Volume, folder: Path) -> Path:
-    """A series as a scanner writes it: a file a slice, not compressed."""
+    """Write a series like a scanner: one uncompressed file per slice."""
     folder.mkdir()
     series_uid, study_uid, frame_uid = generate_uid(), generate_uid(), generate_uid()
     step, spacing = volume.lps_from_ijk, volume.spacing_mm
@@ -177,7 +178,7 @@ def _gates(row: dict[str, Any]) -> list[Gate]:
     note = f"by the clock {taken['wall_median']:.0f}, least {taken['wall_min']:.0f}, at load {row['load_average']}"
     return [
         Gate("the cache gives the same voxels (1 is yes)", float(row["equal"]), 1.0),
-        # What one core would take that nobody else wants; by the clock a busy machine takes several times as long.
+        # CPU time of one core without other load; on a busy machine wall time is several times as long.
         Gate("a CT from the cache, in memory (CPU time, ms)", taken["median"], WARM_MS, "lower", note=note),
         Gate("the cache over DICOM slices, CPU time", row["ratio"]["DICOM slices"], 5.0, aim=True),
     ]

@@ -1,8 +1,8 @@
-"""A chest CT painted from tubes: every lumen continuous and known to a fraction of a voxel.
+"""Painter of chest CTs from tubes: every lumen is continuous and known to a fraction of a voxel.
 
-A scene is what there is (values of tissue on a grid, tubes over it); painting is what a scanner makes of it. The image
-is linear in the scene, so the grid is blurred as it is, and only what tubes change is painted in cells of at most
-0.15 mm, tile by tile where a tube is near.
+A scene is the anatomy (tissue values on a grid, tubes over it); painting simulates the scanner. The image is linear in
+the scene, so the grid is blurred as a whole, and only the changes by tubes are painted in cells of at most 0.15 mm, in
+tiles near a tube.
 """
 
 from __future__ import annotations
@@ -29,32 +29,35 @@ KERNELS = {
     "sharp": Kernel(sigma_mm=0.28, overshoot=0.18, surround_mm=0.65),
     "rimmed-medium": Kernel(sigma_mm=0.40, overshoot=0.027, surround_mm=0.65),
 }
-"""50 % of the transfer at 3.4 and 4.7 line pairs per cm (body and lung standard), and an edge-enhancing lung kernel."""
+"""Kernels by name: 50 % of the transfer at 3.4 and 4.7 line pairs per cm, and an edge-enhancing lung kernel.
+
+The first two are body and lung standard kernels.
+"""
 
 FINE_MM = 0.15
-"""Cells of tubes are at most this wide: half a sigma of the sharpest kernel. With 0.2 thin lumens are 12 HU off."""
+"""Largest width of the cells of tubes: half a sigma of the sharpest kernel. With 0.2 thin lumens are 12 HU off."""
 TILE_CELLS = 64
-"""About as many fine cells along each side of a tile."""
+"""Approximate number of fine cells along each side of a tile."""
 
 
 @dataclass(frozen=True, slots=True)
 class PaintOptions:
-    """All that decides a painted CT beside the masks. The defaults are fixed: figures are compared across time."""
+    """All inputs of a painted CT except the masks; the defaults are fixed, so that figures stay comparable."""
 
     seed: int = 1
-    # The scanner.
+    # Settings of the scanner.
     kernel: str = "medium"
     noise_hu: float = 25.0
     slice_mm: float | None = None
-    """Slice thickness and distance; None: the masks' own."""
+    """Slice thickness and distance; None uses those of the masks."""
     slice_sigma_mm: float = 0.3
-    """Blur along z beside the slice's thickness."""
+    """Sigma of a blur along z, in addition to the slice thickness."""
     breathing_mm: float = 0.0
-    """Slices lie up to this far from where they are told: the chest moved along z during the scan."""
+    """Largest difference of a slice's true position from its stated position, by breathing along z."""
     breathing_period_mm: float = 60.0
     motion_blur_mm: float = 0.0
-    """Sigma of a blur along z, half of it from front to back, by movement within a slice."""
-    # Tissue.
+    """Sigma of a blur along z by movement within a slice; half of it from front to back."""
+    # Values of tissue.
     air_hu: float = -1000.0
     wall_hu: float = 20.0
     vessel_hu: float = 40.0
@@ -64,83 +67,85 @@ class PaintOptions:
     mucus_hu: float = 15.0
     parenchyma_hu: float = -860.0
     gravity_hu: float = 50.0
-    """Lung at the back above lung at the front."""
+    """Difference between the lung at the back and at the front, by gravity."""
     lobule_hu: float = 14.0
     """Standard deviation of texture of about 6 mm."""
     grain_hu: float = 26.0
     """Standard deviation of texture of about 2 mm."""
-    # What is added to the masks.
+    # Additions to the masks.
     emphysema_share: float = 0.0
-    """Of the lung's volume, as holes of 2 to 9 mm across."""
+    """Fraction of the lung's volume that consists of holes of 2 to 9 mm diameter."""
     emphysema_hu: float = -975.0
     vessels_beside: bool = True
-    """An artery beside each airway along which the masks have none."""
+    """Whether an artery is added beside each airway along which the masks have none."""
     twigs_per_tip: int = 0
     twig_diameter_mm: tuple[float, float] = (1.0, 1.5)
     twig_length_mm: tuple[float, float] = (8.0, 25.0)
     plugs: int = 0
-    """Airways that mucus closes over 5 to 10 mm."""
+    """Number of airways that mucus closes over 5 to 10 mm."""
     half_filled: int = 0
-    """Airways along which fluid fills the lower half of the lumen."""
+    """Number of airways along which fluid fills the lower half of the lumen."""
     terminal_share_per_mm2: float = 0.0
-    """Share of the airways possible beyond the masks' tips that grow, for each mm2 of the square of their lumen's
-    radius (:mod:`carina_bench.paint_terminal`)."""
+    """Growth of terminal airways: share of the possible ones, per mm2 of the square of their lumen's radius.
+
+    They grow beyond the tips of the masks (:mod:`carina_bench.paint_terminal`).
+    """
     fine_vessels_per_ml: float = 0.0
-    """Vessels of 0.3 to 0.6 mm radius in each millilitre of lung (:mod:`carina_bench.paint_fine_vessels`)."""
+    """Number of vessels of 0.3 to 0.6 mm radius per millilitre of lung (:mod:`carina_bench.paint_fine_vessels`)."""
 
     def scanner(self) -> Kernel:
-        """The kernel by its name."""
+        """Kernel with the name in ``kernel``."""
         return KERNELS[self.kernel]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What there is to be scanned."""
+    """Anatomy to be scanned."""
 
     hu_zyx: NDArray[np.int16]
-    """(nz, ny, nx) tissue on a grid, each value that of a whole cell; without the airways."""
+    """(nz, ny, nx) tissue values of whole cells on a grid, without the airways."""
     lps_from_ijk: Floats
-    """4x4, of that grid; its axes are at right angles."""
+    """4x4 matrix of that grid, whose axes are perpendicular."""
     tubes: tuple[Tube, ...]
-    """In LPS, mm."""
+    """Tubes, LPS mm."""
     fine_vessels: tuple[FineVessel, ...] = ()
-    """In LPS, mm; thinner than the blur, so that only their sections' areas matter."""
+    """Fine vessels, LPS mm; they are thinner than the blur, so only the areas of their sections matter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Painted:
-    """A painted CT and all that is true of it."""
+    """Painted CT and its truth."""
 
     volume: Volume
     airways: tuple[Tube, ...]
-    """True centrelines and radii where the image shows them: LPS mm, breathing included. No arteries."""
+    """True centrelines and radii at their positions in the image: LPS mm, breathing included, without arteries."""
     cover_zyx: NDArray[np.uint8]
-    """Share of each voxel that is lumen (wall to wall, fluid included), 255 the whole of it."""
+    """Share of each voxel that is lumen (inside the wall, fluid included); 255 is the whole voxel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scanned:
-    """A scene as blurred by the scanner, without the kernel's overshoot and without noise."""
+    """Scene blurred by the scanner, without the kernel's overshoot and without noise."""
 
     values_zyx: NDArray[np.float32]
-    """HU."""
+    """Values, HU."""
     lps_from_ijk: Floats
     airways: tuple[Tube, ...]
-    """As :attr:`Painted.airways`."""
+    """True airways, as in :attr:`Painted.airways`."""
     cover_zyx: NDArray[np.uint8]
-    """As :attr:`Painted.cover_zyx`."""
+    """Share of lumen, as in :attr:`Painted.cover_zyx`."""
 
 
 @dataclass(slots=True)
 class _Axis:
-    """One axis of source cells and of output voxels, in mm from the first source cell's centre."""
+    """Source cells and output voxels along one axis, in mm from the first source cell's centre."""
 
     cell_mm: float
     num_cells: int
     voxel_mm: float
     sigma_mm: float
     at_mm: Floats = field(default_factory=lambda: np.empty(0))
-    """Where each output voxel looks."""
+    """Position of each output voxel."""
 
     @property
     def fine(self) -> int:
@@ -148,37 +153,37 @@ class _Axis:
 
     @property
     def tile(self) -> int:
-        """Source cells of a tile."""
+        """Number of source cells of a tile."""
         return max(round(TILE_CELLS / self.fine), 4)
 
     @property
     def pad(self) -> int:
-        """Source cells beyond the grid that its voxels still see."""
+        """Number of source cells beyond the grid that contribute to its voxels."""
         return math.ceil(reach_mm(self.voxel_mm, self.sigma_mm) / self.cell_mm) + 1
 
     def voxels_near(self, low_mm: float, high_mm: float) -> slice:
-        """Output voxels that see anything between two places."""
+        """Return the output voxels to which the interval between two positions contributes."""
         reach = reach_mm(self.voxel_mm, self.sigma_mm)
         first = int(np.searchsorted(self.at_mm, low_mm - reach))
         return slice(first, int(np.searchsorted(self.at_mm, high_mm + reach)))
 
 
 def paint(scene: Scene, options: PaintOptions, say: Callable[[str], None] | None = None) -> Painted:
-    """The CT of a scene.
+    """Return the CT of a scene.
 
     Parameters
     ----------
     scene
-        Tissue and tubes; what ``options`` say of tissue and additions was used for it (``scene_of_masks``).
+        Tissue and tubes; ``scene_of_masks`` has already applied the tissue and additions of ``options``.
     options
         Kernel, noise, slices, movement; values of air, wall, vessels and mucus.
     say
-        Told of each step.
+        Function that receives a message at each step.
 
     Returns
     -------
     Painted
-        The volume, the airways where the image shows them, and the lumen's share of each voxel. The same scene and
+        The volume, the airways at their positions in the image, and the lumen's share of each voxel. The same scene and
         options give the same voxels.
     """
     tell = say or (lambda _words: None)
@@ -230,7 +235,7 @@ def _first_mm(axis: _Axis) -> float:
 
 
 def _axes(scene: Scene, options: PaintOptions, spacing: Floats) -> tuple[_Axis, _Axis, _Axis]:
-    """x, y and z."""
+    """Return the axes x, y and z."""
     sigma = options.scanner().sigma_mm
     sigmas = (
         sigma,
@@ -250,14 +255,17 @@ def _axes(scene: Scene, options: PaintOptions, spacing: Floats) -> tuple[_Axis, 
 
 
 def _breath(z_mm: Floats, options: PaintOptions) -> Floats:
-    """How far from where it is told to lie a slice lies in the chest. Less than a fifth of the way between slices."""
+    """Return the displacement of slices by breathing, mm.
+
+    Between neighbouring slices it changes by less than a fifth of their distance.
+    """
     wave = 2.0 * math.pi / options.breathing_period_mm
     result: Floats = options.breathing_mm * np.sin(wave * z_mm + options.seed)
     return result
 
 
 def _where_shown(points: Floats, z: _Axis, options: PaintOptions) -> Floats:
-    """Places of the scene, moved to where the image shows them."""
+    """Return points of the scene moved to their positions in the image."""
     if options.breathing_mm == 0.0:
         return points
     told = np.arange(-20.0, z.cell_mm * z.num_cells + 20.0, 0.1)
@@ -267,7 +275,7 @@ def _where_shown(points: Floats, z: _Axis, options: PaintOptions) -> Floats:
 
 
 def _blurred_tissue(hu_zyx: NDArray[np.int16], axes: tuple[_Axis, _Axis, _Axis]) -> NDArray[np.float32]:
-    """The grid's cells as voxels; beyond the grid its last cells go on."""
+    """Return the grid's cells as blurred voxels; beyond the grid its last cells continue."""
     matrices = []
     for axis in axes:
         cells = np.arange(-axis.pad, axis.num_cells + axis.pad)
@@ -297,7 +305,7 @@ def _add_tubes(
     options: PaintOptions,
     down: Floats,
 ) -> None:
-    """Add what tubes change to the blurred tissue, and the lumen's share to the cover."""
+    """Add the change by tubes to the blurred tissue, and the lumen's share to the cover."""
     fine_mm = [axis.cell_mm / axis.fine for axis in axes]
     segments = segments_of(tubes, float(np.cbrt(np.prod(fine_mm))))
     for tile, near in _tiles(segments, axes).items():
@@ -337,7 +345,10 @@ def _add_tubes(
 
 
 def _tiles(segments: list[Segment], axes: tuple[_Axis, _Axis, _Axis]) -> dict[tuple[int, int, int], list[int]]:
-    """Which segments have a say in which tile (x, y, z); tiles beyond the grid count as far as its voxels see."""
+    """Return the segments that contribute to each tile (x, y, z).
+
+    Tiles beyond the grid are included as far as they contribute to voxels of the grid.
+    """
     tiles: dict[tuple[int, int, int], list[int]] = {}
     for place, segment in enumerate(segments):
         ranges = []

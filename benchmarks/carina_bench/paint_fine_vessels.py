@@ -1,7 +1,7 @@
 """Vessels thinner than those of the masks: their courses beside and between airways, and their share of voxels.
 
-A vessel of 0.3 to 0.6 mm radius is thinner than the blur of any kernel, so an image shows only the area of its section:
-each piece of its axis is added to the image as a Gaussian of the kernel's width, without a grid of fine cells.
+A vessel of 0.3 to 0.6 mm radius is thinner than the blur of any kernel, so an image shows only the area of its section.
+Each piece of its axis is added to the image as a Gaussian of the kernel's width, without a grid of fine cells.
 """
 
 from __future__ import annotations
@@ -24,15 +24,18 @@ Floats = NDArray[np.float64]
 
 RADII_MM = (0.3, 0.6)
 RADIUS_POWER = -2.9
-"""Exponent of the count density by radius: 5,861, 2,290 and 675 arteries of 0.26, 0.43 and 0.67 mm (Singhal 1973)."""
+"""Exponent of the density of vessels by radius.
+
+Singhal 1973: 5,861, 2,290 and 675 arteries of 0.26, 0.43 and 0.67 mm.
+"""
 LENGTH_RADII = (7.0, 14.0)
-"""Length of a vessel between two forks, in radii."""
+"""Length of a vessel between two forks, in radii: least and greatest."""
 STEP_MM = 0.5
 SAMPLE_MM = 0.25
 REACH_SIGMAS = 3.2
 LUNG_MM = 1.5
 CLEAR_MM = 0.15
-"""Least gap between a vessel and the wall of an airway."""
+"""Least gap between a vessel and the wall of an airway, mm."""
 BESIDE_SHARE = 0.25
 """Share of vessels that run along an airway, at most :data:`BESIDE_MM` from its wall."""
 BESIDE_MM = 1.2
@@ -42,15 +45,15 @@ NUM_AT_ONCE = 4000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FineVessel:
-    """A vessel thinner than the blur."""
+    """Vessel thinner than the blur."""
 
     points: Floats
-    """(n, 3) mm."""
+    """Centreline (n, 3), mm."""
     radius_mm: float
 
 
 class Axis(Protocol):
-    """One axis of the image."""
+    """Source cells and voxels of the image along one axis."""
 
     at_mm: Floats
     voxel_mm: float
@@ -60,30 +63,30 @@ class Axis(Protocol):
 
 
 class Space(Protocol):
-    """Masks of a patient, asked at points."""
+    """Masks of a patient that can be tested at points."""
 
     def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> NDArray[np.bool_]:
         """Return whether the lung surrounds each point as far as the margin."""
         ...
 
     def at_vessel(self, points: Floats, reach_mm: float) -> NDArray[np.bool_]:
-        """Return whether a vessel of the masks comes this near to each point."""
+        """Return whether a vessel of the masks is within this distance of each point."""
         ...
 
 
 def fine_vessels(
     tubes: Sequence[Tube], space: Space, lung_lps: Floats, num: int, rng: np.random.Generator
 ) -> tuple[FineVessel, ...]:
-    """Return vessels between and beside airways, drawn from a generator of random numbers.
+    """Return vessels between and beside airways, from a random generator.
 
     Parameters
     ----------
     tubes
         Airways and arteries, LPS mm. No vessel enters one.
     lung_lps
-        (n, 3) places in the lung, mm; vessels that do not run beside an airway begin at one of them.
+        (n, 3) points in the lung, LPS mm; vessels that do not run beside an airway start at one of them.
     num
-        Vessels to draw; those that would leave the lung or meet an airway at once are left out.
+        Number of vessels to try; vessels that would leave the lung or meet an airway at once are omitted.
     """
     spatial: Any = importlib.import_module("scipy.spatial")
     low, high = (radius ** (RADIUS_POWER + 1.0) for radius in RADII_MM)
@@ -104,7 +107,8 @@ def fine_vessels(
     clear = space.in_lung(flat, LUNG_MM, num=6)
     there = np.concatenate([tube.points for tube in tubes])
     outer = np.concatenate([tube.outer_mm() for tube in tubes])
-    # Points of a tube are half a millimetre apart, so that between two of them the tube is nearer by less than 0.1 mm.
+    # Points of a tube are half a millimetre apart, so the distance to the nearest point exceeds that to the tube by
+    # less than 0.1 mm.
     tree = spatial.cKDTree(there)
     gap, nearest = tree.query(flat, k=4, distance_upper_bound=float(outer.max()) + 2.0 * RADII_MM[1])
     nearest = np.minimum(nearest, len(there) - 1)
@@ -117,13 +121,13 @@ def fine_vessels(
 def _begin_beside(
     tubes: Sequence[Tube], start: Floats, heading: Floats, radius: Floats, rng: np.random.Generator
 ) -> int:
-    """Move the first vessels beside small airways, along these; return how many."""
+    """Move the first vessels beside small airways, parallel to them; return their number."""
     small = [tube for tube in tubes if not tube.is_artery and tube.generation >= 3 and len(tube.points) > 2]
     num = round(BESIDE_SHARE * len(start)) if small else 0
     places = np.concatenate([tube.points[:-1] for tube in small]) if small else np.empty((0, 3))
     along = np.concatenate([np.diff(tube.points, axis=0) for tube in small]) if small else np.empty((0, 3))
     outer = np.concatenate([tube.outer_mm()[:-1] for tube in small]) if small else np.empty(0)
-    # No more than one vessel begins at each 1.5 mm of an airway.
+    # At most one vessel starts at each 1.5 mm of an airway.
     num = min(num, len(places) // 3)
     chosen = rng.permutation(len(places))[:num]
     direction = _unit(along[chosen])
@@ -149,7 +153,7 @@ def add_fine_vessels(
 ) -> None:
     """Add vessels (mm from the first source cell's centre) to a blurred image ``values`` (nz, ny, nx).
 
-    The blood takes the place of the tissue in the source cell, so that nothing is added inside a vessel of the masks.
+    The blood replaces the tissue of the source cell, so nothing is added inside a vessel of the masks.
     """
     places, masses, radii = _samples(vessels)
     cells = [
@@ -179,7 +183,7 @@ def add_fine_vessels(
 
 
 def _samples(vessels: Iterable[FineVessel]) -> tuple[Floats, Floats, Floats]:
-    """Return places along all vessels from the lowest slice up, the volume in mm3 at each, and the radius."""
+    """Return points along all vessels from the lowest slice up, the volume in mm3 at each, and the radius."""
     places, masses, radii = [], [], []
     for vessel in vessels:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vessel.points, axis=0), axis=1))])
@@ -193,8 +197,8 @@ def _samples(vessels: Iterable[FineVessel]) -> tuple[Floats, Floats, Floats]:
 
 
 def _weights(places: Floats, radii: Floats, axis: Axis) -> tuple[NDArray[np.int64], Floats]:
-    """Return the voxels (n, m) along an axis that see each place, and what each sees of 1 mm3 there, per mm."""
-    # A disc's variance along a line across it is a quarter of the square of its radius.
+    """Return the voxels (n, m) along an axis to which each point contributes, and the contribution of 1 mm3 per mm."""
+    # The variance of a disc along a line across it is a quarter of the square of its radius.
     sigma = np.sqrt(axis.sigma_mm**2 + 0.25 * radii**2)
     reach = math.ceil((0.5 * axis.voxel_mm + REACH_SIGMAS * float(sigma.max())) / axis.voxel_mm)
     middle = np.searchsorted(axis.at_mm, places - 0.5 * axis.voxel_mm)

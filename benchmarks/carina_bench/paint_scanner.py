@@ -1,8 +1,8 @@
-"""The scanner of painted CTs: from a scene to voxels by exact weights, then the kernel's edges and its noise.
+"""Scanner of painted CTs: from a scene to voxels by exact weights, then the kernel's overshoot and noise.
 
-Along each axis a voxel is the scene's mean over the voxel's own width, blurred by the kernel: weights of one axis are a
-small matrix, and a volume is three products. A sharp kernel is a narrow blur whose edges are raised in plane by a
-difference of Gaussians. Noise has the spectrum that filtered back-projection leaves: frequency times the square of the
+Along each axis a voxel is the scene's mean over the voxel's width, blurred by the kernel. The weights of one axis are a
+small matrix, so a volume is three matrix products. A sharp kernel is a narrow blur whose edges are enhanced in plane by
+a difference of Gaussians. Noise has the spectrum of filtered back-projection: frequency times the square of the
 kernel's transfer.
 """
 
@@ -18,7 +18,7 @@ __all__ = ["Kernel", "noise_of_slice", "normal_share", "reach_mm", "sampled_weig
 
 Floats = NDArray[np.float64]
 
-# The normal distribution on a grid fine enough for 1e-6 between its points.
+# Step of the table of the normal distribution, for an interpolation error below 1e-6.
 _STEP = 0.0025
 _AT = np.arange(-8.0, 8.0 + _STEP, _STEP)
 _NORMAL = np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in _AT])
@@ -28,17 +28,20 @@ EDGE_PAD = 12
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """A reconstruction kernel, as what it does to an edge."""
+    """Reconstruction kernel, described by its effect on an edge."""
 
     sigma_mm: float
-    """Of the Gaussian in plane, beside the voxel's own width."""
+    """Sigma of the Gaussian in plane, in addition to the voxel's width."""
     overshoot: float = 0.0
-    """How far an edge in plane runs over, as a share of its height; 0: a plain Gaussian."""
+    """Overshoot of an edge in plane, as a fraction of its height; 0 is a plain Gaussian."""
     surround_mm: float = 0.65
-    """Sigma of the further blur that is taken away for the overshoot: how wide the seam beside an edge is."""
+    """Sigma of the second blur, which is subtracted for the overshoot.
+
+    It determines the width of the seam at an edge.
+    """
 
     def gain(self, pixel_mm: float) -> float:
-        """The weight of the difference of Gaussians that makes :attr:`overshoot` in pixels of this width."""
+        """Return the weight of the difference of Gaussians that gives :attr:`overshoot` in pixels of this width."""
         if self.overshoot <= 0.0:
             return 0.0
         x = np.linspace(0.0, 4.0 * (self.sigma_mm + self.surround_mm) + pixel_mm, 4001)
@@ -52,13 +55,13 @@ class Kernel:
         return 0.5 * (low + high)
 
     def raised(self, frequency: Floats, pixel_mm: float) -> Floats:
-        """What the overshoot multiplies a frequency (1/mm, in plane) by."""
+        """Return the factor of the overshoot for a frequency (1/mm, in plane)."""
         surround = np.exp(-2.0 * (math.pi * self.surround_mm * frequency) ** 2)
         result: Floats = 1.0 + self.gain(pixel_mm) * (1.0 - surround)
         return result
 
     def transfer(self, frequency: Floats, pixel_mm: float) -> Floats:
-        """The kernel's transfer at a frequency (1/mm, in plane), without the voxel's width."""
+        """Return the kernel's transfer at a frequency (1/mm, in plane), without the voxel's width."""
         result: Floats = np.exp(-2.0 * (math.pi * self.sigma_mm * frequency) ** 2) * self.raised(frequency, pixel_mm)
         return result
 
@@ -70,7 +73,7 @@ def normal_share(x: Floats) -> Floats:
 
 
 def _ramp(x: Floats, sigma_mm: float) -> Floats:
-    """The integral of a blurred step up to x."""
+    """Return the integral of a blurred step up to x."""
     if sigma_mm <= 0.0:
         return np.maximum(x, 0.0)
     s = x / sigma_mm
@@ -79,18 +82,18 @@ def _ramp(x: Floats, sigma_mm: float) -> Floats:
 
 
 def _edge(x: Floats, box_mm: float, sigma_mm: float) -> Floats:
-    """A unit step at 0 as voxels of this width show it at x."""
+    """Return a unit step at 0 as voxels of this width show it at x."""
     result: Floats = (_ramp(x + 0.5 * box_mm, sigma_mm) - _ramp(x - 0.5 * box_mm, sigma_mm)) / box_mm
     return result
 
 
 def reach_mm(box_mm: float, sigma_mm: float) -> float:
-    """How far from a voxel's centre the scene still has a say in it."""
+    """Return the distance from a voxel's centre within which the scene contributes to the voxel, mm."""
     return 0.5 * box_mm + REACH_SIGMAS * sigma_mm
 
 
 def step_weights(at_mm: Floats, cells_mm: Floats, cell_mm: float, box_mm: float, sigma_mm: float) -> Floats:
-    """Weights (m, n) of n cells of constant value, ``cell_mm`` wide, in m voxels ``box_mm`` wide. Exact."""
+    """Return exact weights (m, n) of n cells of constant value, ``cell_mm`` wide, in m voxels ``box_mm`` wide."""
     u = at_mm[:, None] - cells_mm[None, :]
     half = 0.5 * cell_mm
     weights: Floats = _edge(u + half, box_mm, sigma_mm) - _edge(u - half, box_mm, sigma_mm)
@@ -98,7 +101,10 @@ def step_weights(at_mm: Floats, cells_mm: Floats, cell_mm: float, box_mm: float,
 
 
 def sampled_weights(at_mm: Floats, cells_mm: Floats, cell_mm: float, box_mm: float, sigma_mm: float) -> Floats:
-    """Weights (m, n) of n samples ``cell_mm`` apart, in m voxels, with no blur of their own; for cells below sigma."""
+    """Return weights (m, n) of n samples ``cell_mm`` apart, without their own blur, in m voxels.
+
+    The weights are accurate for cells smaller than sigma.
+    """
     u = (at_mm[:, None] - cells_mm[None, :]) / sigma_mm
     half = 0.5 * box_mm / sigma_mm
     weights: Floats = (normal_share(u + half) - normal_share(u - half)) * (cell_mm / box_mm)
@@ -113,7 +119,7 @@ def _frequencies(shape_yx: tuple[int, int], spacing_yx: tuple[float, float]) -> 
 
 
 def sharpened_slice(values: NDArray[np.float32], kernel: Kernel, pixel_mm: float) -> NDArray[np.float32]:
-    """A slice (ny, nx) that the kernel's Gaussian has blurred, with the kernel's overshoot."""
+    """Return a slice (ny, nx), blurred by the kernel's Gaussian, with the kernel's overshoot added."""
     if kernel.overshoot <= 0.0:
         return values
     padded = np.pad(values, EDGE_PAD, mode="edge")
@@ -127,11 +133,11 @@ def sharpened_slice(values: NDArray[np.float32], kernel: Kernel, pixel_mm: float
 def noise_of_slice(
     shape_yx: tuple[int, int], kernel: Kernel, pixel_mm: float, noise_hu: float, seed: tuple[int, ...]
 ) -> NDArray[np.float32]:
-    """Noise (ny, nx) of this standard deviation whose spectrum follows the kernel; its mean over the slice is 0."""
+    """Return noise (ny, nx) of this standard deviation with the kernel's spectrum; its mean over the slice is 0."""
     white = np.random.default_rng(seed).standard_normal(shape_yx, dtype=np.float32)
     frequency = _frequencies(shape_yx, (pixel_mm, pixel_mm))
     amplitude = np.sqrt(frequency) * kernel.transfer(frequency, pixel_mm)
-    # Columns of a half spectrum stand for two frequencies, but the first and, where nx is even, the last.
+    # A column of the half spectrum represents two frequencies, except the first and, for even nx, the last.
     twice = np.full(frequency.shape[1], 2.0)
     twice[0] = 1.0
     if shape_yx[1] % 2 == 0:

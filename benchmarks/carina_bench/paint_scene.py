@@ -1,4 +1,4 @@
-"""A scene from a patient's masks: airways as smooth tubes, lungs with texture, vessels, and what is added to them."""
+"""Scene from a patient's masks: airways as smooth tubes, lungs with texture, vessels, and additional structures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Mask = NDArray[np.bool_]
 SMOOTH_CENTRE_MM = 1.5
 SMOOTH_RADIUS_MM = 2.5
 STEP_MM = 0.5
-"""Between two points of a tube."""
+"""Distance of two points of a tube, mm."""
 
 AIRWAY_FILES = ("bronchialTree.nii.gz", "BronchialTree.nii.gz", "BronchialTree.gz")
 LUNG_FILES = ("pleuralBoundary.nii.gz",)
@@ -38,7 +38,7 @@ LOBE_FILES = ("LLL.nii.gz", "LUL.nii.gz", "RLL.nii.gz", "RML.nii.gz", "RUL.nii.g
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Masks:
-    """What is known of a patient, all (nz, ny, nx) on one grid; None where there is no such mask."""
+    """Masks of a patient, all (nz, ny, nx) on one grid; None for a missing mask."""
 
     lps_from_ijk: Floats
     airways: Mask
@@ -49,7 +49,7 @@ class Masks:
 
 
 def mask_folders(data: Path) -> dict[str, Path]:
-    """Patients with airway and lung masks, by a short name."""
+    """Return the folders of patients with airway and lung masks, by a short name."""
     found = {}
     for kind, letter in (("thin_slice_airways", ""), ("thin_slice_lobes", "lobes-")):
         for folder in sorted((data / "masks" / kind).glob("Patient*")):
@@ -59,7 +59,7 @@ def mask_folders(data: Path) -> dict[str, Path]:
 
 
 def masks_of(folder: Path) -> Masks:
-    """The masks of a folder; the lungs are a mask of their own or the five lobes."""
+    """Read the masks of a folder; the lungs are a mask of their own or the five lobes."""
     airways = next(volume for name in AIRWAY_FILES if (volume := opened(folder / name)) is not None)
 
     def mask(name: str) -> Mask | None:
@@ -93,23 +93,23 @@ def masks_of(folder: Path) -> Masks:
 
 
 def opened(path: Path) -> Volume | None:
-    """A mask as a volume, so that all turn from their files' axes in the same way."""
+    """Open a mask as a volume, so that all masks are converted from their files' axes in the same way."""
     if not path.is_file():
         return None
     if path.name.endswith(".nii.gz"):
         return carina.open_volume(path)
-    with tempfile.TemporaryDirectory() as folder:  # a NIfTI whose name does not say so
+    with tempfile.TemporaryDirectory() as folder:  # A NIfTI file without the usual suffix.
         named = Path(folder) / "mask.nii.gz"
         shutil.copyfile(path, named)
         return carina.open_volume(named)
 
 
 def tubes_of_mask(mask_zyx: Mask, lps_from_ijk: Floats) -> tuple[Tube, ...]:
-    """The airways of a mask as tubes: its skeleton smoothed, and the radius of the circle with its section's area.
+    """Return the airways of a mask as tubes with smoothed skeletons and the radii of circles of their sections' areas.
 
-    A skeleton says where a branch is to a voxel, and the distance to the mask's edge is short of its radius by up to
-    half a voxel. The volume of the mask's voxels along a branch knows it better; at forks, where two branches share
-    voxels, the distance to the edge bounds it.
+    A skeleton is exact to a voxel only, and the distance to the mask's edge is less than the radius by up to half a
+    voxel. The volume of the mask's voxels along a branch is more exact; at forks, where two branches share voxels, the
+    distance to the edge limits the radius.
     """
     grid = Volume(np.zeros(mask_zyx.shape, np.int16), lps_from_ijk)
     truth = truth_of_mask(mask_zyx, grid)
@@ -121,7 +121,7 @@ def tubes_of_mask(mask_zyx: Mask, lps_from_ijk: Floats) -> tuple[Tube, ...]:
     voxels = grid.to_lps(np.argwhere(mask_zyx)[:, ::-1].astype(np.float64))
     away, nearest = spatial.cKDTree(points).query(voxels)
     edge = np.concatenate([branch.radius_mm for branch in truth.branches])
-    own = away <= 1.5 * edge[nearest] + 2.0 * voxel_mm  # not the pieces that were taken for spurs
+    own = away <= 1.5 * edge[nearest] + 2.0 * voxel_mm  # Excludes voxels of removed spurs.
     volume = np.bincount(nearest[own], minlength=len(points)) * voxel_mm3
     tubes = []
     first = 0
@@ -142,14 +142,17 @@ def tubes_of_mask(mask_zyx: Mask, lps_from_ijk: Floats) -> tuple[Tube, ...]:
 
 
 def _shares(points: Floats) -> Floats:
-    """How much of a line's length each of its points stands for."""
+    """Return the length of the line that each of its points represents, mm."""
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     result: Floats = 0.5 * (np.append(step, 0.0) + np.insert(step, 0, 0.0))
     return result
 
 
 def _smooth(values: Floats, step: float, sigma_mm: float, *, pinned: bool = False) -> Floats:
-    """A Gaussian along a line of even steps; mirrored at its ends, or turned about them so that they stay."""
+    """Smooth values along a line of even steps by a Gaussian.
+
+    Values are mirrored at the ends; with ``pinned`` they are point-reflected, so that the ends stay.
+    """
     sigma = min(sigma_mm / step, 0.25 * len(values))
     reach = min(math.ceil(3.0 * sigma), len(values) - 1)
     if reach < 1:
@@ -163,7 +166,7 @@ def _smooth(values: Floats, step: float, sigma_mm: float, *, pinned: bool = Fals
 
 
 def scene_of_masks(masks: Masks, options: PaintOptions) -> Scene:
-    """Tissue and tubes of a patient. What the options add is drawn from their seed."""
+    """Return tissue and tubes of a patient; the additions of the options are random with the options' seed."""
     grid = Volume(np.zeros((1, 1, 1), np.int16), masks.lps_from_ijk)
     rng = np.random.default_rng((options.seed, 1))
     tubes = list(tubes_of_mask(masks.airways, masks.lps_from_ijk))
@@ -187,7 +190,7 @@ def scene_of_masks(masks: Masks, options: PaintOptions) -> Scene:
 
 
 def _places_in(mask: Mask, grid: Volume, rng: np.random.Generator, num: int = 50_000) -> Floats:
-    """Return places (n, 3) drawn evenly from a mask, LPS mm."""
+    """Return random points (n, 3), evenly distributed in a mask, LPS mm."""
     voxels = np.flatnonzero(mask)
     chosen = np.stack(np.unravel_index(voxels[rng.integers(len(voxels), size=num)], mask.shape)[::-1], axis=1)
     result: Floats = grid.to_lps(chosen + rng.uniform(-0.5, 0.5, chosen.shape))
@@ -195,7 +198,7 @@ def _places_in(mask: Mask, grid: Volume, rng: np.random.Generator, num: int = 50
 
 
 class _Space:
-    """What lies where: masks asked at points (LPS mm)."""
+    """Masks that can be tested at points (LPS mm)."""
 
     def __init__(self, masks: Masks, grid: Volume) -> None:
         self._masks = masks
@@ -211,14 +214,14 @@ class _Space:
         return result
 
     def in_lung(self, points: Floats, margin_mm: float, *, num: int = 26) -> Mask:
-        """Return whether the lung is around each point as far as the margin, asked in ``num`` directions."""
+        """Return whether the lung surrounds each point as far as the margin, tested in ``num`` directions."""
         sphere = self._sphere if num == len(self._sphere) else _sphere(num)
         around = points[:, None, :] + margin_mm * sphere[None]
         inside = self._ask(self._masks.lungs, around.reshape(-1, 3)).reshape(len(points), -1)
         return np.asarray(inside.all(axis=1), np.bool_)
 
     def at_vessel(self, points: Floats, reach_mm: float) -> Mask:
-        """Whether a vessel of the masks comes this near to each point."""
+        """Return whether a vessel of the masks is within this distance of each point."""
         if self._masks.vessels is None:
             return np.zeros(len(points), np.bool_)
         shells = np.concatenate([reach_mm * share * self._sphere for share in (1.0, 0.75, 0.5, 0.25)])
@@ -235,7 +238,7 @@ def _sphere(num: int) -> Floats:
 
 
 def _across(direction: Floats, rng: np.random.Generator) -> Floats:
-    """A random unit vector at right angles to a direction."""
+    """Return a random unit vector perpendicular to a direction."""
     other = rng.standard_normal(3)
     other -= (other @ direction) * direction
     result: Floats = other / np.linalg.norm(other)
@@ -243,7 +246,7 @@ def _across(direction: Floats, rng: np.random.Generator) -> Floats:
 
 
 def _twigs(tubes: list[Tube], space: _Space, options: PaintOptions, rng: np.random.Generator) -> list[Tube]:
-    """Airways of the asked width that leave the tips: through lung alone, past vessels and other airways."""
+    """Return airways of the requested width that leave the tips, in lung only, clear of vessels and other airways."""
     spatial: Any = importlib.import_module("scipy.spatial")
     parents = {tube.parent for tube in tubes}
     found: list[Tube] = []
@@ -270,7 +273,7 @@ def _twigs(tubes: list[Tube], space: _Space, options: PaintOptions, rng: np.rand
                 clear = space.in_lung(points, outer + 2.0) & ~space.at_vessel(points, outer + 0.3)
                 gap, nearest = tree.query(points)
                 clear &= gap > outer + reach[nearest] + 0.5
-                # Twigs of one tip are together at first.
+                # Twigs of one tip overlap at first.
                 clear |= along < tip.radius_mm[-1] + 3.0
                 end = len(points) if clear.all() else int(np.argmin(clear))
                 if along[end - 1] >= options.twig_length_mm[0]:
@@ -290,7 +293,7 @@ def _twigs(tubes: list[Tube], space: _Space, options: PaintOptions, rng: np.rand
 
 
 def _wandering(start: Floats, heading: Floats, length_mm: float, rng: np.random.Generator) -> Floats:
-    """A line that bends a little, evenly."""
+    """Return a line that bends slightly and evenly."""
     num = max(math.ceil(length_mm / STEP_MM), 2) + 1
     bend = _across(heading, rng) * rng.uniform(0.0, 0.02)
     points = [start]
@@ -302,7 +305,7 @@ def _wandering(start: Floats, heading: Floats, length_mm: float, rng: np.random.
 
 
 def _filled(tubes: list[Tube], options: PaintOptions, rng: np.random.Generator) -> list[Tube]:
-    """Mucus in some airways of segmental size and below that have airways beyond them."""
+    """Add mucus to some airways of segmental size and below that have child branches."""
     parents = {tube.parent for tube in tubes}
     fit = [
         n
@@ -327,7 +330,7 @@ def _filled(tubes: list[Tube], options: PaintOptions, rng: np.random.Generator) 
 
 
 def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> list[Tube]:
-    """An artery beside each small airway along which the masks have no vessel: as wide as the airway with its wall."""
+    """Return an artery beside each small airway without a vessel in the masks, as wide as the airway with its wall."""
     found: list[Tube] = []
     for tube in tubes:
         outer = tube.outer_mm()
@@ -345,7 +348,7 @@ def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> lis
             side = side / np.linalg.norm(side)
             beside.append(point + away * side)
         points = np.array(beside)
-        # Not at the fork, where it would lie in the parent; and where there is lung.
+        # Not at the fork, where the artery would lie in the parent, and only in lung.
         usable = space.in_lung(points, 1.0) & (STEP_MM * np.arange(len(points)) >= 2.0)
         if usable.sum() >= 5:
             run = np.flatnonzero(usable)
@@ -355,12 +358,12 @@ def _arteries(tubes: list[Tube], space: _Space, rng: np.random.Generator) -> lis
 
 
 def _tissue(masks: Masks, grid: Volume, options: PaintOptions) -> NDArray[np.int16]:
-    """HU of body, lungs, vessels and nodule on the masks' grid, without the airways."""
+    """Return HU of body, lungs, vessels and nodule on the masks' grid, without the airways."""
     shape = masks.airways.shape
     spacing = np.array(grid.spacing_mm)
     lungs = _with_holes_closed(masks, spacing)
     hu = np.where(_body(masks, spacing), np.int16(options.tissue_hu), np.int16(-1000))
-    # Lung is denser at the back, on which the person lies.
+    # Lung is denser at the back, which is the lowest part of a supine patient.
     back = grid.lps_from_ijk[1, :3]
     ijk_mm = [np.arange(n) * back[axis] for axis, n in enumerate(shape[::-1])]
     low, high = (sum(float(f(part)) for part in ijk_mm) for f in (np.min, np.max))
@@ -387,7 +390,7 @@ def _tissue(masks: Masks, grid: Volume, options: PaintOptions) -> NDArray[np.int
 
 
 class _Texture:
-    """A smooth random field of variance 1, drawn on a coarse grid, slice by slice."""
+    """Smooth random field of variance 1, drawn on a coarse grid, slice by slice."""
 
     def __init__(self, shape: tuple[int, ...], spacing_xyz: Floats, size_mm: float, rng: np.random.Generator) -> None:
         knot_mm = 0.5 * size_mm
@@ -407,7 +410,7 @@ class _Texture:
 
 
 def _spline(at: Floats, num: int) -> Floats:
-    """Weights (m, num) of a cubic B-spline's knots, scaled so that white knots give variance 1."""
+    """Return weights (m, num) of a cubic B-spline's knots, scaled so that white knots give variance 1."""
     base = np.floor(at).astype(int)
     t = at - base
     parts = ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
@@ -419,7 +422,7 @@ def _spline(at: Floats, num: int) -> Floats:
 
 
 def _with_holes_closed(masks: Masks, spacing: Floats) -> Mask:
-    """The lungs with what the airways (which are painted anew) and vessels take out of them."""
+    """Return the lungs including the airways (which are painted again) and vessels that their mask excludes."""
     sitk: Any = importlib.import_module("SimpleITK")
     coarse = masks.lungs[::2, ::2, ::2]
     image = sitk.GetImageFromArray(coarse.astype(np.uint8))
@@ -432,7 +435,7 @@ def _with_holes_closed(masks: Masks, spacing: Floats) -> Mask:
 
 
 def _near_tubes(masks: Masks) -> Mask:
-    """Airways and vessels, grown by two voxels in plane."""
+    """Return the airways and vessels, dilated by two voxels in plane."""
     inside = masks.airways if masks.vessels is None else masks.airways | masks.vessels
     for axis in (1, 2):
         grown = inside.copy()
@@ -451,7 +454,7 @@ def _repeated(mask: Mask, shape: tuple[int, ...], factor: int) -> Mask:
 
 
 def _body(masks: Masks, spacing: Floats) -> Mask:
-    """Within 18 mm of the lungs, what lies between them, and a neck round the trachea above them."""
+    """Return the body: within 18 mm of the lungs, the region between them, and a neck around the trachea above them."""
     sitk: Any = importlib.import_module("SimpleITK")
     factor = 4
     coarse = masks.lungs[::factor, ::factor, ::factor] | masks.airways[::factor, ::factor, ::factor]
@@ -468,7 +471,7 @@ def _body(masks: Masks, spacing: Floats) -> Mask:
 
 
 def _emphysema(lungs: Mask, spacing: Floats, options: PaintOptions) -> NDArray[np.float32]:
-    """Shares of cells taken by round holes with soft edges."""
+    """Return the shares of cells occupied by round holes with soft edges."""
     rng = np.random.default_rng((options.seed, 3))
     result = np.zeros(lungs.shape, np.float32)
     places = np.argwhere(lungs[::3, ::3, ::3]) * 3

@@ -1,4 +1,4 @@
-"""Slices of a thinly sliced image: reconstructed as means over their thickness, or resampled between thin slices."""
+"""Slices from an image of thin slices: means over the slice thickness, or interpolation between thin slices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Slices", "noisy_slices", "slice_weights", "sliced"]
 Floats = NDArray[np.float64]
 
 SAME_MM = 0.15
-"""Slices whose thickness differs by no more from that of the thin slices are the thin slices."""
+"""Difference of thickness up to which slices are the thin slices themselves, mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,25 +23,25 @@ class Slices:
 
     thickness_mm: float
     increment_mm: float | None = None
-    """Distance of two slices; slices overlap where the distance is less than the thickness. None: the thickness."""
+    """Distance of two slices; slices overlap if the distance is less than the thickness. None: the thickness."""
     is_resampled: bool = False
-    """The thin slices are interpolated linearly at the distance: nothing is averaged."""
+    """Whether the thin slices are interpolated linearly at the distance, without averaging."""
 
     @property
     def distance_mm(self) -> float:
-        """Distance of two slices."""
+        """Distance of two slices, mm."""
         return self.thickness_mm if self.increment_mm is None else self.increment_mm
 
     def are_thin(self, thin_mm: float) -> bool:
-        """Return whether thin slices of this thickness stand for these."""
+        """Return whether thin slices of this thickness can be used as these slices."""
         return abs(self.distance_mm - thin_mm) <= SAME_MM and self.thickness_mm <= thin_mm + SAME_MM
 
 
 def slice_weights(num_thin: int, thin_mm: float, slices: Slices) -> tuple[Floats, float, float]:
-    """Return the weights (m, n) of n thin slices, the first slice's place and the distance of slices, both in mm.
+    """Return the weights (m, n) of n thin slices, the first slice's position and the distance of slices, both in mm.
 
-    Places are measured from the centre of the first thin slice. A mean over the thickness of slices that are a mean
-    over ``thin_mm`` themselves has a trapezoid as its profile.
+    Positions are measured from the centre of the first thin slice. Slices that are means over their thickness, of
+    slices that are means over ``thin_mm``, have a trapezoidal profile.
     """
     if slices.are_thin(thin_mm):
         return np.eye(num_thin), 0.0, thin_mm
@@ -59,7 +59,7 @@ def slice_weights(num_thin: int, thin_mm: float, slices: Slices) -> tuple[Floats
 
 
 def sliced(thin_zyx: NDArray[np.float32], weights: Floats) -> NDArray[np.float32]:
-    """Return slices (m, ny, nx) of n thin ones by their weights (m, n)."""
+    """Return slices (m, ny, nx) of n thin slices by their weights (m, n)."""
     result = np.zeros((len(weights), *thin_zyx.shape[1:]), np.float32)
     for k, row in enumerate(weights):
         for n in np.flatnonzero(row):
@@ -79,9 +79,9 @@ def noisy_slices(
 ) -> NDArray[np.int16]:
     """Return HU of slices with the kernel's overshoot and noise.
 
-    The noise is that of thin slices, drawn one by one, and averaged as the slices are: slices that overlap share a part
-    of their noise. The dose is one at which each reconstructed slice has the standard deviation ``noise_hu``; slices
-    resampled from thin ones have the noise of these, less what the interpolation averages.
+    The noise is drawn for the thin slices and averaged like them, so overlapping slices share a part of their noise.
+    The dose is chosen so that each reconstructed slice has the standard deviation ``noise_hu``; slices that are
+    interpolated between thin slices have the thin slices' noise, reduced by the interpolation.
     """
     shape: tuple[int, int] = (values_zyx.shape[1], values_zyx.shape[2])
     result = np.empty(values_zyx.shape, np.int16)

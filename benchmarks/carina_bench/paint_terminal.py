@@ -1,8 +1,8 @@
-"""Terminal airways: forks grown beyond the tips of a mask's airways, down to lumens of 0.45 mm radius.
+"""Terminal airways: forks beyond the tips of a mask's airways, down to lumens of 0.45 mm radius.
 
 Each fork divides the flow of its parent in two shares. The lumens follow Murray's rule with an exponent of 2.8, the
-narrower airway turns farther from the parent's course than the wider one, and the plane of a fork stands across that of
-the fork before.
+narrower airway turns farther from the parent's direction than the wider one, and the plane of a fork is perpendicular
+to that of the previous fork.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ LEAST_RADIUS_MM = 0.45
 FLOW_EXPONENT = 2.8
 LEAST_FLOW = 0.3
 LENGTH_RADII = (9.0, 16.0)
-"""Length of an airway between two forks, in radii of its lumen."""
+"""Length of an airway between two forks, in radii of its lumen: least and greatest."""
 TURN_DEG = 70.0
-"""Sum of the angles of both airways of a fork with the parent's course."""
+"""Sum of the angles of both airways of a fork with the parent's direction."""
 WALL_MM = (0.2, 0.3)
 STEP_MM = 0.5
 FREE_MM = 0.35
-"""Least gap between the walls of two airways that do not share a fork."""
+"""Least gap between the walls of two airways that do not share a fork, mm."""
 LUNG_MM = 1.5
 TRIALS = 8
 MOST_GENERATIONS = 8
@@ -39,24 +39,24 @@ MOST_GENERATIONS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
-    """The end of an airway, from which a fork may grow."""
+    """End of an airway, from which a fork may grow."""
 
     tube: Tube
     towards: Floats
     plane: Floats
-    """Unit vector in the plane of the fork before, at right angles to the course."""
+    """Unit vector in the plane of the previous fork, perpendicular to the airway."""
     num_forks: int
 
 
 def terminal_airways(tubes: Sequence[Tube], space: Space, share_per_mm2: float, rng: np.random.Generator) -> list[Tube]:
-    """Return airways beyond the tips of ``tubes``; each keeps clear of the lung's border and of other airways.
+    """Return airways beyond the tips of ``tubes``; each avoids the lung's border and other airways.
 
     Parameters
     ----------
     tubes
-        Airways of the masks, LPS mm, each with its own place among them as its id.
+        Airways of the masks, LPS mm; the ID of each is its index.
     share_per_mm2
-        Share of the possible airways that grow, for each mm2 of the square of their lumen's radius; none below
+        Share of the possible airways that grow, per mm2 of the square of their lumen's radius; none below
         :data:`LEAST_RADIUS_MM`.
     """
     parents = {tube.parent for tube in tubes}
@@ -100,7 +100,7 @@ def _fork(
     share_per_mm2: float,
     rng: np.random.Generator,
 ) -> list[tuple[Tube, Floats]]:
-    """Return up to two airways from an end, each with the direction that lay across the fork's plane."""
+    """Return up to two airways from an end, each with the direction perpendicular to the fork's plane."""
     start = end.tube.points[-1]
     before = float(end.tube.radius_mm[-1])
     flow = rng.uniform(LEAST_FLOW, 0.5)
@@ -125,7 +125,7 @@ def _fork(
             gap = (np.linalg.norm(points[:, None] - there, axis=2) - outer).min(axis=1)
             clear = gap > radius + thickness + FREE_MM
             clear &= space.in_lung(points, LUNG_MM) & ~space.at_vessel(points, radius + thickness + 0.2)
-            # Beside the fork an airway is in its parent; its neighbours there were kept clear of when that grew.
+            # Near the fork an airway lies in its parent, which already avoids the neighbours.
             clear |= along < before + 0.5
             if clear.all():
                 tube = Tube(

@@ -1,4 +1,4 @@
-"""Tubes of continuous centre and radius, and how much of each small cell of space they cover."""
+"""Tubes of continuous centreline and radius, and the share of each small cell of space that they cover."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ Cells = NDArray[np.float32]
 Box = tuple[slice, slice, slice]
 
 WALL_FACTOR = 0.6
-"""mm of wall at a lumen of 1 mm radius; it grows with the root of the radius."""
+"""Wall thickness in mm at a lumen of 1 mm radius; it grows with the square root of the radius."""
 MERGE_SHARE = 0.35
-"""How far from a fork's edge two lumens flow together, as a share of the thinner one's radius."""
+"""Distance from a fork's edge within which the union of two lumens is rounded, as a share of the thinner radius."""
 FAR_MM = np.float32(50.0)
 FULL_LEVEL = 0.99
-"""Fluid that stands this high (radii over the axis) fills the lumen."""
+"""Level of fluid (radii above the axis) from which it fills the lumen."""
 
 
 def wall_mm(radius_mm: Floats) -> Floats:
-    """Thickness of an airway's wall by its lumen's radius.
+    """Return the thickness of an airway's wall for its lumen's radius, mm.
 
     Trachea (9 mm) 1.8, main and lobar (4.3 to 6.1) 1.2 to 1.5, segmental (2.8 to 3.5) 1.0 to 1.1, generations 5 and 6
-    (1.4 to 1.75) 0.7 to 0.8, a twig of 1 mm across 0.4.
+    (1.4 to 1.75) 0.7 to 0.8, a twig of 1 mm diameter 0.4.
     """
     result: Floats = WALL_FACTOR * np.sqrt(np.maximum(radius_mm, 0.0))
     return result
@@ -35,22 +35,22 @@ def wall_mm(radius_mm: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tube:
-    """An airway, or an artery beside one."""
+    """Airway, or artery beside an airway."""
 
     points: Floats
-    """(n, 3) mm, LPS in a scene."""
+    """Centreline (n, 3), mm; LPS in a scene."""
     radius_mm: Floats
-    """(n,) of the lumen; of an artery its outside."""
+    """Radius (n,) of the lumen; of the outside for an artery."""
     id: int = 0
     parent: int | None = None
     generation: int = 0
     is_artery: bool = False
     filled_from: Floats | None = None
-    """(n,) how high fluid stands, in radii over the axis: 1 fills the lumen, 0 half of it, -1 leaves it empty."""
+    """Level (n,) of fluid in radii above the axis: 1 fills the lumen, 0 half of it, -1 leaves it empty."""
     true_from: int = 0
-    """Points before this one lie in the parent's lumen: no centreline of this airway's own."""
+    """Index of the first point outside the parent's lumen; the points before it are not part of the true centreline."""
     thickness_mm: float | None = None
-    """Thickness of the wall; None: by the radius of the lumen (:func:`wall_mm`)."""
+    """Thickness of the wall; None computes it from the radius of the lumen (:func:`wall_mm`)."""
 
     def outer_mm(self) -> Floats:
         """Return the radius (n,) of the outside: of the wall, or of an artery."""
@@ -59,33 +59,34 @@ class Tube:
         return self.radius_mm + (wall_mm(self.radius_mm) if self.thickness_mm is None else self.thickness_mm)
 
     def moved(self, points: Floats) -> Tube:
-        """The same tube elsewhere."""
+        """Return the same tube with other points."""
         return replace(self, points=points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """A straight piece of a tube whose radii change evenly."""
+    """Straight piece of a tube whose radii change linearly."""
 
     start: Floats
     axis: Floats
-    """(3,) unit vector."""
+    """Unit vector (3,)."""
     length: float
     lumen: tuple[float, float]
     outer: tuple[float, float]
     merge: float
     tube: int
-    """Place of its tube among all."""
+    """Index of its tube."""
     level: tuple[float, float] | None
     low: Floats
-    """(3,) corner of the box that it can have a say in."""
+    """Lowest corner (3,) of the box of cells to which the segment can contribute."""
     high: Floats
 
 
 def segments_of(tubes: Sequence[Tube], cell_mm: float) -> list[Segment]:
-    """Tubes (mm of any frame) cut into pieces short enough to be straight, for cells of this width.
+    """Divide tubes (mm of any frame) into pieces short enough to count as straight, for cells of this width.
 
-    The rim of what is covered is a ramp one cell wide, which adds pi h^2 / 12 to a disc's area: radii make up for it.
+    The rim of the covered area is a ramp one cell wide, which adds pi h^2 / 12 to a disc's area; the radii are reduced
+    accordingly.
     """
     found = []
     for place, tube in enumerate(tubes):
@@ -118,7 +119,7 @@ def segments_of(tubes: Sequence[Tube], cell_mm: float) -> list[Segment]:
 
 
 def _cut(tube: Tube) -> tuple[Floats, Floats, Floats | None]:
-    """Places along a tube a third of its radius apart, 0.4 to 2.5 mm."""
+    """Return positions along a tube a third of its radius apart, 0.4 to 2.5 mm, with their radii and fluid levels."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tube.points, axis=0), axis=1))])
     at = [0.0]
     while at[-1] < along[-1]:
@@ -131,14 +132,14 @@ def _cut(tube: Tube) -> tuple[Floats, Floats, Floats | None]:
 
 @dataclass(slots=True, eq=False)
 class Covers:
-    """Shares of cells ``[z, y, x]`` that are covered, 0 to 1."""
+    """Covered shares of cells ``[z, y, x]``, 0 to 1."""
 
     lumen: Cells
     airway: Cells
-    """Lumen and wall."""
+    """Share of lumen and wall."""
     artery: Cells
     fluid: Cells
-    """Of the lumen, not of the cell."""
+    """Share of fluid in the lumen, not in the cell."""
 
 
 def covers_of(
@@ -148,9 +149,10 @@ def covers_of(
     cell_mm: float,
     down: Floats,
 ) -> Covers:
-    """What segments cover of cells whose centres lie at ``axes_xyz`` (mm, each axis evenly); fluid sinks ``down``.
+    """Return the shares of cells that segments cover; fluid sinks in the direction ``down``.
 
-    The lumens of an airway and of what leaves it flow together smoothly; everything else is a plain union.
+    The centres of the cells are at ``axes_xyz`` (mm, even steps on each axis). The union of the lumens of an airway and
+    its children is rounded; every other union is plain.
     """
     shape = (len(axes_xyz[2]), len(axes_xyz[1]), len(axes_xyz[0]))
     lumen, airway, artery = (np.full(shape, FAR_MM, np.float32) for _ in range(3))
@@ -173,7 +175,7 @@ def covers_of(
             np.minimum(airway[at], outer, out=airway[at])
             if segment.level is not None:
                 level = _between(segment.level, along)
-                # To the top means beyond it: no film of air is left.
+                # A full lumen has its level far above the top, so that no film of air remains.
                 level = np.where(level >= FULL_LEVEL, np.float32(10.0), level)
                 wet = np.clip(0.5 + (height + level * radius) / np.float32(cell_mm), 0.0, 1.0) * (inner < cell_mm)
                 np.maximum(fluid[at], wet, out=fluid[at])
@@ -192,7 +194,7 @@ def _by_tube(segments: Sequence[Segment]) -> dict[int, list[Segment]]:
 
 
 def _box_of(segment: Segment, axes_xyz: tuple[Floats, Floats, Floats]) -> Box | None:
-    """The cells ``[z, y, x]`` that a segment can have a say in."""
+    """Return the cells ``[z, y, x]`` to which a segment can contribute."""
     slices = []
     for axis, (low, high) in enumerate(zip(segment.low, segment.high, strict=True)):
         first, last = np.searchsorted(axes_xyz[axis], [low, high])
@@ -215,7 +217,7 @@ def _between(ends: tuple[float, float], along: Cells) -> Cells:
 def _distance(
     segment: Segment, axes_xyz: tuple[Floats, Floats, Floats], box: Box, down: Floats
 ) -> tuple[Cells, Cells, Cells]:
-    """Of the cells of a box: distance to the axis, share of the way along it (0..1), and how far below it they lie."""
+    """Return for the cells of a box: distance to the axis, position along the axis (0..1), and depth below the axis."""
     z, y, x = box
     off = [
         (axes_xyz[0][x] - segment.start[0])[None, None, :],
@@ -243,7 +245,7 @@ def _cover(distance: Cells, cell_mm: float) -> Cells:
 
 
 def _merged(one: Cells, other: Cells, merge_mm: float) -> Cells:
-    """The lesser of two distances, rounded off over ``merge_mm`` where they meet."""
+    """Return the smaller of two distances, rounded over ``merge_mm`` where they are similar."""
     least = np.minimum(one, other)
     if merge_mm <= 0.0:
         return least

@@ -1,4 +1,4 @@
-"""Pictures of a run, and how two of them differ."""
+"""Pictures of a run, and differences between two pictures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def save(folder: str | Path, name: str, rgb: NDArray[np.uint8]) -> str:
 
 
 def difference(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> dict[str, Any]:
-    """Largest and mean difference in grey levels of 255, and the share of pixels that differ at all."""
+    """Return the largest and mean difference in grey levels of 255, and the share of pixels that differ at all."""
     apart = np.abs(a.astype(np.int16) - b.astype(np.int16))
     pixels = apart.max(axis=-1) if apart.ndim == 3 else apart
     return {

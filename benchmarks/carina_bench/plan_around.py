@@ -1,8 +1,8 @@
-"""What lies round targets, against truth: vessels, fissures and lobes on phantoms and on CTs painted from masks.
+"""Structures around targets compared with truth: vessels, fissures and lobes on phantoms and on painted CTs.
 
 ``python -m carina_bench.plan_around vessels|lungs|fissures|lobes [CASE ...]`` prints a line of JSON per case: vessels
-round needle lines (*vessels*) or of whole lungs (*lungs*). Painting needs scipy and scikit-image; what is painted is
-kept in the folder of ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to 3 (painted), ``lobes-Patient1`` to 3 (masks
+around needle lines (*vessels*) or of whole lungs (*lungs*). Painting needs scipy and scikit-image; painted CTs are
+stored in the folder of ``--keep``. Cases: ``phantom-SEED``, ``Patient1`` to 3 (painted), ``lobes-Patient1`` to 3 (masks
 of lobes).
 """
 
@@ -44,32 +44,35 @@ Row = dict[str, Any]
 
 NUM_LINES = 60
 ROOM_MM = 14.0
-"""As `carina.plan.routes` leaves round target and tip."""
+"""Margin around target and tip, mm; equal to that of `carina.plan.routes`."""
 FINE_MM = 0.5
 PHANTOM_SPACING = (0.7, 0.7, 0.8)
 CLASSES_MM = ((0.0, 1.0), (1.0, 1.5), (1.5, 2.5), (2.5, 4.0), (4.0, 20.0))
-"""Diameters of vessels."""
+"""Classes of vessel diameter, mm."""
 NEAR_MM = 1.0
-"""A voxel this near to the other's is found, or true."""
+"""Distance between a found and a true voxel up to which they agree, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """A CT and what is true of it."""
+    """CT and its truth."""
 
     name: str
     volume: Volume
     tree: AirwayTree
     wall: WallField
     tissue: Callable[[Points, float], tuple[Volume, Mask, Mask]]
-    """Vessels, and where they can be judged (lung), in a box round a point: a grid and two masks on it."""
+    """Function that returns the truth in a box around a point: grid, mask of vessels, mask of judged voxels.
+
+    Judged voxels are lung.
+    """
     in_lung: Callable[[Points], Mask]
     fissures: Mask | None = None
     lungs: Mask | None = None
 
 
 def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
-    """Recall by diameter, precision, and the distance of needle lines to the nearest vessel."""
+    """Return recall by diameter, precision, and the distance of needle lines to the nearest vessel."""
     rng = np.random.default_rng(5)
     tips = np.concatenate([b.points[b.radius > 0.8] for b in known.tree.branches if b.generation >= 2])
     found_of = dict.fromkeys(CLASSES_MM, 0)
@@ -128,18 +131,18 @@ def vessel_row(known: Known, num: int = NUM_LINES) -> Row:
 
 
 def _middle_lines(grid: Volume, vessels: Mask, judged: Mask) -> tuple[Points, NDArray[np.float32]]:
-    """Places on the middle lines of true vessels, and how wide those are."""
+    """Return points on the centrelines of true vessels, and their diameters there."""
     depth = ball_distance(vessels, float(min(grid.spacing_mm)))
     widest = depth
     for _ in range(4):
         widest = _dilated(widest)
-    # A bump of a wide vessel's edge is no thin vessel.
+    # Excludes irregularities at the edge of wide vessels, which would count as thin vessels.
     ridge = vessels & judged & (depth >= _dilated(depth) - 1e-6) & (depth >= 0.6 * widest)
     return grid.to_lps(np.argwhere(ridge)[:, ::-1].astype(np.float64)), 2.0 * depth[ridge]
 
 
 def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
-    """Recall and precision of the vessels of whole lungs, as the window shows them, in boxes here and there."""
+    """Return recall and precision of the vessels of whole lungs, as in the window, in random boxes."""
     made: list[LungMap] = []
 
     def stop(lungs: LungMap) -> None:
@@ -148,7 +151,7 @@ def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
 
     begun = time.perf_counter()
     with contextlib.suppress(CancelledError):
-        # Of the airways only their tree is looked at.
+        # Only the tree of the airways is used.
         map_lungs(known.volume, cast(Airways, SimpleNamespace(tree=known.tree)), known.wall, found=stop)
     seconds = time.perf_counter() - begun
     mask = made[0].vessels
@@ -188,7 +191,7 @@ def lungs_row(known: Known, num: int = NUM_LINES) -> Row:
 
 
 def lobes_row(name: str) -> Row:
-    """Lobes from airways alone, on a patient's masks: Dice, and how often the told certainty holds."""
+    """Return Dice of lobes that are computed from airways alone, and the reliability of their certainty."""
     from carina_bench.paint_scene import AIRWAY_FILES, mask_folders, opened
 
     data = load_settings().data_dir
@@ -212,7 +215,7 @@ def lobes_row(name: str) -> Row:
     k, j, i = np.indices(num).reshape(3, -1)
     points = np.stack([i, j, k], axis=1) * STEP_MM + low
     true = np.where(_holds(volume, points), _read(truth, volume, points), 0).reshape(num)
-    # Airways and vessels are cut out of the masks.
+    # The masks exclude airways and vessels.
     lungs = ball_distance(ball_distance(~(true > 0), STEP_MM) <= 6.0, STEP_MM) >= 5.0
     begun = time.process_time()
     found = nearest_lobe(lungs | (true > 0), matrix, tree)
@@ -241,7 +244,7 @@ def lobes_row(name: str) -> Row:
 
 
 def fissures_row(known: Known) -> Row:
-    """Fissures that are seen beside those that were drawn, and what they do for the lobes' borders."""
+    """Return the precision and recall of found fissures, and their effect on the lobes' borders."""
     assert known.fissures is not None
     begun = time.process_time()
     found = lobes(known.volume, known.tree)
@@ -280,7 +283,7 @@ def _away_mm(mask: Mask, step_mm: float) -> NDArray[np.float32]:
 
 
 def _away(mask: Mask, grid: Volume) -> NDArray[np.float32]:
-    """Distance to the mask's edge, 0 inside, the grid's spacing taken as it is."""
+    """Return the distance to the mask's edge in mm, 0 inside, on a grid whose axes are assumed perpendicular."""
     if not mask.any():
         return np.full(mask.shape, 99.0, np.float32)
     image = sitk.GetImageFromArray(mask.astype(np.uint8))
@@ -315,7 +318,7 @@ def _read(values: NDArray[Any], grid: Volume, points: Points) -> NDArray[Any]:
 
 
 def known_case(name: str, keep: Path) -> Known:
-    """A case by its name."""
+    """Return a case by its name."""
     path = keep / f"around-{name}.pickle"
     if path.is_file():
         saved = pickle.loads(path.read_bytes())
@@ -357,7 +360,10 @@ def _phantom(seed: int) -> Row:
 
 
 def _known_phantom(name: str, saved: Row, volume: Volume, tree: AirwayTree, wall: WallField) -> Known:
-    """Vessels of a phantom: what is dense in a fine piece without noise, without mediastinum and airways' walls."""
+    """Return a phantom with the truth of its vessels: dense voxels of a fine volume without noise.
+
+    Mediastinum and airway walls are excluded.
+    """
     branches = saved["truth"]["branches"]
     spatial: Any = importlib.import_module("scipy.spatial")
     axes = spatial.cKDTree(np.concatenate([np.array(b["points"]) for b in branches]))
@@ -391,7 +397,7 @@ def _known_phantom(name: str, saved: Row, volume: Volume, tree: AirwayTree, wall
 
 
 def _lung_of(volume: Volume) -> Mask:
-    """Air of the chest that is not outside, small dense parts closed."""
+    """Return the air of the chest that is not outside, with small dense parts closed."""
     image = sitk.GetImageFromArray((volume.hu_zyx < -500).astype(np.uint8))
     pieces = sitk.RelabelComponent(sitk.ConnectedComponent(image))
     labels = sitk.GetArrayFromImage(pieces)
@@ -404,7 +410,7 @@ def _lung_of(volume: Volume) -> Mask:
 
 
 def _painted(name: str) -> Row:
-    """A painted patient: vessels of the masks and drawn arteries, without the airways and their walls."""
+    """Return a painted patient with its vessels: those of the masks and added arteries, without airways."""
     from carina_bench.paint import PaintOptions, paint
     from carina_bench.paint_scene import masks_of, scene_of_masks
     from carina_bench.paint_tubes import wall_mm
@@ -447,7 +453,7 @@ def _depth(mask: Mask, spacing: Points) -> NDArray[np.float32]:
 
 
 def _draw(mask: Mask, grid: Volume, points: Points, radius: Points) -> None:
-    """Balls along a line."""
+    """Draw balls along a line into a mask."""
     spacing = np.array(grid.spacing_mm)
     for point, r in zip(grid.to_ijk(points), radius, strict=True):
         reach = np.ceil(r / spacing).astype(int) + 1

@@ -1,12 +1,12 @@
-"""Is the first route the best there is? Against a slow search of its own, on phantoms with nodules and stenoses.
+"""Comparison of the first planned route with the best of an exhaustive search, on phantoms with nodules and stenoses.
 
-``python -m carina_bench.plan_best FOLDER`` reads the cases that ``plan_truth`` keeps there, or makes them.
+``python -m carina_bench.plan_best FOLDER`` reads the cases that ``plan_truth`` stores there, or makes them.
 
-The search shares no code with the plan but what both are given: the tree, the lumen's width along each branch, the
-nodule's voxels, the wall's distances, the vessels of the box, the weights. It stands at all centreline points 0.35 mm
-apart (the plan: 0.7), walks each needle in steps of 0.1 mm (the plan: 0.25), draws its needles (the plan: quadrature),
-and follows each way from the trachea for its narrowest place and its sharpest bend. Places that cannot be the best even
-if no needle misses are not drawn for.
+The search shares no code with the plan, only its inputs: the tree, the lumen's width along each branch, the nodule's
+voxels, the wall's distances, the vessels of the box, the weights. It tests centreline points 0.35 mm apart (the plan:
+0.7), walks each needle in steps of 0.1 mm (the plan: 0.25), simulates random needles (the plan: quadrature), and
+follows each path from the trachea for its narrowest point and its sharpest bend. Points that cannot be the best even
+without misses of the needle are not simulated.
 
 Tolerance of a score: 0.25 x 0.02 for the needles, 0.15 x (0.35 mm + 0.25 mm) / 15 mm for the way, 0.15 x 2 degrees /
 90 for the angle, 0.15 x 0.5 mm / 8 mm for the length in the target, and 0.1 x 0.5 mm / 3 mm for a vessel: 0.04 at most.
@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 
 SCOPES = ("thin", "ultrathin")
 NUM_TARGETS = 2
-"""Of each phantom, those that have a route."""
+"""Number of targets with a route that are compared in each phantom."""
 PLACES_MM, WALK_MM, FINE_MM = 0.35, 0.1, 0.5
 NUM_NEEDLES = 6000
 SIGMA_ANGLE_DEG, SIGMA_TIP_MM = 4.0, 0.7
@@ -50,7 +50,7 @@ RANKS = ("reaches", "may reach", "does not reach")
 
 
 def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random.Generator) -> tuple[float, str, Row]:
-    """Score, outlook and place of the best of all places."""
+    """Return score, outlook and description of the best of all standing points."""
     assert case.airways is not None and case.wall is not None
     nodule, reach_mm = plan.nodule, plan.tool.reach_mm
     centre = np.array(nodule.centre_lps)
@@ -62,7 +62,7 @@ def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random
             walked = _walked(case, plan, around, place)
             if walked is not None:
                 found.append(place | walked)
-    # The best first, as if no needle missed.
+    # Best first, with the score without misses of the needle as an upper bound.
     found.sort(key=lambda one: (one["rank"], -_worth(plan, one, one["lost"])))
     best: tuple[int, float, Row] | None = None
     for one in found:
@@ -78,12 +78,12 @@ def best_of_all(case: PlanCase, plan: Plan, around: Surroundings, rng: np.random
 
 
 def _worth(plan: Plan, place: Row, lost: float) -> float:
-    """The score, where the scope *may* get there times how likely."""
+    """Return the score; for an outlook of *may reach*, times its probability."""
     return _score(plan, lost) * (place["chance"] if place["rank"] == 1 else 1.0)
 
 
 def _apart(plan: Plan, first: PlannedRoute, place: Row) -> str:
-    """What each part of the score and the chance add to the difference, where it is seen."""
+    """Return the contributions of each part of the score, and of the chance, to the difference, if large enough."""
     weights = plan.weights.to_json()
     total = sum(weights.values())
     off = {name: weights[name] * (first.parts[name] - part) / total for name, part in place["parts"].items()}
@@ -110,7 +110,7 @@ def _places(
     rooms: dict[int, Floats],
     near: Callable[[Floats], bool],
 ) -> Iterator[Row]:
-    """Points of a branch 0.35 mm apart that are near, each with its direction and what the way there allows."""
+    """Yield the points of a branch near the target, 0.35 mm apart, with direction, width and bend of the path there."""
     lineage: list[Branch] = []
     one: Branch | None = branch
     while one is not None:
@@ -138,7 +138,7 @@ def _places(
     own_along = along[first : first + len(branch.points)]
     for mm in np.arange(along[first], along[-1] + 1e-6, PLACES_MM):
         point = np.array([np.interp(mm, along, points[:, axis]) for axis in range(3)])
-        # What the way asks is slow to find.
+        # Skipped before the path's width and bend are computed, which is slow.
         if not near(point):
             continue
         ahead = np.array([np.interp(mm, own_along, at_branch[:, axis]) for axis in range(3)])
@@ -147,7 +147,7 @@ def _places(
             "mm": float(mm),
             "point": point,
             "forward": ahead / np.linalg.norm(ahead),
-            # Between two points of the centreline it is as wide as at the narrower of them.
+            # Between two points of the centreline the width is that of the narrower one.
             "width_mm": (width_mm := float(widths[: int(np.searchsorted(along, mm - 1e-6)) + 1].min())),
             **_outlook(scope, width_mm, _bend(points, along, mm, scope), spacing_mm, trust),
         }
@@ -172,7 +172,11 @@ def _bend(points: Floats, along: Floats, mm: float, scope: ScopePreset) -> float
 
 
 def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: float, trust: float) -> Row:
-    """0 where width and bend suffice with nine chances of ten, 2 where one does not, 1 between and where in doubt."""
+    """Return the rank of the outlook and its probability.
+
+    The rank is 0 if width and bend suffice with a probability of 90 %, 2 if one fails with 90 %, else 1; it is at least
+    1 if the trust is below 1.
+    """
     sigma = math.hypot(0.2 * spacing_mm, 0.15)
     spare = [(width_mm - max(scope.tip_mm + 0.4, scope.tube_mm or 0.0)) / sigma]
     if scope.flexion_deg is not None:
@@ -183,7 +187,10 @@ def _outlook(scope: ScopePreset, width_mm: float, bend_deg: float, spacing_mm: f
 
 
 def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row | None:
-    """What is lost on the needle's way by all but its misses; None where it does not get there."""
+    """Return the loss of score on the needle's path except for its misses.
+
+    The result is None if the needle does not reach the nodule.
+    """
     assert case.wall is not None
     nodule, weights, reach_mm = plan.nodule, plan.weights, plan.tool.reach_mm
     off = np.array(nodule.centre_lps) - place["point"]
@@ -223,7 +230,7 @@ def _walked(case: PlanCase, plan: Plan, around: Surroundings, place: Row) -> Row
 
 
 def _drawn(nodule: Nodule, tip: Floats, aim: Floats, reach_mm: float, rng: np.random.Generator) -> float:
-    """The share of drawn needles that go through the nodule."""
+    """Return the share of simulated needles that pass through the nodule."""
     along = aim - tip
     distance = float(np.linalg.norm(along))
     if distance < 1e-6:
@@ -241,7 +248,7 @@ def _drawn(nodule: Nodule, tip: Floats, aim: Floats, reach_mm: float, rng: np.ra
 
 
 def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
-    """How far the first route's score is from the best, over all phantoms."""
+    """Compare the first route's score with the best score, over all phantoms."""
     off, other_rank = [], 0
     for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:
         make = partial(phantom_case, seed, num=NUM_PER_PHANTOM)

@@ -1,8 +1,8 @@
-"""Chests with random nodules whose airways and nodules are known, for what is measured of planned routes.
+"""Chests with random nodules whose airways and nodules are known, for measurements of planned routes.
 
-Patients are painted from their masks (``track_painted``): the nodules lie in the scene before the scanner sees it.
-Phantoms get theirs in the finished CT, with a blur and noise of their own. What is slow, the CT with the airways that
-are found in it, is kept in a folder where one is told.
+Patients are painted from their masks (``track_painted``): the nodules are in the scene before it is scanned. In
+phantoms the nodules are added to the finished CT, with their own blur and noise. If a folder is given, the slow results
+(the CT with its found airways) are stored there.
 """
 
 from __future__ import annotations
@@ -29,37 +29,39 @@ Say = Callable[[str], None]
 
 RADII_MM = (4.0, 9.0)
 APART_MM = 5.0
-"""Between two nodules, so that each can be grown alone."""
+"""Least distance between two nodules, so that each can be segmented alone."""
 NODULE_HU = 30.0
 SIGMA_MM = 0.6
 STEP_MM = 0.3
-"""Between two points of a true centreline."""
+"""Distance between two points of a true centreline."""
 WIDE_MM = 2.5
-"""Nodules do not lie round lumens with a larger radius."""
+"""Largest radius of a lumen that a nodule may surround."""
 LUNG_HU = (-990.0, -600.0)
 NEAR_SHARE, NEAR_MM, NEAR_RADIUS_MM = 0.75, 18.0, (1.2, 3.5)
-"""Of the nodules so many lie with their edge so near to an airway of such a radius, where a scope may get to them; the
-rest anywhere in the lung, most of it out of all reach."""
+"""Share of the nodules near airways, largest distance of their edge, and radii of these airways.
+
+These nodules may be within reach of a scope; the others are anywhere in the lung, mostly out of reach.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueTree:
-    """True centrelines, all branches in one row; parents come before children."""
+    """True centrelines, with the points of all branches in one array; parents precede children."""
 
     points: Floats
-    """(n, 3) LPS mm."""
+    """Points (n, 3), LPS mm."""
     forward: Floats
     radius_mm: Floats
     narrowest_mm: Floats
-    """(n,) diameter of the ball that gets there from the trachea."""
+    """Diameter (n,) of the largest ball that can reach each point from the trachea, mm."""
     branch: NDArray[np.int64]
-    """(n,) number of its branch."""
+    """Index (n,) of the branch of each point."""
     parents: tuple[int, ...]
-    """Of each branch; -1 for the trachea."""
+    """Index of the parent of each branch; -1 for the trachea."""
 
     @classmethod
     def of(cls, branches: list[tuple[Floats, Floats, int]]) -> TrueTree:
-        """Points, radii and parent of each branch, the parents first."""
+        """Create a tree from points, radii and parent of each branch, the parents first."""
         points, forward, radii, narrowest, numbers = [], [], [], [], []
         room: list[float] = []
         with_children = {parent for _, _, parent in branches}
@@ -69,7 +71,7 @@ class TrueTree:
             wide = 2.0 * np.minimum.accumulate(own) if parent >= 0 else np.full(len(own), 2.0 * float(np.median(own)))
             is_stub = number in with_children and STEP_MM * len(own) < 2.0 * float(np.median(own))
             if parent >= 0:
-                # Between two forks, shorter than it is wide: it lies in the lumens of its neighbours.
+                # A piece between two forks that is shorter than wide lies in the lumens of its neighbours.
                 wide = np.minimum(np.inf if is_stub else wide, np.full(len(own), room[parent]))
             room.append(float(wide[-1]))
             points.append(even)
@@ -87,7 +89,7 @@ class TrueTree:
         )
 
     def lineage(self, branch: int) -> tuple[int, ...]:
-        """From the trachea to a branch, both included."""
+        """Return the branches from the trachea to a branch, both included."""
         found = [branch]
         while self.parents[found[-1]] >= 0:
             found.append(self.parents[found[-1]])
@@ -96,7 +98,7 @@ class TrueTree:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A round nodule."""
+    """Round nodule."""
 
     centre_lps: tuple[float, float, float]
     radius_mm: float
@@ -104,7 +106,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanCase:
-    """A CT, what is true of it, and what was found in it."""
+    """CT, its truth, and the airways found in it."""
 
     name: str
     volume: Volume
@@ -115,7 +117,7 @@ class PlanCase:
 
 
 def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> PlanCase:
-    """A case with its airways and their wall, read from the folder where it was made before."""
+    """Return a case with its airways and their wall, from the folder if it is stored there."""
     kept = None if folder is None else folder / f"{name}.pickle"
     if kept is not None and kept.exists():
         found, vertices, triangles = pickle.loads(kept.read_bytes())
@@ -135,7 +137,7 @@ def found_case(folder: Path | None, name: str, make: Callable[[], PlanCase], say
 
 
 def _as_kept(case: PlanCase) -> PlanCase:
-    """Without what no plan looks at and no file keeps: the tracker and what it is followed with."""
+    """Return the case without the tracker and its data, which plans do not use and files do not store."""
     found: Any = case.airways
     bare: Any = {"tracker": None, "evidence": None}
     tree = replace(found.tree, _smooth=None)
@@ -143,7 +145,7 @@ def _as_kept(case: PlanCase) -> PlanCase:
 
 
 def phantom_case(seed: int, *, num: int, spacing_mm: float = 1.1, generations: int = 6) -> PlanCase:
-    """A generated chest with nodules in its lungs; those of even seeds have a stenosis of a main airway too."""
+    """Generate a chest with nodules in its lungs; chests of even seeds also have a stenosis of a main airway."""
     made = generate_phantom(
         seed=seed, spacing_mm=spacing_mm, generations=generations, noise_hu=25.0, stenosis=seed % 2 == 0
     )
@@ -157,7 +159,10 @@ def phantom_case(seed: int, *, num: int, spacing_mm: float = 1.1, generations: i
 def patient_cases(
     data: Path, patients: list[str], condition: str, num: int, say: Say
 ) -> Iterator[tuple[str, Callable[[], PlanCase]]]:
-    """Name of each patient, and what paints it with nodules; patients without masks are named and left out."""
+    """Yield the name of each patient and a function that paints it with nodules.
+
+    Report and skip patients without masks.
+    """
     from carina_bench.paint_scene import mask_folders
 
     folders = mask_folders(data)
@@ -210,7 +215,7 @@ def _even(line: Floats, radius: Floats) -> tuple[Floats, Floats]:
 
 
 def _places(volume: Volume, truth: TrueTree, num: int, rng: np.random.Generator) -> tuple[Target, ...]:
-    """Random balls in the lung: their surface lies in it, no wide airway in them, and none touches another."""
+    """Return random balls in the lung: surface inside the lung, no wide airway inside, no contact with another ball."""
     shape = np.array(volume.shape_zyx[::-1])
     n = np.arange(60) + 0.5
     turn, z = np.pi * (1.0 + np.sqrt(5.0)) * n, 1.0 - 2.0 * n / 60
@@ -249,7 +254,7 @@ def _is_lung(volume: Volume, points: Floats) -> NDArray[np.bool_]:
 
 
 def _covers(volume: Volume, targets: tuple[Target, ...], *, sigma_mm: float) -> Iterator[tuple[Any, Floats]]:
-    """Where each nodule lies in the array, and its share of the voxels there, its edge as wide as blur makes it."""
+    """Yield the array index of each nodule, and its share of the voxels there, with an edge blurred by ``sigma_mm``."""
     spacing = np.array(volume.spacing_mm)
     width = np.hypot(2.5 * sigma_mm, float(np.cbrt(np.prod(spacing))))
     shape = np.array(volume.shape_zyx[::-1])

@@ -1,8 +1,8 @@
-"""What a verdict tells against what drives do: shares told and passed in tubes, and blind replays in phantoms.
+"""Comparison of verdicts with simulated drives: stated and passed shares in tubes, and replays in phantoms.
 
-``python -m carina_bench.plan_drive tubes`` draws measures and their errors, judges by the measures and drives in the
-truth. ``python -m carina_bench.plan_drive phantoms`` searches drives to tips of generated airways and carries the moves
-out again with a fresh scope.
+``python -m carina_bench.plan_drive tubes`` draws measured values and their errors at random, judges by the measured
+values and drives in the true tube. ``python -m carina_bench.plan_drive phantoms`` searches drives to tips of generated
+airways and repeats the moves with a new scope.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ __all__ = ["TubeDrive", "calibration_table", "drive_in_a_tube", "phantom_drives"
 Points = NDArray[np.float64]
 
 SPACING_MM = 0.8
-"""Of the CT that the widths are taken from."""
+"""Spacing of the CT from which the widths are measured."""
 ROOM_SHARE = 0.2
-"""Standard deviation of a route's narrowest diameter, of the spacing."""
+"""Standard deviation of a route's narrowest diameter, as a share of the spacing."""
 WIDE_MM, NARROW_FROM_MM, LENGTH_MM = 4.2, 55.0, 110.0
 STEP_MM = 0.4
-"""Of the wall's samples, as `carina.wall_field` has them."""
+"""Spacing of the wall's samples, equal to that of `carina.wall_field`."""
 TUBE_EFFORT, PHANTOM_EFFORT = 4000.0, 200_000.0
 
 
 @dataclass(frozen=True, slots=True)
 class TubeDrive:
-    """One drive in one tube."""
+    """Result of one drive in one tube."""
 
     told: float
     passed: bool
@@ -52,9 +52,9 @@ class TubeDrive:
 def _tube(
     radius_mm: float, bend_deg: float, bend_radius_mm: float, *, forks: bool = False
 ) -> tuple[AirwayTree, WallField, Points]:
-    """Straight down, wide, then narrow, and from where it is narrow along a circle and straight again.
+    """Return a tube: straight down, wide, then narrow, from there along a circle, and straight again.
 
-    Where it ``forks``, another tube of the same width goes straight on there.
+    With ``forks`` another tube of the same width continues straight where the tube narrows.
     """
     at = np.arange(0.0, LENGTH_MM + 0.25, 0.5)
     turned = np.clip((at - NARROW_FROM_MM) / bend_radius_mm, 0.0, math.radians(bend_deg))
@@ -85,7 +85,7 @@ def _tube(
 
 
 def _line(turned: Points) -> Points:
-    """A line down that is turned by so much at each half millimetre."""
+    """Return a line that starts downwards and has this angle at each half millimetre."""
     steps = 0.5 * np.stack([np.sin(turned), np.zeros_like(turned), -np.cos(turned)], axis=1)
     points: Points = np.cumsum(steps, axis=0) - steps[0]
     return points
@@ -99,7 +99,10 @@ def _route(branch_id: int, tip: Points, along_mm: float) -> PlannedRoute:
 
 
 def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
-    """Judge by measures, drive in a truth off by their errors; ``kind`` is ``diameter``, ``bend`` or ``fork``."""
+    """Judge by measured values, then drive in a tube with random errors.
+
+    ``kind`` is ``diameter``, ``bend`` or ``fork``.
+    """
     scope = scope_preset("ultrathin")
     sigma = math.hypot(ROOM_SHARE * SPACING_MM, EXCESS_SIGMA_MM)
     bend_deg, bend_radius_mm = (8.0, 90.0) if kind == "diameter" else (rng.uniform(50.0, 110.0), 22.0)
@@ -119,8 +122,8 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
         true_room_mm = room_mm + rng.normal(0.0, ROOM_SHARE * SPACING_MM)
         driven = replace(scope, tip_mm=scope.tip_mm + FIT_MARGIN_MM + rng.normal(0.0, EXCESS_SIGMA_MM))
         radius_mm = 0.5 * true_room_mm
-        # Between samples the axis of a narrow tube reads up to 0.4 mm too narrow: the tube is widened until the wall
-        # that the drive is held in has the width that was drawn.
+        # Between samples the field reads the axis of a narrow tube up to 0.4 mm too narrow, so the tube is widened
+        # until the field has the drawn width.
         for _ in range(3):
             _, field, _ = _tube(radius_mm, bend_deg, bend_radius_mm)
             way = DriveWay(tree, _route(1, points[-16], 0.5 * (len(points) - 16)), field)
@@ -136,7 +139,7 @@ def drive_in_a_tube(rng: np.random.Generator, kind: str) -> TubeDrive:
 
 
 def calibration_table(drives: list[TubeDrive], edges: tuple[float, ...] = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)) -> str:
-    """Told share against the share that passed, by bins."""
+    """Return a table of the stated share and the share that passed, by bins."""
     rows = ["told          drives  told mean  passed"]
     for low, high in itertools.pairwise(edges):
         inside = [one for one in drives if low <= one.told < high or (high == 1.0 and one.told == 1.0)]
@@ -148,12 +151,12 @@ def calibration_table(drives: list[TubeDrive], edges: tuple[float, ...] = (0.0, 
 
 
 def phantom_drives(seed: int, scope: ScopePreset, num_tips: int, spare_mm: float = 0.5) -> list[tuple[bool, bool, int]]:
-    """Drives to some tips, as far as the lumen is wider than the scope with its margin by ``spare_mm``.
+    """Search drives to some tips, as far as the lumen is wider than the scope with its margin by ``spare_mm``.
 
     Returns
     -------
     list[tuple[bool, bool, int]]
-        Whether a drive arrives, whether its moves alone lead a fresh scope into the same branch, how many there are.
+        Whether a drive arrives, whether its moves alone lead a new scope into the same branch, number of moves.
     """
     made = carina.generate_phantom(seed=seed, spacing_mm=1.1)
     airways = carina.find_airways(made.volume)

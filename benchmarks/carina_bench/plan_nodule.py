@@ -1,8 +1,8 @@
-"""``python -m carina_bench.plan_nodule``: volumes of nodules grown from one click, against exact shapes.
+"""``python -m carina_bench.plan_nodule``: volumes of nodules segmented from one click, compared with exact shapes.
 
-Two kinds of truth: pieces of lung painted from exact shapes (``tests/plan/painted_nodules.py``: blur, noise, slices,
-vessels and chest wall drawn at random), and the nodules of whole phantoms, whose vessels and airways lie as in a lung.
-*Held* is the share of intervals told with a volume that hold the true one; they claim 90 %.
+Two kinds of truth: pieces of lung painted from exact shapes (``tests/plan/painted_nodules.py``: random blur, noise,
+slices, vessels and chest wall), and the nodules of whole phantoms, whose vessels and airways lie as in a lung. *Held*
+is the share of stated intervals that contain the true volume; they claim 90 %.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ SPACING_MM, NOISE_HU, HALF_MM, THICK = 0.8, 25.0, 40.0, 3
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What came out for nodules of one kind; errors as a share of the true volume."""
+    """Figures for nodules of one kind; errors as a share of the true volume."""
 
     kind: str
     num: int
     refused: int
     limit: float
     within: float
-    """Share of nodules that are off by no more than ``limit``."""
+    """Share of nodules whose error is at most ``limit``."""
     median_off: float
     p90_off: float
     worst_off: float
     told: float
-    """Median half-width of the interval."""
+    """Median half-width of the stated interval."""
     held: float
     seconds: float
-    """Median time of a click."""
+    """Median time of a click, s."""
 
 
 class _Tally:
@@ -83,7 +83,7 @@ class _Tally:
             num=num,
             refused=self.refused,
             limit=limit,
-            # What was refused has no volume within any limit.
+            # A refused nodule has no volume, so it is not within the limit.
             within=float((off <= limit).sum()) / max(num, 1),
             median_off=float(np.median(off)) if off.size else float("nan"),
             p90_off=float(np.percentile(off, 90.0)) if off.size else float("nan"),
@@ -95,7 +95,7 @@ class _Tally:
 
 
 def painted_figures(num: int, say: Callable[[str], None]) -> Iterator[Figures]:
-    """Nodules painted from exact shapes, ``num`` of each kind; clicked some way from the middle."""
+    """Yield the figures of nodules painted from exact shapes, ``num`` of each kind; clicks are off the centre."""
     folder = Path(__file__).resolve().parents[2] / "tests" / "plan"
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
@@ -116,7 +116,7 @@ def painted_figures(num: int, say: Callable[[str], None]) -> Iterator[Figures]:
 
 
 def phantom_figures(seeds: range, say: Callable[[str], None]) -> Iterator[Figures]:
-    """The nodules of phantoms at 0.8 mm, and at slices of 2.4 mm; those that touch a vessel apart."""
+    """Yield the figures of phantoms' nodules at 0.8 mm and at slices of 2.4 mm; separately if they touch a vessel."""
     free, touched, thick = _Tally("phantom, no vessel"), _Tally("phantom, vessel"), _Tally("phantom, 2.4 mm")
     for seed in seeds:
         say(f"phantom {seed}")
@@ -140,7 +140,7 @@ def phantom_figures(seeds: range, say: Callable[[str], None]) -> Iterator[Figure
 
 
 def _thicker(volume: Volume) -> Volume:
-    """The mean of each three slices."""
+    """Return the CT with the means of three slices each."""
     num = volume.shape_zyx[0] // THICK
     values = volume.hu_zyx[: num * THICK].reshape(num, THICK, *volume.shape_zyx[1:]).mean(axis=1)
     matrix = volume.lps_from_ijk.copy()
@@ -150,7 +150,7 @@ def _thicker(volume: Volume) -> Volume:
 
 
 def main() -> None:
-    """Print a line for each kind, and write them as JSON where asked."""
+    """Print a line for each kind, and write the figures as JSON on request."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a few of each")
     parser.add_argument("--json", type=Path, help="write the figures there")

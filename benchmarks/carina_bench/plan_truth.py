@@ -1,16 +1,16 @@
-"""Planned routes flown in the truth: chests with random nodules whose airways are known and are found anew.
+"""Planned routes compared with the truth: chests with random nodules whose airways are known and segmented again.
 
-``python -m carina_bench.plan_truth FOLDER`` keeps in FOLDER what is slow, the CTs with the airways found in them, so
-that a second run plans alone; and the rows of each case as soon as it is done, so that a run that was stopped goes on
-where it was. Rows are judged anew where the plan or the judging has changed since. Phantoms come first.
+``python -m carina_bench.plan_truth FOLDER`` stores the slow results in FOLDER, the CTs with the airways found in them,
+so that a second run only plans; and the rows of each finished case, so that an interrupted run continues. Rows are
+judged again if the code of the plan or of the judging has changed. Phantoms come first.
 
-A target is *reachable* if some point of the true centrelines suffices: the scope fits all the way there (true diameter
-at least ``fit_mm``), and the needle, aimed at the nodule's true middle at no more than 100 degrees from the airway,
-meets its true edge within its reach; and the way there bends no more than the scope. The first route *arrives* if in
-the truth the scope fits all the way to where it is parked, all of the found way lies in true lumen (within half a
-voxel), along the true branches that lead there or with the scope's width of true lumen all round it (branches that
-overlap are one lumen), and along none that was drawn by hand, and the needle, aimed as planned, meets the true nodule
-within its reach. A route is *told reachable* if its outlook says so.
+A target is *reachable* if some point of the true centrelines suffices: the scope fits along the whole path to it (true
+diameter at least ``fit_mm``), and the needle, aimed at the nodule's true centre at no more than 100 degrees from the
+airway, meets its true edge within its reach; and the path bends no more than the scope. The first route *arrives* if in
+the truth the scope fits along the whole path to its parking point, all of the found path lies in true lumen (within
+half a voxel), along the true branches that lead there or with the scope's width of true lumen around it (overlapping
+branches are one lumen), and along no branch that was drawn by hand, and the needle, aimed as planned, meets the true
+nodule within its reach. A route is *told reachable* if its outlook says so.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ NUM_PER_PATIENT, NUM_PER_PHANTOM = 36, 6
 PHANTOM_SEEDS = range(1, 21)
 LEAST_ARRIVE, MOST_WRONG = 0.94, 0.01
 EDGE_MM = 0.05
-"""Steps along the needle."""
+"""Step along the needle, mm."""
 AT_ALL_MM = 3.0
-"""A true branch shorter than this may be passed without its centreline being met."""
+"""Length below which the path need not follow the centreline of a true branch, mm."""
 PASSED = 0.6
-"""Of a true branch's length that the found way must follow."""
+"""Share of a true branch's length that the found path must follow."""
 
 
 def _code() -> str:
@@ -67,20 +67,20 @@ def _code() -> str:
 
 
 CODE = _code()
-"""Tells the code that plans and judges from any other, as it was when this run began."""
+"""Hash of the code that plans and judges, at the start of this run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A first route in the truth."""
+    """Result of a first route in the truth."""
 
     arrives: bool
     why: str
-    """What went wrong; empty where it arrives."""
+    """Reason why the route does not arrive; empty if it arrives."""
 
 
 def is_reachable(truth: TrueTree, target: Target, scope: ScopePreset, reach_mm: float) -> bool:
-    """By an exhaustive search over the true centrelines."""
+    """Return whether a target is reachable, by an exhaustive search over the true centrelines."""
     off = np.array(target.centre_lps) - truth.points
     distance = np.linalg.norm(off, axis=1)
     cosine = (off * truth.forward).sum(axis=1) / np.maximum(distance, 1e-9)
@@ -91,14 +91,14 @@ def is_reachable(truth: TrueTree, target: Target, scope: ScopePreset, reach_mm: 
 
 
 def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePreset, reach_mm: float) -> Flight:
-    """Whether a route arrives in the truth."""
+    """Judge whether a route arrives in the truth."""
     assert case.airways is not None
     truth, tree = case.truth, case.airways.tree
     way = _way(tree, route)
     tip = np.array(route.leg.tip_lps)
     slack_mm = 0.5 * max(case.volume.spacing_mm)
     outside = np.array([float((np.linalg.norm(truth.points - p, axis=1) - truth.radius_mm).min()) for p in way])
-    # The trachea is no circle.
+    # The section of the trachea is not a circle, so the trachea is not tested.
     in_trachea = np.arange(len(way)) < len(tree.root.points)
     if any(branch.kind == "manual" for branch in tree.lineage(route.branch_id)):
         return Flight(False, "drawn by hand")
@@ -122,7 +122,7 @@ def flown(case: PlanCase, target: Target, route: PlannedRoute, scope: ScopePrese
 
 
 def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
-    """To where the scope stands, which may be between two points of the centreline."""
+    """Return the points of the path to the scope's parking point, which may lie between two centreline points."""
     points = np.concatenate([branch.points for branch in tree.lineage(route.branch_id)])
     tip = np.array(route.leg.tip_lps)
     last = int(np.argmin(np.linalg.norm(points - tip, axis=1)))
@@ -130,24 +130,27 @@ def _way(tree: AirwayTree, route: PlannedRoute) -> Floats:
 
 
 def _room_mm(truth: TrueTree, way: Floats) -> float:
-    """The least width of true lumen round a way, whichever true branches it belongs to; at most what there is."""
+    """Return the least width of true lumen around a path, in whichever true branches.
+
+    The width is at most the lumen's diameter.
+    """
     between = [way[:-1] + part * (way[1:] - way[:-1]) for part in np.linspace(0.0, 1.0, 6)]
     room = [float((truth.radius_mm - np.linalg.norm(truth.points - p, axis=1)).max()) for p in np.concatenate(between)]
     return 2.0 * min(room, default=0.0)
 
 
 def _true_place(truth: TrueTree, way: Floats) -> int:
-    """The true centreline's point where the way ends; at a fork, in several lumens at once, that of the widest way."""
+    """Return the index of the true centreline point at the path's end; at a fork, that of the widest path."""
     inside = np.linalg.norm(truth.points - way[-1], axis=1) - truth.radius_mm
     near = np.flatnonzero(inside <= max(float(inside.min()) + 0.3, 0.0))
     off = np.linalg.norm(truth.points[near] - way[-1], axis=1)
-    # Of each branch the nearest point.
+    # The nearest point of each branch.
     best = {int(truth.branch[n]): int(n) for _, n in sorted(zip(-off, near, strict=True))}
     return max(best.values(), key=lambda n: (float(truth.narrowest_mm[n]), -n))
 
 
 def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
-    """Where the way does not follow the true branches that lead to its end; None where it does."""
+    """Return where the path does not follow the true branches that lead to its end; None if it follows them."""
     own = int(truth.branch[at])
     for branch in truth.lineage(own)[1:]:
         part = truth.branch == branch
@@ -164,7 +167,7 @@ def _strayed(truth: TrueTree, way: Floats, at: int) -> str | None:
 
 
 def judged(case: PlanCase, say: Say) -> Iterator[Row]:
-    """A row for each target: whether it is reachable, what was told of it, and how the first route went."""
+    """Yield a row for each target: whether it is reachable, its stated outlook, and the result of the first route."""
     scope = scope_preset(SCOPE)
     assert case.airways is not None
     for number, target in enumerate(case.targets):
@@ -192,7 +195,7 @@ def judged(case: PlanCase, say: Say) -> Iterator[Row]:
 
 
 def kept_rows(folder: Path | None, name: str, make: Callable[[], PlanCase], say: Say) -> list[Row]:
-    """The rows of a case, read where the same code has judged it before, else judged and kept."""
+    """Return the rows of a case, stored by the same code before, or judged and stored now."""
     kept = None if folder is None else folder / "rows" / f"{name}.json"
     if kept is not None and kept.exists():
         found = json.loads(kept.read_text())
@@ -232,7 +235,7 @@ def _told(plan: Plan) -> Row:
 
 
 def summary(rows: Sequence[Row], what: str) -> list[Row]:
-    """The figures that are asked for."""
+    """Return the summary figures."""
     reachable = [row for row in rows if row["reachable"]]
     told = [row for row in rows if row["told"] == "reaches"]
     wrong = [row for row in told if not row["arrives"]]
@@ -258,7 +261,7 @@ def summary(rows: Sequence[Row], what: str) -> list[Row]:
 
 
 def run(quick: bool, say: Say, folder: Path | None = None) -> list[Row]:
-    """Rows of painted patients, of phantoms, and of both."""
+    """Return the rows of painted patients, of phantoms, and of both."""
     data = load_settings().data_dir
     phantoms: list[Row] = []
     for seed in PHANTOM_SEEDS[:2] if quick else PHANTOM_SEEDS:

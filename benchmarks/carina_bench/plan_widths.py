@@ -1,12 +1,12 @@
-"""``python -m carina_bench.plan_widths``: narrowest diameters of routes against painted airways.
+"""``python -m carina_bench.plan_widths``: narrowest diameters of routes compared with painted airways.
 
 A route leads from the trachea to the end of a branch that was found. Its true narrowest diameter is the largest ball
-that passes in the painted lumens (:mod:`carina_bench.true_passage`), at least that of the widest tube round each place.
-Routes that leave the true lumen are left out. Compared with it, by kernel and slices:
+that passes in the painted lumens (:mod:`carina_bench.true_passage`), at least that of the widest tube at each point.
+Routes that leave the true lumen are omitted. Compared with it, by kernel and slices:
 
-- *sections*: the narrowest diameter that a plan states (:mod:`carina.plan.route_width`), where all of it was measured;
-- *partly ball*: the same where it rests on a stretch without sections;
-- *single sections*: the same as *sections* without the median over neighbouring ones: the least of many noisy figures;
+- *sections*: the narrowest diameter that a plan states (:mod:`carina.plan.route_width`), if all of it was measured;
+- *partly ball*: the same if it depends on a stretch without sections;
+- *single sections*: as *sections* without the median over neighbouring ones: the least of many noisy values;
 - *ball*: the largest ball in the lumen found, with the error that plans stated before decision 0130.
 
 *Bias* is the median relative error, *coverage* the share of routes whose true diameter lies within the stated error,
@@ -46,15 +46,18 @@ PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient
 KERNELS = ("medium", "sharp")
 SLICES = ("0.7mm", "1.5mm", "3mm")
 MOST_OUTSIDE = 0.1
-"""Share of a route's places beyond the trachea that may lie outside the true lumen."""
+"""Largest share of a route's points beyond the trachea that may lie outside the true lumen."""
 FORMER_SHARE, FORMER_SIGMA_MM = 0.2, 0.15
-"""Standard deviation of the ball in plans before decision 0130: share of the coarsest spacing; of a scope's size."""
+"""Standard deviations in plans before decision 0130.
+
+The first is that of the ball, as a share of the coarsest spacing; the second is that of a scope's size, mm.
+"""
 LEAST_COVERAGE, MOST_COVERAGE, MOST_BIAS = 0.85, 0.95, 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedRoute:
-    """The true and the stated narrowest diameter of a route, mm."""
+    """True and stated narrowest diameter of a route, mm."""
 
     subject: str
     condition: str
@@ -109,7 +112,7 @@ def compared_routes(
 
 
 def rows_of(subjects: str, routes: Sequence[ComparedRoute]) -> list[Row]:
-    """Return bias, coverage and share too wide of a condition's routes, for each measure."""
+    """Return bias, coverage and the share of too wide diameters of a condition's routes, for each measure."""
     true = np.array([one.true_mm for one in routes])
     stated = np.array([one.stated_mm for one in routes])
     error = np.array([one.error_mm for one in routes])
@@ -150,7 +153,7 @@ def run(
     kernels: Sequence[str] = KERNELS,
     slices: Sequence[str] = SLICES,
 ) -> list[Row]:
-    """Return the rows of painted phantoms, and of painted patients where masks of them are at hand."""
+    """Return the rows of painted phantoms, and of painted patients whose masks are available."""
     rows: list[Row] = []
     groups: list[tuple[str, Iterator[DiameterCase]]] = []
     if seeds:

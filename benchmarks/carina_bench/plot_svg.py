@@ -1,4 +1,4 @@
-"""Small plots as SVG: lines over a few places, and who did what when. Readable on light and dark pages."""
+"""Small plots as SVG, readable on light and dark pages: lines over a few positions, and timelines."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ def line_plot(
     across: str,
     up: str,
 ) -> str:
-    """Lines with a mark at each place; both axes start at 0.
+    """Return a plot of lines with a mark at each position; both axes start at 0.
 
     Parameters
     ----------
     title
-        Above the plot.
+        Title above the plot.
     places
-        Where the marks are, increasing.
+        Positions of the marks, increasing.
     lines
-        Values at the places, by name.
+        Values at the positions, by name.
     across, up
-        What the axes show, with units.
+        Labels of the axes, with units.
     """
     top = max(max(values) for values in lines.values()) * 1.05 or 1.0
     step = next(s for s in (b * 10**e for e in range(-3, 7) for b in (1, 2, 5)) if top / s <= 6)
@@ -80,7 +80,7 @@ def line_plot(
 
 
 def timeline(title: str, jobs: Mapping[str, Sequence[tuple[float, float, int]]]) -> str:
-    """Who did what when: for each name a row of boxes (from, to in ms; number), coloured by number."""
+    """Return a timeline: for each name a row of boxes (start, end in ms; number), coloured by number."""
     begin = min(job[0] for row in jobs.values() for job in row)
     end = max(job[1] for row in jobs.values() for job in row)
     height = TOP + 30 * len(jobs) + BOTTOM
@@ -113,14 +113,18 @@ def timeline(title: str, jobs: Mapping[str, Sequence[tuple[float, float, int]]])
 def reliability_plot(
     title: str, judged: Mapping[str, Sequence[tuple[float, bool]]], *, num_bins: int = 10, least: int = 5
 ) -> str:
-    """The share that is true over the confidence that was told, by bins; on the diagonal confidence is a probability.
+    """Return a reliability diagram: the share of true cases over the stated confidence, by bins.
+
+    On the diagonal, confidence is a probability.
 
     Parameters
     ----------
     judged
         (confidence, is true), by name.
+    num_bins
+        Number of bins.
     least
-        Bins with fewer are not drawn.
+        Number of cases below which a bin is not drawn.
     """
     inner_w, inner_h = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 

@@ -30,14 +30,14 @@ __all__ = ["first_frame", "frames", "small_frames"]
 Request = dict[str, Any]
 SIZE = 512
 METHODS: tuple[Literal["brute"], Literal["leap"]] = ("brute", "leap")
-# Poses are compared one by one; 2 to 3 s each on the largest case.
+# Poses are compared one by one; each takes 2 to 3 s on the largest case.
 BASELINE_REPEATS = 3
-# Ratios of which more is worse.
+# Ratios for which a larger value is worse.
 WORST = {"decorated_over_shipped": max}
 
 
 def instruction_sets() -> list[str]:
-    """``avx2`` and the fastest of this machine; one where they are the same, or where there is no AVX2."""
+    """Return ``avx2`` and the fastest instruction set of this machine; one if they are equal or AVX2 is missing."""
     best = str(build_info()["simd"])
     if best != "avx512":
         return [best]
@@ -51,15 +51,16 @@ def _view(pose: Pose, method: Literal["leap", "brute"], size: int, *, stop: floa
 
 
 def _shown(pose: Pose, method: Literal["leap", "brute"]) -> AirwayView:
-    """The airway view as a window shows it: through the lens of the usual instrument, stopped at our own limit."""
+    """Return the airway view as a window shows it: with the usual instrument's lens and Carina's stop limit."""
     scope = scope_preset(DEFAULT_SCOPE)
     return AirwayView.of_scope(scope, pose, width=SIZE, height=SIZE, step_vox=STEP_VOX, method=method)
 
 
 def shipped(case: Case, simd: str | None = None) -> tuple[Renderer, Renderer]:
-    """What a person gets who opens the case: the volume's own look, with the wall and the tree that are found.
+    """Return two renderers with the default look of the case, with the found wall and tree.
 
-    The first without what is drawn by the tree, droplets and second rays on silhouettes: these have their own gate.
+    The first renderer draws no decoration from the tree, no droplets, and no second rays on silhouettes: these have
+    their own gate.
     """
     lumen, tree = case.lumen_zyx, case.tree
     if lumen is None or tree is None:
@@ -79,22 +80,23 @@ def shipped(case: Case, simd: str | None = None) -> tuple[Renderer, Renderer]:
 
 
 def num_loads(picture: Picture) -> int:
-    """Loads of volume and maps by the scalar algorithm (deterministic)."""
+    """Return the number of loads of volume and maps by the scalar algorithm (deterministic)."""
     stats = picture.stats
     return stats.num_loads
 
 
 def prepared(volume: Volume, transfer: TransferFunction, simd: str | None = None) -> Renderer:
-    """A renderer whose maps are built, without a cache."""
+    """Return a renderer whose maps are built, without a cache."""
     renderer = Renderer(volume, transfer=transfer, simd=simd)
     renderer.prepare()
     return renderer
 
 
 def frames(request: Request) -> list[dict[str, Any]]:
-    """Whole frames of 512 x 512 beside VTK and the numba baseline: one thread, CPU time, in turn.
+    """Compare whole frames of 512 x 512 with VTK and the numba baseline: one thread, CPU time, in turn.
 
-    The benchmark's scene in both, and what a person gets. VTK has nothing like it: beside it VTK casts the scene too.
+    Carina renders the benchmark's scene and the default look of the window. VTK has no such look, so VTK renders the
+    benchmark's scene in both comparisons.
     """
     from carina_bench.numba_peer import numba_caster
     from carina_bench.vtk_peer import VtkCaster
@@ -134,7 +136,7 @@ def _frame_at(
     vtk: Any,
     baseline: Callable[[Pose], NDArray[np.uint8]],
 ) -> dict[str, Any]:
-    """One pose: times in turn, ratios within rounds, pictures saved and compared."""
+    """Measure one pose: times in turn, ratios within rounds, pictures saved and compared."""
     renderers, looks = both
     vtk.look(pose)
     functions: dict[str, Callable[[], object]] = {"vtk": vtk.cast}
@@ -143,7 +145,7 @@ def _frame_at(
             view = _view(pose, method, SIZE, stop=VTK_STOP_TRANSPARENCY)
             functions[f"{method}-{simd}"] = partial(renderer.render, view)
     best = next(reversed(renderers))
-    # Beside VTK rays stop where VTK's do; this is the picture that a person gets.
+    # For the comparison with VTK rays stop where VTK's do; this picture uses Carina's own limit.
     functions["leap-own-stop"] = partial(renderers[best].render, _view(pose, "leap", SIZE))
     for simd, (bare, decorated) in looks.items():
         for method in METHODS:
@@ -172,7 +174,7 @@ def _frame_at(
     row["instruction_sets_agree"] = all(np.array_equal(rgb, leap.rgb) for rgb in others.values()) and all(
         np.array_equal(leaped, shown[best][1]) for _, leaped in shown.values()
     )
-    # The baseline and the window are slow: one picture each, and the baseline's time in the trachea.
+    # The baseline and VTK's window are slow: one picture each, and times only for the pose in the trachea.
     expected = baseline(pose)
     row["brute_minus_baseline"] = difference(brute.rgb, expected)
     peer = vtk.picture()
@@ -198,7 +200,7 @@ def _frame_at(
 
 
 def _ratios(times: dict[str, Times], best: str) -> dict[str, Any]:
-    """Each twice: median over rounds, and ratio of the least times."""
+    """Return two values of each ratio: the median over rounds, and the ratio of the least times."""
 
     def both(slow: str, fast: str) -> dict[str, float]:
         return {
@@ -225,7 +227,7 @@ def _ratios(times: dict[str, Times], best: str) -> dict[str, Any]:
 
 
 def _over_poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """A flight: medians over its poses, and the worst pose."""
+    """Summarise a flight: medians over its poses, and the worst pose."""
     ratio = {
         key: {
             "median": round(statistics.median(row["ratio"][key]["median"] for row in rows), 3),
@@ -262,7 +264,7 @@ def _over_poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def small_frames(request: Request) -> list[dict[str, Any]]:
-    """256 x 256 on two threads along a flight, wall time: the benchmark's scene, and what a person is shown."""
+    """Measure 256 x 256 on two threads along a flight, wall time: the benchmark's scene, and the default look."""
     rows = []
     for name in request["cases"]:
         case = open_case(name, poses=request["poses"], progress=progress_printer())
@@ -293,7 +295,7 @@ def _pace(renderer: Renderer, views: list[AirwayView], rounds: int) -> dict[str,
         "wall_ms": {"median": round(1000 * statistics.median(wall), 3), "min": round(1000 * min(wall), 3)},
         "cpu_ms": {"median": round(1000 * statistics.median(cpu), 3), "min": round(1000 * min(cpu), 3)},
         "frames_per_s": round(1 / statistics.median(wall), 1),
-        # Where other programs hold the cores, wall time is theirs; this is what the CPU time allows.
+        # With other load on the cores wall time is too long; this value follows from the CPU time.
         "frames_per_s_on_two_free_cores": round(2 / statistics.median(cpu), 1),
         "cores": os.cpu_count(),
         "load_average": load_average(),
@@ -301,7 +303,7 @@ def _pace(renderer: Renderer, views: list[AirwayView], rounds: int) -> dict[str,
 
 
 def first_frame(request: Request) -> list[dict[str, Any]]:
-    """From a volume in memory to its first leaped picture, nothing cached: every structure is built, all threads."""
+    """Measure the time from a volume in memory to its first leaped picture: all structures are built, all threads."""
     rows = []
     for name in request["cases"]:
         case = open_case(name, poses=2, progress=progress_printer())
@@ -309,7 +311,7 @@ def first_frame(request: Request) -> list[dict[str, Any]]:
         int(case.volume.hu_zyx.sum(dtype=np.int64))
         parts: dict[str, list[float]] = {"look_at_values": [], "prepare": [], "picture": [], "whole": [], "cpu": []}
         for _ in range(request["repeats"]):
-            # As it comes from a reader: a volume finds its range of values once.
+            # A new volume as from a reader, because a volume caches its range of values.
             volume = Volume(case.volume.hu_zyx, case.volume.lps_from_ijk)
             marks, cpu = [time.perf_counter()], time.process_time()
             renderer = Renderer(volume, transfer=TRANSFER)

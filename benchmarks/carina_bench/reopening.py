@@ -1,4 +1,4 @@
-"""``carina bench reopen``: from the click on a kept case, in a running Carina, to its state and its first picture."""
+"""``carina bench reopen``: time from the click on a saved case, in a running Carina, to its state and first picture."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ STAGES = ("state", "first airway picture", "all views", "final airway picture")
 
 
 def report(*, folder: Path, ct: str | None, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``reopen.json``; always 0 when it could be measured: a missed limit is a result."""
+    """Measure, print, and write ``reopen.json``.
+
+    Return 0 if the measurement was possible, even if a limit is missed.
+    """
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     row = run_section(
@@ -69,7 +72,7 @@ def report(*, folder: Path, ct: str | None, quick: bool, as_json: bool) -> int:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """A synthetic chest, or a CT, opened once with its airways found and measured, and then again and again."""
+    """Measure a synthetic chest, or a CT, opened once with its airways found and measured, and then several times."""
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         place = Path(scratch)
         path = request["ct"]
@@ -77,7 +80,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
             volume = generate_phantom(spacing_mm=request["spacing_mm"], box_lps=BOX_LPS, progress=progress_printer())
             path = write_grid(place / "ct.nii", volume.volume.hu_zyx, volume.volume.lps_from_ijk, what="the CT")
             del volume
-        # The clock is ahead: files that were written a moment ago are not kept.
+        # The clock is ahead, because the cache stores no files that were modified a moment ago.
         cache = VolumeCache(place / "cache", max_bytes=1 << 40, clock=lambda: time.time() + 60.0)
         records = CaseRecords(place / "cases", time.time)
         session = Session(
@@ -114,7 +117,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Watched:
-    """A session whose pictures go to somebody who only looks at the clock."""
+    """Session whose pictures are received only to record their times."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -130,7 +133,7 @@ class _Watched:
         self._thread.start()
 
     def reopened(self, recent_id: str) -> dict[str, tuple[float, float]]:
-        """Seconds by the clock, and of all threads, until each stage."""
+        """Return wall time and CPU time of all threads in seconds until each stage."""
         self._seen, self._views = {}, set()
         self._all_seen.clear()
         self._case_number = self._session.snapshot().case_number
@@ -141,7 +144,7 @@ class _Watched:
         return dict(self._seen)
 
     def close(self) -> None:
-        """No more pictures."""
+        """Stop receiving pictures."""
         self._pump.stop()
         self._thread.join()
 
@@ -170,7 +173,7 @@ class _Watched:
 
 
 def _forget_pages(folder: Path) -> bool:
-    """Ask the system to drop the files of a folder from memory; False where it cannot be asked."""
+    """Request the system to drop the files of a folder from memory; return False if it cannot."""
     ask: Callable[..., None] | None = getattr(os, "posix_fadvise", None)
     if ask is None:
         return False

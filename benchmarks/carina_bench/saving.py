@@ -1,4 +1,4 @@
-"""``carina bench saving``: pictures of a flight whose edits are saved, beside the same flight that keeps nothing."""
+"""``carina bench saving``: pictures of a flight whose edits are saved, compared with the flight without saving."""
 
 from __future__ import annotations
 
@@ -31,12 +31,15 @@ __all__ = ["measure", "report"]
 RATE_HZ = 30
 LATE_MS = 50.0
 EDIT_EVERY = 8
-"""Pictures between two edits: about four a second."""
+"""Number of pictures between two edits: about four edits a second."""
 LAYOUT: dict[str, tuple[int, int]] = {LEAD_VIEW: (480, 360)}
 
 
 def report(*, folder: Path, quick: bool, as_json: bool) -> int:
-    """Measure, print, and write ``saving.json``; always 0 when it could be measured: a missed limit is a result."""
+    """Measure, print, and write ``saving.json``.
+
+    Return 0 if the measurement was possible, even if a limit is missed.
+    """
     make_folder(folder, what="the measurements")
     facts = machine_facts()
     row = run_section(
@@ -69,7 +72,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """The same flight with the same edits, kept and not kept, in turn."""
+    """Measure the same flight with the same edits, saved and not saved, in turn."""
     volume = generate_phantom(spacing_mm=request["spacing_mm"]).volume
     late: dict[str, list[float]] = {"not saved": [], "saved": []}
     edits = dict.fromkeys(late, 0)
@@ -98,7 +101,7 @@ _WHICH = (("p50", 50), ("p95", 95), ("max", 100))
 
 
 def _flown(volume: Volume, records: CaseRecords | None, seconds: float) -> tuple[list[float], int]:
-    """When each picture came, and how many edits were done."""
+    """Return the time of arrival of each picture, and the number of edits."""
     session = Session(
         lambda shown, transfer: Renderer(shown, transfer=transfer),
         records=records,

@@ -1,4 +1,4 @@
-"""The scene that all renderers are given: one transfer function, one light, one step, one stop limit."""
+"""Scene for all renderers of the comparison: one transfer function, one light, one step, one stop limit."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ __all__ = ["FOV_DEG", "STEP_VOX", "STOP_TRANSPARENCY", "TRANSFER", "VTK_STOP_TRA
 FOV_DEG = 90.0
 STEP_VOX = 0.5
 STOP_TRANSPARENCY = 1 / 512
-"""Where Carina's rays stop, and the baseline's."""
+"""Transparency at which rays of Carina and of the baseline stop."""
 VTK_STOP_TRANSPARENCY = 255 / 32767
-"""Where the rays of VTK's mapper stop, which cannot be set. Beside VTK Carina stops there too."""
+"""Transparency at which rays of VTK's mapper stop, which cannot be changed; Carina uses it in the comparison."""
 
-# Clear air, a ramp of 350 HU round the half-maximum, opaque tissue of two colours: what the peers' figures in the
-# literature and in our own notes were taken with. No preset, so that figures of two versions can be compared.
+# Clear air, a ramp of 350 HU around the half-maximum, opaque tissue of two colours, as in earlier figures of the peers.
+# It is not a preset, so that figures of different versions can be compared.
 TRANSFER = TransferFunction(
     points=np.array(
         [
@@ -32,7 +32,7 @@ TRANSFER = TransferFunction(
 
 
 def opacity_table(transfer: TransferFunction, step_mm: float, lo: int, hi: int) -> NDArray[np.float32]:
-    """``(hi - lo + 1, 4)`` premultiplied colour and opacity of one step, by its definition and not by our kernels."""
+    """Return ``(hi - lo + 1, 4)`` premultiplied colour and opacity of one step, computed without Carina's kernels."""
     hu = np.arange(lo, hi + 1)
     rgba = np.stack([np.interp(hu, transfer.points[:, 0], transfer.points[:, c]) for c in range(1, 5)], axis=1)
     alpha = 1.0 - (1.0 - rgba[:, 3]) ** (step_mm / transfer.reference_mm)

@@ -1,4 +1,4 @@
-"""From a hand's movement to the changed picture, over loopback: a server of its own, and a client that measures."""
+"""Time from a hand's movement to the changed picture, over loopback: a separate server, and a client that measures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["report"]
 SIZE_PX = 512
 LIMIT_MS = 50.0
 READY_S = 300.0
-# A hand at 60 samples a second, as a gamepad or a screen gives them.
+# A hand at 60 samples a second, the rate of a gamepad or a screen.
 PERIOD_S = 1.0 / 60.0
 
 
@@ -74,7 +74,7 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
 
 @contextmanager
 def _server(case: str) -> Iterator[tuple[str, str, int]]:
-    """Where it listens, its token, its process."""
+    """Start a server; yield its address, its token and its process ID."""
     arguments = ["demo", case] if case in {"phantom", "patient"} else ["open", case]
     command = [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -93,17 +93,17 @@ def _server(case: str) -> Iterator[tuple[str, str, int]]:
 
 
 def _used_s(pid: int) -> float | None:
-    """Processor time of a process; None where the system does not say it in this way."""
+    """Return the processor time of a process in seconds; None if the system does not report it in /proc."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     except OSError:
         return None
-    # After the name: the 12th and 13th are user and system time (proc(5): utime, stime).
+    # Fields after the name: the 12th and 13th are user and system time (proc(5): utime, stime).
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class _Client:
-    """Talks to the server as the window does, and decodes what comes."""
+    """Client that uses the protocol of the window and decodes the pictures."""
 
     def __init__(self, socket: Any) -> None:
         self._socket = socket
@@ -126,7 +126,7 @@ class _Client:
         return message
 
     def open(self) -> None:
-        """Wait until the airways are found and maps are built, so that pictures are as fast as they get."""
+        """Wait until the airways are found and the maps are built, so that pictures have their full rate."""
         self._send(wire.ClientHello(wire.WIRE_VERSION))
         view = wire.ViewSize("airway", SIZE_PX, SIZE_PX)
         self._send(wire.Layout((view,)))
@@ -148,10 +148,10 @@ class _Client:
         raise CarinaError("the server was not ready in time", code="machine")
 
     def measure(self, seconds: float, *, device: bool) -> dict[str, Any]:
-        """Fly back and forth; each input waits for the picture that shows it.
+        """Fly back and forth, and measure the time from each input to the first picture that shows it.
 
-        The next input goes out when its time has come and not when the last one's picture is there: a late picture is
-        waited for by several inputs, as by a hand.
+        Each input is sent at its own time, before the picture of the previous input if that is late, as by a hand. So
+        several inputs may wait for one late picture.
         """
         sent: list[tuple[float, int]] = []
         latencies_ms: list[float] = []
@@ -178,7 +178,7 @@ class _Client:
                 self._send(wire.Steer(0.4 * forward, 0.0, 0.0, 0.0))
             sent.append((time.monotonic(), self._pose_id))
             n += 1
-            # A client that came late reads all that has come, and does not catch up with inputs.
+            # A delayed client reads all pending messages and skips missed inputs.
             due_s = max(due_s + PERIOD_S, time.monotonic())
             while True:
                 try:
@@ -186,12 +186,12 @@ class _Client:
                 except TimeoutError:
                     break
                 if isinstance(message, wire.PictureHeader) and message.view == "airway":
-                    # By the picture's area: a picture of a square view has this side.
+                    # Side of a square view with the picture's area.
                     sizes_px.append(round(math.sqrt(message.width * message.height)))
                     num_older += message.pose_id < newest_id
                     newest_id = max(newest_id, message.pose_id)
                     arrived_s = time.monotonic()
-                    # Shown by a picture of a newer pose than the one known when it was sent.
+                    # A picture shows an input if its pose is newer than the latest pose at the time of the input.
                     shown = [at for at, pose_id in sent if message.pose_id > pose_id]
                     latencies_ms += [1000.0 * (arrived_s - at) for at in shown]
                     sent = [(at, pose_id) for at, pose_id in sent if message.pose_id <= pose_id]

@@ -1,8 +1,8 @@
-"""``carina bench track --only classes``: the calibration of confidence for each class of noise, kernel and slices.
+"""``carina bench track --only classes``: calibration of confidence by class of noise, kernel and slices.
 
 Painted CTs of ``--only hard`` and phantoms get white or correlated noise. Each branch that is found has a confidence,
-and is true where at least half of its points are within a voxel of a true lumen. For each class the rows are the
-difference between the mean confidence and the share that is true, and the expected calibration error over ten bins.
+and is true if at least half of its points are within a voxel of a true lumen. For each class the rows are the
+difference between the mean confidence and the share of true branches, and the expected calibration error over ten bins.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ NOISES: dict[str, tuple[float, float]] = {
     "100 HU white": (100.0, 0.0),
     "100 HU correlated": (100.0, 0.7),
 }
-"""Standard deviation of the noise, and the sigma in mm over which it is correlated (0: white)."""
+"""Noise by name: standard deviation in HU, and sigma in mm over which it is correlated (0: white)."""
 SLICES = ("0.7mm", "1.5mm", "2mm", "3mm")
 FEWER_SLICES = ("0.7mm", "2mm")
-"""Of the soft and the sharp kernel with more noise than 25 HU."""
+"""Slices for the soft and the sharp kernel with noise above 25 HU."""
 PHANTOM_SEEDS = (1, 11)
 PHANTOM_PIXEL_MM = 0.8
 PHANTOM_SLICES_MM = (0.8, 1.5, 2.0, 3.0)
@@ -52,16 +52,16 @@ CASES = (*PATIENTS, "phantoms")
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A branch that was found."""
+    """Branch that was found, with its confidence and whether it is true."""
 
     confidence: float
     is_true: bool
     classes: tuple[str, ...]
-    """The classes of its CT: noise, kernel and slices."""
+    """Classes of its CT: noise, kernel and slices."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
-    """Return two rows of each class."""
+    """Return two rows for each class."""
     judged: list[Judged] = []
     for name, classes, volume, truth in _cases(quick, say, cases):
         try:

@@ -1,8 +1,8 @@
-"""Is confidence a probability? Of branches (a true airway) and of names (the right segment), on phantoms held out.
+"""Calibration of the confidence of branches (a true airway) and of names (the right segment), on held-out phantoms.
 
 The rows are part of ``carina bench track --only names``. ``python -m carina_bench.track_confidence FOLDER`` collects
-what the maps in Carina are fitted on and judged by (FOLDER keeps it, and a run goes on where it was stopped), prints
-the two maps, and writes the reliability diagram.
+the data from which Carina's two confidence maps are fitted and by which they are judged (FOLDER stores the data, so an
+interrupted run continues), prints the two maps, and writes the reliability diagram.
 """
 
 from __future__ import annotations
@@ -39,19 +39,22 @@ NUM_GOOD, NUM_POOR, NUM_TREES = 8, 14, 24
 QUICK_CTS, QUICK_TREES = 1, 6
 NUM_BINS = 10
 MOST_ERROR, SURE, SURE_SHARE = 0.05, 0.9, 0.7
-# Of the walls' scores; most branches lie at its end.
+# Bins of the score of the wall; most branches have a score near 1.
 EDGES = (0.0, 0.5, 0.75, 0.85, 0.9, 0.925, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999, 1.001)
 
 
 def calibration_error(shares: Shares, hits: Shares) -> float:
-    """Expected calibration error over ten bins: how far the mean confidence of a bin is from the share that is true."""
+    """Return the expected calibration error over ten bins.
+
+    The error of a bin is the difference between its mean confidence and its share of true cases.
+    """
     bins = np.minimum((shares * NUM_BINS).astype(int), NUM_BINS - 1)
     within = [bins == k for k in range(NUM_BINS)]
     return float(sum(abs(shares[m].mean() - hits[m].mean()) * m.mean() for m in within if m.any()))
 
 
 def run(quick: bool, say: Say) -> list[Row]:
-    """Rows on held-out seeds (see ``carina_bench.track``)."""
+    """Return rows on held-out seeds (see ``carina_bench.track``)."""
     airways, names = [], []
     num_good, num_poor, num_trees = (QUICK_CTS, QUICK_CTS, QUICK_TREES) if quick else (NUM_GOOD, NUM_POOR, NUM_TREES)
     for case, tree, true in _found_trees("held", num_good, num_poor, say):
@@ -87,7 +90,7 @@ def _rows(judged: Sequence[Judged], what: str) -> Iterator[Row]:
 
 
 def _unlike_row(num: int) -> Row:
-    """Out of the model: random forks and vessels."""
+    """Return the row of trees outside the model: random forks and vessels."""
     trees = [random_tree(np.random.default_rng(seed), two_lungs=seed % 2 == 1) for seed in range(num)]
     for seed in range(max(num // 4, 1)):
         trees += [vessel_tree(true_tree(seed), np.random.default_rng(seed), is_vein=vein) for vein in (True, False)]
@@ -100,7 +103,7 @@ def _unlike_row(num: int) -> Row:
     }
 
 
-# What is judged.
+# Data that are judged.
 
 
 def _found_trees(part: str, num_good: int, num_poor: int, say: Say) -> Iterator[tuple[CtCase, AirwayTree, list[bool]]]:
@@ -117,7 +120,7 @@ def _kind(case: CtCase) -> str:
 
 
 def _made_trees(part: str, num: int) -> Iterator[tuple[str, AirwayTree, AirwayTree]]:
-    """Degraded true trees, and degraded ones of other anatomies, each with its truth."""
+    """Yield degraded true trees, and degraded trees of other anatomies, each with its truth."""
     for seed in range(FIRST_SEED[part], FIRST_SEED[part] + num):
         rng = np.random.default_rng((seed, 3))
         tree = true_tree(seed, int(rng.integers(5, 8)))
@@ -127,7 +130,7 @@ def _made_trees(part: str, num: int) -> Iterator[tuple[str, AirwayTree, AirwayTr
 
 
 def _judged_names(tree: AirwayTree, truth: AirwayTree, kind: str) -> list[Judged]:
-    """With the calibrated confidence; of trees that are said to be unlike a human one nothing is told."""
+    """Return the names of a tree with their calibrated confidence; none if the tree is classified as not human."""
     fit, readings = _judged_readings(tree, truth)
     if fit is not None and fit < POOR_FIT:
         return []
@@ -135,7 +138,7 @@ def _judged_names(tree: AirwayTree, truth: AirwayTree, kind: str) -> list[Judged
 
 
 def _judged_readings(tree: AirwayTree, truth: AirwayTree) -> tuple[float | None, list[tuple[float, bool]]]:
-    """The fit, and of each segment that was read the share of its reading and whether it is the right one."""
+    """Return the fit of a tree and, for each segment that was read, its share and whether the name is right."""
     true: dict[int, str] = {}
     for branch in truth.branches:
         words = None if branch.name is None else name_words(branch.name)
@@ -162,7 +165,7 @@ def _judged_readings(tree: AirwayTree, truth: AirwayTree) -> tuple[float | None,
 
 
 def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:
-    """The share of true airways by score: isotonic, over bins."""
+    """Fit the share of true airways as a function of the score: isotonic, over bins."""
     blocks: list[list[float]] = []
     middles = []
     for low, high in itertools.pairwise(EDGES):
@@ -180,7 +183,10 @@ def fitted_airways(scores: Shares, hits: Shares) -> list[tuple[float, float]]:
 
 
 def fitted_names(shares: Shares, fits: Shares, hits: Shares) -> tuple[float, float, float]:
-    """The log odds of a right name, see ``carina.track.names.goodness.NAME_ODDS``; fits are at most ``GOOD_FIT``."""
+    """Fit the log odds of a right name, see ``carina.track.names.goodness.NAME_ODDS``.
+
+    Fits are at most ``GOOD_FIT``.
+    """
     parts = np.clip(shares, 0.01, SUREST)
     x = np.stack([np.ones(len(parts)), np.log(parts / (1.0 - parts)), np.minimum(fits, GOOD_FIT) - GOOD_FIT], axis=1)
     odds = np.array([0.0, 1.0, 0.0])
@@ -191,11 +197,11 @@ def fitted_names(shares: Shares, fits: Shares, hits: Shares) -> tuple[float, flo
     return float(odds[0]), float(odds[1]), float(odds[2])
 
 
-# By hand.
+# Collection of data from the command line.
 
 
 def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list[list[Any]]]:
-    """[score, is true, kind] of branches and [share, fit, is right, kind] of names, kept case by case."""
+    """Return [score, is true, kind] of branches and [share, fit, is right, kind] of names, stored case by case."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{part}.jsonl"
     known = {} if not path.exists() else {row["label"]: row for row in map(json.loads, path.read_text().splitlines())}
@@ -213,7 +219,7 @@ def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list
             if label not in known:
                 say(label)
                 tree = find_airways(made_case(case), progress=False).tree
-                # Back from what Carina tells to the score that it was told of.
+                # The inverse of the map from scores to confidence: the stored confidence gives the score.
                 scored = np.interp([b.confidence or 0.0 for b in tree.branches], shares, scores)
                 fit, names = _judged_readings(tree, true_tree(case.seed, case.generations))
                 keep(label, zip(scored.tolist(), is_true_branch(case, tree), strict=True), fit, names)
@@ -230,7 +236,7 @@ def _collected(folder: Path, part: str, say: Say) -> tuple[list[list[Any]], list
 
 
 def main() -> None:
-    """Fit on some seeds, judge on others, draw."""
+    """Fit on some seeds, judge on others, and write the diagram."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="Where what was collected is kept.")
     parser.add_argument("--svg", type=Path, help="Where the reliability diagram goes (default: none).")

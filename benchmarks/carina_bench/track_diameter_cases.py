@@ -1,7 +1,7 @@
 """CTs with exactly known diameters: phantoms and patients, painted with kernels and slice thicknesses.
 
-The generator of phantoms blurs an airway's wall as if the wall were flat, so a thin lumen is wider in its image than a
-scanner would show it. Here the generator gives the anatomy, and the painter the image (:mod:`carina_bench.paint`).
+The generator of phantoms blurs an airway's wall as if the wall were flat, so a thin lumen is wider in its image than in
+a scanner's. Here the generator gives only the anatomy, and the painter makes the image (:mod:`carina_bench.paint`).
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ KERNEL_NAMES = tuple(KERNELS)
 SLICE_NAMES = ("0.7mm", "1mm", "1.5mm", "2mm", "2.5mm", "3mm")
 SPACING_MM = 0.7
 BESIDE_MM = 8.0
-"""Tissue around the airways that is painted."""
+"""Width of the tissue around the airways that is painted, mm."""
 BEYOND_WALL_MM = 1.1
-"""The generator's image shows an airway up to this far from its wall."""
+"""Distance from its wall up to which the generator's image shows an airway, mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiameterCase:
-    """A painted CT and the true radii of its airways."""
+    """Painted CT with the true radii of its airways."""
 
     subject: str
-    """``phantom N`` or the name of a patient."""
+    """Subject: ``phantom N`` or the name of a patient."""
     kernel: str
     slices: str
     volume: Volume
@@ -49,7 +49,7 @@ class DiameterCase:
 
     @property
     def condition(self) -> str:
-        """Kernel and slices."""
+        """Kernel and slices, as text."""
         return f"{self.kernel} {self.slices}"
 
 
@@ -83,7 +83,7 @@ def painted_patients(
 
 
 def _key(seed: int, options: PaintOptions) -> str:
-    """Return a key of all that decides a painted phantom."""
+    """Return a key of all inputs of a painted phantom."""
     digest = hashlib.sha256(repr((seed, options, SPACING_MM)).encode())
     for path in (*sorted(Path(__file__).parent.glob("paint*.py")), Path(__file__)):
         digest.update(path.read_bytes())
@@ -91,7 +91,7 @@ def _key(seed: int, options: PaintOptions) -> str:
 
 
 def _scene(seed: int) -> Scene:
-    """Return the tissue of a phantom without its airways, and these as tubes."""
+    """Return the tissue of a phantom without its airways, and its airways as tubes."""
     phantom = generate_phantom(seed=seed, spacing_mm=SPACING_MM, noise_hu=0.0, with_distance=True)
     assert phantom.lumen_distance_mm is not None
     tubes = [
@@ -123,7 +123,7 @@ def _without_airways(
     lps_from_ijk: NDArray[np.float64],
     tubes: Sequence[Tube],
 ) -> NDArray[np.int16]:
-    """Return the tissue with each voxel of an airway replaced by the nearest voxel of none."""
+    """Return the tissue with each voxel of an airway replaced by the nearest voxel outside the airways."""
     ndimage: Any = import_module("scipy.ndimage")
     spatial: Any = import_module("scipy.spatial")
     near = np.argwhere(distance_zyx < 4.5)

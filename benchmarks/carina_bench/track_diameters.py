@@ -1,9 +1,9 @@
-"""``carina bench track --only diameters``: diameters of branches and of routes against exactly known ones.
+"""``carina bench track --only diameters``: diameters of branches and routes compared with exactly known ones.
 
-Each branch that is found is compared with the nearest true axis: the median of the true diameters at its usable
-sections beside the reported diameter, its error, and the diameter of the lumen found (``Branch.radius``).
-*Bias* is the median relative error; *coverage* the share of branches whose true diameter lies within the stated error.
-A route is the way to a tip; its true narrowest diameter is the least one at the usable sections on the way.
+Each branch that is found is compared with the nearest true axis. Its figures are the median of the true diameters at
+its usable sections, the reported diameter, the reported error, and the diameter of the found lumen (``Branch.radius``).
+*Bias* is the median relative error; *coverage* the share of branches whose true diameter lies within the reported
+error. A route is the path to a tip; its true narrowest diameter is the least true diameter at its usable sections.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ LEAST_COVERAGE, MOST_COVERAGE = 0.85, 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """True and found diameters of a case, mm: rows of true, reported, error, and diameter of the lumen found."""
+    """Diameters of a case in mm, one row each: true, reported, error, and diameter of the found lumen."""
 
     branches: Floats
-    """(n, 4)"""
+    """(n, 4) diameters of the branches."""
     routes: Floats
-    """(m, 4) the narrowest ones on the way to each tip."""
+    """(m, 4) narrowest diameters of the routes to each tip."""
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
@@ -73,7 +73,7 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
 
 
 def compared_diameters(case: DiameterCase, tree: AirwayTree, measures: TreeMeasures) -> Compared:
-    """Return the diameters of the branches and routes of a tree beside the true ones."""
+    """Return the diameters of the branches and routes of a tree with the true ones."""
     points = np.concatenate([branch.points for branch in case.truth.branches])
     radius = np.concatenate([branch.radius_mm for branch in case.truth.branches])
     course = np.concatenate([np.gradient(branch.points, axis=0) for branch in case.truth.branches])

@@ -1,7 +1,7 @@
-"""CTs with metal, a breathing step, correlated noise or streaks, made from a CT that has none of them.
+"""CTs with metal, a breathing step, correlated noise or streaks, derived from a CT without them.
 
-Each function returns a new volume on the same grid and leaves the airways where they were, but for a breathing step,
-which moves all of a part of the slices; the true airways are moved with them by :func:`stepped_points`.
+Each function returns a new volume on the same grid. The airways stay in place, except for a breathing step, which moves
+all anatomy in a part of the slices; :func:`stepped_points` moves the true airways accordingly.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ Floats = NDArray[np.float64]
 
 CLIP_HU = 3000.0
 CLIP_SIZE_MM = (1.5, 1.5, 5.0)
-"""Extent of a surgical clip along x, y and z."""
+"""Size of a surgical clip along x, y and z, mm."""
 STREAK_HU = 900.0
-"""Greatest amplitude of the streaks of a clip, beside it."""
+"""Largest amplitude of the streaks, at the clip."""
 HALF_STREAK_MM = 25.0
-"""Distance from the clip at which the amplitude is half of the greatest."""
+"""Distance from the clip at which the amplitude is half of the largest."""
 NUM_BANDS = 72
-"""Directions in the plane at which the amplitude of the streaks of one piece of metal is drawn."""
+"""Number of directions in the plane for which an amplitude is drawn, for each piece of metal."""
 SAME_STREAKS = 0.9
-"""Correlation of the streaks of one piece of metal in neighbouring slices."""
+"""Correlation of the streaks of one piece of metal between neighbouring slices."""
 LEAST_HU, MOST_HU = -1024, 3071
 
 
 def with_clips(
     volume: Volume, centre_lps: Sequence[float], *, seed: int, num: int = 7, spread_mm: float = 12.0
 ) -> Volume:
-    """Return the CT with surgical clips round a place and their streaks in the slices that contain the clips."""
+    """Return the CT with surgical clips around a point, and their streaks in the slices that contain the clips."""
     rng = np.random.default_rng((seed, 11))
     places = np.asarray(centre_lps, np.float64) + spread_mm * np.clip(rng.standard_normal((num, 3)), -1.5, 1.5)
     sizes = np.array([rng.permutation(CLIP_SIZE_MM) for _ in range(num)])
@@ -57,7 +57,7 @@ def with_metal(
     Parameters
     ----------
     places_lps, sizes_mm
-        (n, 3) centres, LPS mm, and extents along the axes of the grid, mm.
+        (n, 3) centres, LPS mm, and sizes along the axes of the grid, mm.
     """
     rng = np.random.default_rng((seed, 12))
     nz, ny, nx = volume.shape_zyx
@@ -76,7 +76,7 @@ def with_metal(
         fading = streak_hu / (1.0 + away_mm / half_mm)
         knots = rng.standard_normal(NUM_BANDS // 2)
         for k in np.flatnonzero(covers[2] > 0.0):
-            # The same metal leaves nearly the same streaks in the next slice.
+            # The streaks of neighbouring slices are similar, because the metal is the same.
             knots = SAME_STREAKS * knots + np.sqrt(1.0 - SAME_STREAKS**2) * rng.standard_normal(len(knots))
             values[k] += (covers[2][k] * fading * _bands(angle, knots)).astype(np.float32)
             metal[k] = np.maximum(metal[k], (covers[2][k] * covers[1][:, None] * covers[0][None, :]).astype(np.float32))
@@ -85,7 +85,7 @@ def with_metal(
 
 
 def _bands(angle: Floats, knots: Floats) -> Floats:
-    """Return values of -1 to 1 that change with the direction alone; opposite directions are alike, as rays are."""
+    """Return values of -1 to 1 that depend only on the direction; opposite directions are equal, as for rays."""
     knots = np.clip(knots / 1.5, -1.0, 1.0)
     knots = knots - knots.mean()
     at = np.mod(angle, np.pi) * (len(knots) / np.pi)
@@ -97,17 +97,19 @@ def _bands(angle: Floats, knots: Floats) -> Floats:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Step:
-    """A breath between two slices: everything above a level lies elsewhere than the scan says."""
+    """Breathing step between two slices: the anatomy above a level is shifted in the scan."""
 
     above_lps_z: float
-    """Level of the first moved slice, LPS mm."""
+    """Level of the first shifted slice, LPS mm."""
     shift_mm: tuple[float, float, float] = (0.0, 3.0, 6.0)
-    """By how much the chest above the level appears moved, LPS mm. Positive z: a part of it is missing in the scan;
-    negative z: a part of it is there twice."""
+    """Shift of the chest above the level, LPS mm.
+
+    Positive z: a part of the chest is missing in the scan; negative z: a part is duplicated.
+    """
 
 
 def stepped(volume: Volume, step: Step) -> Volume:
-    """Return the CT with a breathing step; the axes of the grid are those of the patient."""
+    """Return the CT with a breathing step; the axes of the grid must be those of the patient."""
     spacing = np.diag(volume.lps_from_ijk)[:3]
     by_i, by_j, by_k = (round(mm / size) for mm, size in zip(step.shift_mm, spacing, strict=True))
     nz = volume.shape_zyx[0]
@@ -120,9 +122,9 @@ def stepped(volume: Volume, step: Step) -> Volume:
 
 
 def stepped_points(points_lps: Points, step: Step, volume: Volume) -> tuple[Points, NDArray[np.bool_]]:
-    """Return where points of the chest appear after a breathing step, and which of them still appear.
+    """Return the positions of points of the chest after a breathing step, and whether each of them is still visible.
 
-    Points that appear twice are returned where they appear above the level.
+    Duplicated points are returned at their position above the level.
     """
     spacing = np.diag(volume.lps_from_ijk)[:3]
     shift = np.rint(np.array(step.shift_mm) / spacing) * spacing
@@ -133,7 +135,10 @@ def stepped_points(points_lps: Points, step: Step, volume: Volume) -> tuple[Poin
 
 
 def noisy(volume: Volume, noise_hu: float, *, seed: int, sigma_mm: float = 0.0) -> Volume:
-    """Return the CT with more noise of this standard deviation; correlated over a Gaussian, or white without one."""
+    """Return the CT with additional noise of this standard deviation.
+
+    The noise is correlated by a Gaussian, or white if sigma is 0.
+    """
     rng = np.random.default_rng((seed, 13))
     noise = rng.standard_normal(volume.shape_zyx).astype(np.float32)
     if sigma_mm > 0.0:
@@ -144,7 +149,7 @@ def noisy(volume: Volume, noise_hu: float, *, seed: int, sigma_mm: float = 0.0) 
 
 
 def _blurred(values: NDArray[np.float32], sigma: float, axis: int) -> NDArray[np.float32]:
-    """Return values blurred along an axis; the ends are continued by the other ends."""
+    """Blur values along an axis, with periodic ends."""
     reach = int(np.ceil(3.0 * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     result = np.zeros_like(values)
@@ -154,12 +159,12 @@ def _blurred(values: NDArray[np.float32], sigma: float, axis: int) -> NDArray[np
 
 
 def streaked(volume: Volume, streak_hu: float, *, seed: int, from_lps_z: float, width_mm: float = 1.5) -> Volume:
-    """Return the CT with streaks from side to side in the slices above a level, as shoulders leave them.
+    """Return the CT with lateral streaks in the slices above a level, as from shoulders.
 
     Parameters
     ----------
     streak_hu
-        Standard deviation from row to row.
+        Standard deviation between rows.
     width_mm
         Sigma of a streak across its direction.
     """

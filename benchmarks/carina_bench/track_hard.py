@@ -1,9 +1,10 @@
 """``carina bench track --only hard``: the automatic airways in painted CTs that are hard to search.
 
 Tree length detected (TD) and branches detected (BD) are those of ``--only quality``. Precision within a voxel is the
-share of the found voxels that hold lumen or touch a voxel that does. The contrast to noise of the missed lumens is the
-median over places along them; the contrast is that of the axis and the weakest quarter of the wall around it (the lower
-quartile of a ring, the brightest of several rings) in the same CT without noise.
+share of the found voxels that contain lumen or touch a voxel that does. The contrast-to-noise ratio of the missed
+lumens is the median over points along them; the contrast is the difference between the weakest quarter of the
+surrounding wall (the lower quartile of a ring, the brightest of several rings) and the axis, in the same CT without
+noise.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ CALIBRES_MM = (0.45, 0.6, 0.8, 1.0, 1.5)
 """Lower limits of the classes of true radius of the calibre curve; the last class has no upper limit."""
 WITHOUT_SOFTENING = "without-softening"
 CASES = (*PATIENTS, *KERNELS, *SLICES, WITHOUT_SOFTENING)
-"""What ``--case`` may name: patients, kernels and slices (all where there are none), and the search to measure."""
+"""Values that ``--case`` accepts: patients, kernels and slices (default all), and the variant of the search."""
 
 # Least TD and BD, mean of the patients; by slice thickness, and for thin slices by kernel.
 AIMS: dict[tuple[str, str], tuple[float, float]] = {
@@ -55,18 +56,18 @@ AIMS: dict[tuple[str, str], tuple[float, float]] = {
 LEAST_PRECISION = 0.98
 MOST_FALSE_MEDIAN, MOST_FALSE = 1, 3
 RING_MM = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Distances of the rings from the true wall of the lumen."""
+"""Distances of the rings from the true wall of the lumen, mm."""
 NUM_MISSED = 600
 NUM_DIRECTIONS = 12
 
 
 def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
-    """Return a row of each patient, kernel and slice thickness, then the means over patients beside the aims.
+    """Return a row for each patient, kernel and slice thickness, then the means over patients with the aims.
 
     Parameters
     ----------
     cases
-        Only these of :data:`CASES`; all patients, kernels or slices where none of the kind is named.
+        Cases to measure, of :data:`CASES`; default all patients, kernels or slices if none of the kind is named.
     """
     data = load_settings().data_dir
     if data is None or not data.is_dir():
@@ -88,7 +89,7 @@ def run(quick: bool, say: Say, cases: Sequence[str] = ()) -> list[Row]:
 
 @contextmanager
 def _softening(is_on: bool) -> Iterator[None]:
-    """Switch the softening of medium and sharp kernels off."""
+    """Disable the kernel compensation (softening of medium and sharp kernels) in this context."""
     with patch.object(growth, "SOFT_HU", SOFT_HU if is_on else 1e9):
         yield
 
@@ -131,7 +132,7 @@ def _note(row: Row) -> str:
 
 
 def within_a_voxel(found_zyx: NDArray[np.bool_], touched_zyx: NDArray[np.bool_] | None) -> float:
-    """Return the share of found voxels that hold lumen or touch a voxel that does, by a face, an edge or a corner."""
+    """Return the share of found voxels that contain lumen or are one of the 26 neighbours of such a voxel."""
     assert touched_zyx is not None
     near = touched_zyx.copy()
     for axis in range(3):
@@ -144,13 +145,13 @@ def within_a_voxel(found_zyx: NDArray[np.bool_], touched_zyx: NDArray[np.bool_] 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Missed:
-    """The places of a true branch that are outside the found lumen."""
+    """Points of a true branch outside the found lumen."""
 
     points: NDArray[np.float64]
     """(n, 3) LPS mm."""
     radius_mm: NDArray[np.float64]
     course: NDArray[np.float64]
-    """(n, 3) along the branch, mm."""
+    """(n, 3) direction along the branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,13 +161,13 @@ class Detected:
     td: float
     bd: float
     by_radius_mm: dict[str, float]
-    """The calibre curve: share of the length found, by class of true radius."""
+    """Calibre curve: share of the length found, by class of true radius."""
     missed: tuple[Missed, ...]
-    """One of each true branch."""
+    """Missed points, one entry for each true branch."""
 
 
 def detected_airways(volume: Volume, truth: Truth, found_zyx: NDArray[np.bool_]) -> Detected:
-    """Return what is found of the true airways, by the rules of ``--only quality``."""
+    """Return the share of the true airways that was found, by the rules of ``--only quality``."""
     length = np.zeros((2, len(CALIBRES_MM)))
     num_found = 0
     missed = []
@@ -188,7 +189,7 @@ def detected_airways(volume: Volume, truth: Truth, found_zyx: NDArray[np.bool_])
 
 
 def _contrast_to_noise(case: HardCase, missed: Sequence[Missed]) -> float | None:
-    """Return the median over missed places of (wall - axis) / noise, HU by HU; None where nothing is missed."""
+    """Return the median over missed points of (wall - axis) / noise, each in HU; None if nothing is missed."""
     if not missed:
         return None
     every = max(sum(len(one.points) for one in missed) // NUM_MISSED, 1)
@@ -214,7 +215,7 @@ def _contrast_to_noise(case: HardCase, missed: Sequence[Missed]) -> float | None
 
 
 def _values(case: HardCase, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return HU without noise at places (n, 3), LPS mm, linearly between voxels."""
+    """Return HU without noise at points (n, 3), LPS mm, by linear interpolation."""
     ijk = case.volume.to_ijk(points)
     last = np.array(case.clean_zyx.shape[::-1]) - 1
     ijk = np.clip(ijk, 0.0, last - 1e-6)
@@ -229,7 +230,7 @@ def _values(case: HardCase, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _means(rows: Sequence[Row]) -> list[Row]:
-    """Return the means of the patients by condition, beside the aims."""
+    """Return the means of the patients by condition, with the aims."""
     result: list[Row] = []
     for condition in dict.fromkeys(row["condition"] for row in rows):
         own = [row for row in rows if row["condition"] == condition]

@@ -1,7 +1,7 @@
 """Painted CTs with airways and vessels that are hard to see: terminal airways, fine vessels, overshooting kernels.
 
-Each patient is cut to the part around the carina, painted once for each kernel in slices as thin as those of the masks,
-and kept in a temporary folder. All slice thicknesses are made from these thin slices.
+Each patient is cropped around the carina, painted once for each kernel in slices as thin as those of the masks, and
+stored in a temporary folder. All slice thicknesses are computed from these thin slices.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Say = Callable[[str], None]
 
 OPTIONS = PaintOptions(terminal_share_per_mm2=0.3, fine_vessels_per_ml=2.4)
 KERNELS = {"soft": "soft", "medium": "rimmed-medium", "sharp": "sharp"}
-"""Kernels of :data:`carina_bench.paint.KERNELS`, by the names of the cases."""
+"""Kernels of :data:`carina_bench.paint.KERNELS` by their names in the cases."""
 SLICES: dict[str, Slices] = {
     "0.7mm": Slices(0.7),
     "1mm": Slices(1.0),
@@ -46,18 +46,18 @@ SLICES: dict[str, Slices] = {
     **{f"{mm:g}mm-resampled": Slices(mm, is_resampled=True) for mm in (1.0, 1.5, 2.0, 2.5, 3.0, 5.0)},
 }
 ABOVE_MM, BELOW_MM = 30.0, 55.0
-"""The part of a patient that is painted, from the carina."""
+"""Extent of the painted part above and below the carina, mm."""
 QUICK_MM = (25.0, 25.0)
 QUICK = ("medium", "0.7mm")
 BESIDE_MM = 8.0
 HU_STEPS = 16.0
-"""Kept values are whole sixteenths of 1 HU."""
+"""Number of stored steps per HU: stored values are multiples of 1/16 HU."""
 LEAST_BRONCHUS_MM2 = 25.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardCase:
-    """A painted CT, the truth about it, and the same CT without noise."""
+    """Painted CT, its truth, and the same CT without noise."""
 
     patient: str
     kernel: str
@@ -68,7 +68,7 @@ class HardCase:
 
     @property
     def name(self) -> str:
-        """Patient, kernel and slices."""
+        """Name: patient, kernel and slices."""
         return f"{self.patient} {self.kernel} {self.slices}"
 
 
@@ -82,7 +82,7 @@ def hard_cases(
     is_quick: bool = False,
     options: PaintOptions = OPTIONS,
 ) -> Iterator[HardCase]:
-    """Yield the cases of each patient, kernel and slice thickness; patients without masks are named and left out."""
+    """Yield the cases of each patient, kernel and slice thickness; report patients without masks and skip them."""
     folders = mask_folders(data)
     extent = QUICK_MM if is_quick else (ABOVE_MM, BELOW_MM)
     for patient in patients:
@@ -132,7 +132,7 @@ def imaged(thin: Scanned, options: PaintOptions, slices: Slices) -> tuple[Volume
 
 
 def around_carina(masks: Masks, above_mm: float, below_mm: float) -> Masks:
-    """Return the masks of the part from above to below the carina, in plane as far as the lungs."""
+    """Return the masks cropped from above to below the carina, and in plane to the lungs."""
     up = float(masks.lps_from_ijk[2, 2])
     spacing = np.linalg.norm(masks.lps_from_ijk[:3, :3], axis=0)
     at = _carina_slice(masks.airways, float(spacing[0] * spacing[1]), is_upwards=up > 0.0)
@@ -176,7 +176,7 @@ def _carina_slice(airways: NDArray[np.bool_], pixel_mm2: float, *, is_upwards: b
 
 
 def _key(folder: Path, options: PaintOptions, extent: tuple[float, float]) -> str:
-    """Return a key of all that decides a painted volume: masks, options, extent and the painter's code."""
+    """Return a key of all inputs of a painted volume: masks, options, extent and the painter's code."""
     digest = hashlib.sha256(repr((options, extent)).encode())
     for path in sorted(folder.iterdir()):
         status = path.stat()
@@ -188,7 +188,7 @@ def _key(folder: Path, options: PaintOptions, extent: tuple[float, float]) -> st
 
 
 def cached(key: str, paint_thin: Callable[[], Scanned], folder: Path | None = None) -> Scanned:
-    """Return what is kept under a key in a folder (by default one among the temporary ones), or paint and keep it."""
+    """Return the volume stored under a key in a folder (default: a temporary one), or paint and store it."""
     folder = Path(tempfile.gettempdir()) / "carina-bench-hard" if folder is None else folder
     path = folder / f"{key}.npz"
     if not path.is_file():

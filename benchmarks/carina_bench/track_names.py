@@ -1,9 +1,9 @@
-"""``carina bench track --only names``: names of bronchi against phantoms' truth, lobes against masks of patients.
+"""``carina bench track --only names``: names of bronchi compared with phantoms' truth, lobes with masks of patients.
 
-A true segment is *right* where the tree's branch that lies along it bears its name; *wrong* where it bears the name of
-another segment or of a stem; else it has no name. Subsegments have no truth in the phantoms: their letters on the found
-tree are compared with those on the true one, which the same rule gave. Whether confidence is a probability is asked by
-``track_confidence``.
+A true segment is *right* if the tree's branch along it has its name; *wrong* if that branch has the name of another
+segment or of a stem; otherwise it has no name. Subsegments have no truth in the phantoms: their letters on the found
+tree are compared with those on the true tree, which the same rule assigned. ``track_confidence`` measures whether
+confidence is a probability.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ SPACING_MM, NOISE_HU = 0.7, 25.0
 LOBES = ("RUL", "RML", "RLL", "LUL", "LLL")
 LOBE_FOLDER = "masks/thin_slice_lobes"
 LOBE_CASES = {"thin-slice patient 1": "Patient1", "thin-slice patient 2": "Patient2"}
-# At 1.8 mm, and its lobes reach over the roots of the middle lobe's and the lingula's bronchi: told, without a limit.
+# At 1.8 mm the lobes of this patient extend beyond the roots of the bronchi of middle lobe and lingula: no limit.
 OTHER_LOBE_CASES = {"patient 3, 1.8 mm": "Patient3"}
-# The segment mask leaves airways and vessels out: the lobe round a point is what most of this ball is.
+# The segment mask excludes airways and vessels, so the lobe of a point is the majority in a ball around it.
 ROUND_MM = (0.0, 2.0, 4.0, 6.0, 8.0)
 CLEAR_SHARE = 0.75
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """The rows of this part (see ``carina_bench.track``)."""
+    """Return the rows of this part (see ``carina_bench.track``)."""
     seeds = QUICK_SEEDS if quick else SEEDS
     exact: Counter[str] = Counter()
     found: Counter[str] = Counter()
@@ -80,7 +80,7 @@ def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
 
 
 def _true_tree(seed: int) -> AirwayTree:
-    # Hardly any voxels: the truth is always whole.
+    # A small box, because only the truth is needed, which is always complete.
     box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
     return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box).truth)
 
@@ -91,12 +91,12 @@ def _is_segment(name: str | None) -> bool:
 
 
 def _variants(truth: AirwayTree) -> list[str]:
-    """Uncommon stems of a true tree."""
+    """Return the uncommon stems of a true tree."""
     return [stem for stem in ("RB1+2", "RB2+3", "RB9+10", "LB9+10") if stem in truth.names] or ["none"]
 
 
 def along(tree: AirwayTree, points: NDArray[np.float64]) -> int:
-    """Id of the branch that lies along most of the points."""
+    """Return the ID of the branch along which most of the points lie."""
     stacked = np.concatenate([branch.points for branch in tree.branches])
     owner = np.concatenate([np.full(len(branch.points), branch.id) for branch in tree.branches])
     nearest = [owner[int(np.argmin(((stacked - point) ** 2).sum(axis=1)))] for point in points]
@@ -104,7 +104,7 @@ def along(tree: AirwayTree, points: NDArray[np.float64]) -> int:
 
 
 def tally(truth: AirwayTree, named: AirwayTree) -> Counter[str]:
-    """Counts of right, wrong and nameless branches, by kind; of segments also by variant and by confidence."""
+    """Count right, wrong and missing names by kind of branch; for segments also by variant and by confidence."""
     counts: Counter[str] = Counter()
     labelled = name_tree(truth)
     for branch in truth.branches:
@@ -114,7 +114,7 @@ def tally(truth: AirwayTree, named: AirwayTree) -> Counter[str]:
         is_named = branch.name is not None
         if not is_named and (letters is None or not _is_segment(letters)):
             continue
-        # The middle of the branch: its ends lie in its neighbours' lumens.
+        # Only the middle of the branch: its ends lie in the lumens of its neighbours.
         middle = branch.points[len(branch.points) // 3 : -max(len(branch.points) // 4, 1)]
         there = named.branch(along(named, middle))
         if not is_named:
@@ -186,9 +186,9 @@ def _lobe_row(case: str, data_dir: Path | None, folder: str) -> Row:
 
 
 def lobe_lengths(home: Path) -> Counter[str]:
-    """Length of the named airway mask's tree, by whether its lobe is that of the masks, mm."""
+    """Return the length (mm) of the tree of the named airway mask, by whether its lobe agrees with the lobe masks."""
     airway = next(p for p in (home / "BronchialTree.nii.gz", home / "BronchialTree.gz") if p.exists())
-    # Carina's own reader knows a NIfTI that is named .gz, as one of these is.
+    # Carina's own reader accepts a NIfTI that is named .gz, as one of these files is.
     image = open_volume(airway)
     mask = image.hu_zyx > 0
     matrix = image.lps_from_ijk
@@ -218,7 +218,7 @@ def lobe_lengths(home: Path) -> Counter[str]:
 
 
 def _lobes_at(labels: NDArray[np.uint8], inverse: NDArray[np.float64], points: NDArray[np.float64]) -> list[str | None]:
-    """The lobe round each point: the first ball in which one lobe clearly leads."""
+    """Return the lobe around each point: the first ball in which one lobe has a clear majority."""
     rng = np.random.default_rng(0)
     ways = rng.normal(size=(40, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)

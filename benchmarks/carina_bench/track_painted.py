@@ -18,10 +18,10 @@ __all__ = ["CONDITIONS", "PATIENTS", "QUICK_CONDITIONS", "Condition", "painted_c
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """How a patient is scanned, and what the result is judged by."""
+    """Scan parameters of a painted CT, and the kind of aims by which its result is judged."""
 
     kind: str
-    """Its row in ``track_quality.AIMS``."""
+    """Key of its row in ``track_quality.AIMS``."""
     options: PaintOptions
 
 
@@ -38,15 +38,15 @@ CONDITIONS: dict[str, Condition] = {
 }
 QUICK_CONDITIONS = ("medium-25", "sharp-25")
 PATIENTS = ("Patient1", "Patient2", "Patient3", "lobes-Patient1", "lobes-Patient2")
-"""Those whose masks are fine enough (0.46 to 0.70 mm) for airways of a millimetre."""
+"""Patients whose masks are fine enough (0.46 to 0.70 mm) for airways of a millimetre."""
 
 
 def painted_cases(
     data: Path, patients: Sequence[str], conditions: Sequence[str], say: Callable[[str], None]
 ) -> Iterator[tuple[str, str, Volume, Truth]]:
-    """Name, kind, CT and truth of each patient under each condition; patients without masks are named and left out.
+    """Yield name, kind, CT and truth of each patient under each condition; report and skip patients without masks.
 
-    What is not scanned anew for another kernel, the scene, is made once.
+    The scene is built once per patient; each condition only scans it with another kernel.
     """
     folders = mask_folders(data)
     for patient in patients:
@@ -67,7 +67,7 @@ def painted_cases(
 
 
 def truth_of_painted(made: Painted) -> Truth:
-    """The painted tubes where the image shows them."""
+    """Return the painted tubes, at their positions in the image, as truth."""
     branches = []
     for tube in made.airways:
         points, radius = sampled(tube.points[tube.true_from :], tube.radius_mm[tube.true_from :])

@@ -15,7 +15,7 @@ __all__ = ["time_paths", "unsolved_tracker"]
 
 
 def unsolved_tracker(airways: Airways) -> LumenTracker:
-    """Return a tracker over the lumen of airways that has their root and no settled node."""
+    """Return a tracker over the lumen of airways, with their root and no settled node."""
     return LumenTracker(
         airways.tracker.volume.hu_zyx,
         airways.tracker.grid.lps_from_ijk,

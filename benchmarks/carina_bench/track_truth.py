@@ -1,4 +1,4 @@
-"""True airways to measure a found lumen against: a phantom's axes, or the skeleton of a mask."""
+"""True airways for comparison with a found lumen: a phantom's axes, or the skeleton of a mask."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ __all__ = ["SPUR_MM", "TrueBranch", "Truth", "sampled", "truth_of_mask", "truth_
 Points = NDArray[np.float64]
 
 SPUR_MM = 5.0
-"""A side branch of a skeleton shorter than this is a spur: a bump of the mask's surface, no airway."""
+"""Length below which a side branch of a skeleton counts as a spur, an irregularity of the mask's surface."""
 SAMPLE_MM = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueBranch:
-    """A piece of true centreline between two forks, or a fork and a tip."""
+    """Piece of true centreline between two forks, or a fork and a tip."""
 
     points: Points
-    """(n, 3) LPS mm, at most 0.25 mm apart."""
+    """Points (n, 3), LPS mm, at most 0.25 mm apart."""
     radius_mm: NDArray[np.float64]
-    """(n,) radius of the true lumen at each point."""
+    """Radius (n,) of the true lumen at each point."""
     generation: int
     parent: int | None = None
-    """Place of the branch that it leaves, among all of a skeleton's; None for the first ones and for a phantom's."""
+    """Index of the parent branch in the skeleton; None for the first branches and for a phantom's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What the airways of a case truly are."""
+    """True airways of a case."""
 
     lumen_zyx: NDArray[np.bool_]
     branches: tuple[TrueBranch, ...]
     knows_radius: bool
-    """True where the radii are exact, not read off a mask."""
+    """Whether the radii are exact instead of measured in a mask."""
     touched_zyx: NDArray[np.bool_] | None = None
-    """Voxels that hold any lumen, where that is known: what is found in them is not false."""
+    """Voxels that contain any lumen, if known; found voxels among them are not false."""
 
 
 def sampled(points: Points, radius_mm: NDArray[np.float64]) -> tuple[Points, NDArray[np.float64]]:
-    """A line and its radii at even steps of at most 0.25 mm."""
+    """Resample a line and its radii at even steps of at most 0.25 mm."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], max(int(np.ceil(along[-1] / SAMPLE_MM)) + 1, 2))
     even = np.stack([np.interp(at, along, points[:, axis]) for axis in range(3)], axis=1)
@@ -55,7 +55,7 @@ def sampled(points: Points, radius_mm: NDArray[np.float64]) -> tuple[Points, NDA
 
 
 def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume: Volume) -> Truth:
-    """The axes of a generated chest, as far as they lie in the volume."""
+    """Return the axes of a generated chest, inside the volume."""
     branches = []
     for row in truth["branches"]:
         points, radius = sampled(np.array(row["points"]), np.array(row["radius"]))
@@ -66,9 +66,9 @@ def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume
 
 
 def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
-    """The skeleton of the largest piece of a mask (scikit-image), as a tree from its top, without spurs.
+    """Return the skeleton of the largest component of a mask (scikit-image), as a tree from its top, without spurs.
 
-    Where the skeleton has loops (a tube with a hole in its mask) the longest way round is cut.
+    Loops of the skeleton (a tube with a hole in its mask) are cut at the longest way round.
     """
     measure: Any = importlib.import_module("skimage.measure")
     morphology: Any = importlib.import_module("skimage.morphology")
@@ -83,7 +83,7 @@ def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
     voxels = np.argwhere(morphology.skeletonize(part))
     sampling = np.array(volume.spacing_mm)[::-1]
     depth = ndimage.distance_transform_edt(part, sampling=sampling)
-    # Half a voxel: the lumen ends between the last voxel inside and the first outside.
+    # Half a voxel less: the lumen ends between the last voxel inside and the first outside.
     radius = depth[tuple(voxels.T)] - 0.5 * float(np.cbrt(np.prod(sampling)))
     points = volume.to_lps((voxels[:, ::-1] + first_ijk).astype(np.float64))
     parents, order = _tree(voxels, points)
@@ -92,7 +92,7 @@ def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
 
 
 def _tree(voxels: NDArray[np.int64], points: Points) -> tuple[NDArray[np.int64], list[int]]:
-    """For every skeleton voxel the one before it on the way from the top (-1 there), and an order, parents first."""
+    """Return the predecessor of each skeleton voxel on the path from the top (-1: none), and a parents-first order."""
     sparse: Any = importlib.import_module("scipy.sparse")
     graphs: Any = importlib.import_module("scipy.sparse.csgraph")
     shape = voxels.max(axis=0) + 2
@@ -119,7 +119,7 @@ def _tree(voxels: NDArray[np.int64], points: Points) -> tuple[NDArray[np.int64],
 
 
 def _without_spurs(parents: NDArray[np.int64], order: Sequence[int], points: Points) -> NDArray[np.bool_]:
-    """Which voxels stay when ends shorter than :data:`SPUR_MM` go, the shortest first."""
+    """Return which voxels remain when ends shorter than :data:`SPUR_MM` are removed, the shortest first."""
     kept = np.zeros(len(parents), dtype=np.bool_)
     kept[list(order)] = True
     children = np.zeros(len(parents), dtype=np.int64)

@@ -1,7 +1,8 @@
-"""The largest ball that passes in painted airways: the truth about what a route lets pass.
+"""Largest ball that passes through painted airways: the true narrowest diameter of a route.
 
-Painted lumens are tubes that flow together (:mod:`carina_bench.paint_tubes`). The wall is sampled as points on the
-tubes that no other tube covers. The ball at a place of a centreline is moved across the airway to where it is largest.
+Painted lumens are tubes whose unions are rounded (:mod:`carina_bench.paint_tubes`). The wall is sampled as points on
+the tubes that no other tube covers. The ball at a point of a centreline is moved across the airway to the position
+where it is largest.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ Floats = NDArray[np.float64]
 
 NUM_ROUND, NUM_CAP = 48, 9
 INSIDE_MM = 0.03
-"""A point of one tube this far inside another is no wall."""
+"""Depth of a point of one tube inside another beyond which the point is not on the wall, mm."""
 MERGED_MM = 0.05
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
 TRIES = 3
-"""The ball is moved this often by each shift, as long as it grows."""
+"""Number of repetitions of each shift of the ball while the ball grows."""
 AROUND_MM = 12.0
 CONTAINS = 0.9
-"""A tube contains a place that is nearer to its axis than this share of its radius."""
+"""Fraction of a tube's radius: a point nearer to the axis than this counts as inside the tube."""
 PART = 2000
 
 
@@ -83,7 +84,7 @@ def largest_balls_mm(points: Floats, wall: Floats) -> Floats:
 
 
 def widest_tubes_mm(points: Floats, branches: Sequence[TrueBranch]) -> Floats:
-    """Return the diameter (n,) of the widest tube that contains each point, at its nearest place; NaN outside all."""
+    """Return the diameter (n,) of the widest tube that contains each point; NaN for points outside all tubes."""
     axis = np.concatenate([one.points for one in branches])
     radius = np.concatenate([one.radius_mm for one in branches])
     own = np.concatenate([np.full(len(one.points), n) for n, one in enumerate(branches)])
@@ -98,7 +99,7 @@ def widest_tubes_mm(points: Floats, branches: Sequence[TrueBranch]) -> Floats:
 
 
 def _axes_across(forward: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors (..., 3) across directions (..., 3)."""
+    """Return two unit vectors (..., 3) perpendicular to directions (..., 3)."""
     helper = np.where(np.abs(forward[..., :1]) < 0.8, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     across = np.cross(forward, helper)
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
@@ -106,7 +107,7 @@ def _axes_across(forward: Floats) -> tuple[Floats, Floats]:
 
 
 def _surface(tube: TrueBranch) -> tuple[Floats, Floats]:
-    """Return points of a tube with round ends (n, 3), and the unit vectors outwards."""
+    """Return points (n, 3) of the surface of a tube with round ends, and their outward unit normals."""
     points, radius = tube.points, tube.radius_mm
     ahead = np.gradient(points, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
@@ -126,7 +127,7 @@ def _surface(tube: TrueBranch) -> tuple[Floats, Floats]:
 
 
 def _outside_mm(tube: TrueBranch, points: Floats) -> Floats:
-    """Return how far points (n, 3) lie outside a tube; below 0 inside it."""
+    """Return the distance of points (n, 3) outside a tube, mm; below 0 inside it."""
     found = np.empty(len(points))
     for begin in range(0, len(points), PART):
         part = points[begin : begin + PART]
@@ -136,7 +137,7 @@ def _outside_mm(tube: TrueBranch, points: Floats) -> Floats:
 
 
 def _merged(wall: Floats, outwards: Floats, tubes: Sequence[TrueBranch]) -> Floats:
-    """Return the wall where lumens flow together: moved outwards to the painter's surface, without what it covers."""
+    """Return the wall at unions of lumens: moved outwards to the painter's surface, without covered points."""
     moved = wall.copy()
     within = np.flatnonzero(_merged_mm(moved, tubes) < -0.01)
     for _ in range(2):
@@ -146,7 +147,7 @@ def _merged(wall: Floats, outwards: Floats, tubes: Sequence[TrueBranch]) -> Floa
 
 
 def _merged_mm(points: Floats, tubes: Sequence[TrueBranch]) -> Floats:
-    """Return how far points lie outside lumens that flow together, as the painter has it."""
+    """Return the distance of points outside the union of lumens as the painter computes it, mm."""
     least = np.full(len(points), 50.0)
     for tube in tubes:
         other = _outside_mm(tube, points)

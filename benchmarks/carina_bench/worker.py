@@ -1,4 +1,4 @@
-"""One section of a benchmark in a process of its own: ``python -m carina_bench.worker REQUEST``."""
+"""Runner of one section of a benchmark in a process of its own: ``python -m carina_bench.worker REQUEST``."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ __all__ = ["child_environment", "run_section"]
 
 
 def child_environment() -> dict[str, str]:
-    """The environment of a process that runs a module of this package, which is installed nowhere."""
+    """Return the environment of a process that imports this package, which is not installed."""
     found = str(Path(__file__).resolve().parent.parent)
     others = os.environ.get("PYTHONPATH")
     return {**os.environ, "PYTHONPATH": os.pathsep.join([found, others] if others else [found])}
 
 
 def run_section(function: str, request: dict[str, Any], *, threads: int | None = None) -> Any:
-    """Run ``module:function`` with a request in a new process and return what it returned.
+    """Run ``module:function`` with a request in a new process and return the function's result.
 
     Parameters
     ----------
     function
-        Within this package, such as ``render:frames``.
+        Function in this package, such as ``render:frames``.
     request
-        JSON.
+        JSON values.
     threads
-        Threads of the compiled module; all cores unless told.
+        Number of threads of the compiled module; default: all cores.
 
     Raises
     ------
     CarinaError
-        As the section raised it (code, message and exit code), or if the process died.
+        The section's own error (code, message and exit code), or an error if the process died.
     """
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         result = Path(scratch) / "result.json"
@@ -48,7 +48,7 @@ def run_section(function: str, request: dict[str, Any], *, threads: int | None =
         if threads is not None:
             environment["RAYON_NUM_THREADS"] = str(threads)
         command = [sys.executable, "-m", "carina_bench.worker", message]
-        # What libraries print is for people: stdout belongs to the report.
+        # The output of libraries goes to stderr, because stdout is for the report.
         done = subprocess.run(command, env=environment, stdout=sys.stderr, check=False)
         if done.returncode == CANCELLED:
             raise KeyboardInterrupt

@@ -62,7 +62,7 @@ from carina.version import VERSION
 
 __version__ = VERSION
 
-# The module typing takes three quarters of the time of a bare import; type checkers know this name without it.
+# Importing typing takes three quarters of the time of a bare import; type checkers know the name TYPE_CHECKING.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
@@ -115,7 +115,7 @@ _PARTS = frozenset(
         "volume",
     )
 )
-"""The documented parts (``docs/api``), available as ``carina.track`` after ``import carina``."""
+"""Names of the documented parts (``docs/api``), available as ``carina.track`` after ``import carina``."""
 _HOME = {
     "AirwayTree": "track",
     "Airways": "track",
@@ -200,7 +200,7 @@ __all__ = [
 ]
 
 
-# Without __all__, pydoc documents only what this file defines: the contents above, not 2,700 lines of methods.
+# Without __all__, pydoc documents only the contents of this file instead of 2,700 lines of methods.
 _PUBLIC = __all__
 del __all__
 

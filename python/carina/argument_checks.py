@@ -54,13 +54,16 @@ __all__ = [
 P = ParamSpec("P")
 T = TypeVar("T")
 Check = Callable[[str, str, Any], None]
-"""``check(function_name, argument_name, value)`` raises UsageError for a wrong value."""
+"""Function ``check(function_name, argument_name, value)`` that raises UsageError for a wrong value."""
 COORDINATE_MM = 1e5
 """Largest absolute coordinate in LPS mm, and largest length; equal to the bound of ``carina.value.Coordinate``."""
 SHOWN_CHARACTERS = 60
 PATH_CHARACTERS = 4096
 NAME_CHARACTERS = 255
-"""Limits of file systems. A longer path or name would raise an OSError that does not name the argument."""
+"""Limits of file systems for paths and names, in characters.
+
+A longer path or name would raise an OSError that does not name the argument.
+"""
 
 
 def check_arguments(**checks: Check) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -182,7 +185,7 @@ def whole_from(least: int, most: int, *, optional: bool = False) -> Check:
 
 
 def bounded(largest: float, *, optional: bool = False, unit: str = "") -> Check:
-    """Return a check for the type and the size of one number, for a function that refuses NaN and infinity itself."""
+    """Return a check for the type and the size of one number, for a function that rejects NaN and infinity itself."""
     expected = f"a number from -{largest:g} to {largest:g}{f' {unit}' if unit else ''}" + (
         " or None" if optional else ""
     )
@@ -216,7 +219,7 @@ def pixels(most: int = 8192) -> Check:
 
 
 def flag(where: str, name: str, value: Any) -> None:
-    """Refuse any value but True and False."""
+    """Reject any value but True and False."""
     if not isinstance(value, bool | np.bool_):
         raise _wrong(where, name, "True or False", value, kind=True)
 
@@ -304,13 +307,13 @@ def having(attribute: str, remedy: str, *, optional: bool = False) -> Check:
 
 
 def function(where: str, name: str, value: Any) -> None:
-    """Refuse any value but a function and None."""
+    """Reject any value but a function and None."""
     if value is not None and (not callable(value) or isinstance(value, type)):
         raise _wrong(where, name, "a function or None", value, kind=True)
 
 
 def progress_choice(where: str, name: str, value: Any) -> None:
-    """Refuse any value but a function, True, False and None."""
+    """Reject any value but a function, True, False and None."""
     if value is not None and not isinstance(value, bool) and (not callable(value) or isinstance(value, type)):
         expected = "True, False, None or a function that takes a string and a fraction"
         raise UsageError(f"{where}: {name}: expected {expected}; found {type(value).__name__}", code="usage.type")
@@ -333,9 +336,9 @@ def each(check_one: Check, *, least: int = 0, most: int = 1_000_000, optional: b
 
 
 def numbers_within(largest: float = COORDINATE_MM, *, optional: bool = False) -> Check:
-    """Return a check for numbers of any shape, for a function that refuses wrong shapes and NaN itself.
+    """Return a check for numbers of any shape, for a function that rejects wrong shapes and NaN itself.
 
-    Finite numbers with an absolute value above ``largest`` are refused. ``optional`` allows None.
+    Finite numbers with an absolute value above ``largest`` are rejected. ``optional`` allows None.
     """
     expected = f"finite numbers between -{largest:g} and {largest:g}" + (" or None" if optional else "")
 
@@ -351,7 +354,7 @@ def numbers_within(largest: float = COORDINATE_MM, *, optional: bool = False) ->
 
 
 def _as_numbers(where: str, name: str, expected: str, value: Any) -> np.ndarray[Any, Any]:
-    """Return an array of numbers, or refuse the value."""
+    """Return an array of numbers; raise UsageError if the value is not one."""
     try:
         found = np.asarray(value)
     except (ValueError, TypeError, OverflowError):

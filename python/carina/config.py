@@ -1,6 +1,6 @@
-"""Settings: the one place that reads the environment and knows the person's own folders.
+"""Settings of Carina, read from the environment; the only module that knows the user's folders.
 
-Everything else receives a :class:`Settings`, or a folder out of it, as an argument.
+Other modules receive a :class:`Settings`, or a folder from it, as an argument.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from carina.errors import UsageError
 
 __all__ = ["BACKENDS", "LOG_LEVELS", "Settings", "load_settings"]
 
-logging.addLevelName(5, "TRACE")  # below DEBUG: once per frame
+logging.addLevelName(5, "TRACE")  # Below DEBUG: messages once per frame.
 LOG_LEVELS = ("TRACE", "DEBUG", "INFO", "WARNING", "ERROR")
 BACKENDS = ("cpu", "gpu", "auto")
 
@@ -27,27 +27,35 @@ BACKENDS = ("cpu", "gpu", "auto")
 @one_line
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the environment and the machine decide. No folder is made here; whoever writes makes it."""
+    """Settings from the environment and the machine; the folders may not exist until a writer creates them."""
 
     log_level: str
-    """One of :data:`LOG_LEVELS`; ``CARINA_LOG_LEVEL``, else WARNING."""
+    """Log level, one of :data:`LOG_LEVELS`: ``CARINA_LOG_LEVEL``, else WARNING."""
     data_dir: Path | None
-    """Folder of real cases for tests and benchmarks; ``CARINA_DATA_DIR``, else None."""
+    """Folder of real cases for tests and benchmarks: ``CARINA_DATA_DIR``, else None."""
     backend: str
-    """Who renders airway views, one of :data:`BACKENDS`; ``CARINA_BACKEND``, else auto: a graphics device where one was
-    measured to be faster than the CPU."""
+    """Processor of airway views, one of :data:`BACKENDS`: ``CARINA_BACKEND``, else auto.
+
+    ``auto`` uses a graphics device if it was measured to be faster than the CPU.
+    """
     config_dir: Path
-    """What a person decided (the safety notice, recent cases)."""
+    """Folder of the user's choices (the safety notice, recent cases)."""
     cases_dir: Path
-    """The cases that a person works on: never swept."""
+    """Folder of the user's cases, which are never deleted automatically."""
     documents_dir: Path
-    """Where a copy of a case is suggested to be."""
+    """Suggested folder for copies of a case."""
     state_dir: Path
-    """Work in progress that must outlive a crash (autosaves)."""
+    """Folder of unfinished work that must survive a crash (autosaves)."""
     cache_dir: Path
-    """What can be computed again (the phantom, IsoRegion maps, opened CTs); may be deleted at any time."""
+    """Folder of data that can be computed again (the phantom, IsoRegion maps, opened CTs).
+
+    May be deleted at any time.
+    """
     volume_cache_bytes: int | None = None
-    """What opened CTs may take of it, ``CARINA_CACHE_GB``: 0 keeps none; None lets ``VolumeCache`` decide."""
+    """Limit of the cached CTs in bytes, ``CARINA_CACHE_GB``.
+
+    0 caches none; None uses the default of ``VolumeCache``.
+    """
 
 
 def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
@@ -56,12 +64,12 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
     Parameters
     ----------
     environ
-        In place of ``os.environ``, for tests.
+        Mapping to read instead of ``os.environ``, for tests.
 
     Raises
     ------
     UsageError
-        If ``CARINA_LOG_LEVEL`` is no level, ``CARINA_BACKEND`` no backend, or ``CARINA_CACHE_GB`` no size.
+        If ``CARINA_LOG_LEVEL`` is not a level, ``CARINA_BACKEND`` not a backend, or ``CARINA_CACHE_GB`` not a size.
     """
     values = os.environ if environ is None else environ
     level = values.get("CARINA_LOG_LEVEL", "").strip().upper() or "WARNING"

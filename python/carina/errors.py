@@ -1,7 +1,7 @@
 """Errors of Carina: one base class, a subclass for each kind of error, and stable codes.
 
-A message says what was being done, what was expected, what was found, and what to try. Codes are shared with the Rust
-crates and with the web client; ``exit_code`` is what the command line returns (docs/contracts.md).
+A message states the operation, the expected value, the found value, and a remedy. The Rust crates and the web client
+use the same codes; ``exit_code`` is the exit code of the command line (docs/contracts.md).
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ __all__ = [
 class CarinaError(Exception):
     """Base class of all errors that Carina raises on purpose.
 
-    The message is one line that every encoder accepts: names of files may contain control characters and bytes that are
-    not UTF-8.
+    The message is one line that every encoder accepts: control characters and bytes that are not UTF-8, which file
+    names may contain, are replaced.
     """
 
     code: str = "carina"
@@ -53,6 +53,7 @@ class CarinaError(Exception):
             self.code = code
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the class, message and attributes of the error for pickle."""
         state = dict(self.__dict__)
         if isinstance(self, OSError) and self.errno is not None:
             state["errno"] = self.errno
@@ -61,46 +62,48 @@ class CarinaError(Exception):
 
 
 class CancelledError(CarinaError):
-    """The person stopped a long task; nothing was changed."""
+    """Long task that the user stopped; nothing was changed."""
 
     code = "cancelled"
     exit_code = 130
 
 
 class UsageError(CarinaError, ValueError):
-    """An argument is wrong or out of range."""
+    """Argument that has a wrong type or is out of range."""
 
     code = "usage"
     exit_code = 2
 
 
 class VolumeImportError(CarinaError, OSError):
-    """A file or a series is refused; the message names it and says what to do."""
+    """File or series that is rejected; the message names it and states a remedy."""
 
     code = "import"
     exit_code = 3
 
     def __str__(self) -> str:
-        # OSError formats its arguments as errno and strerror; ours is one sentence.
+        # OSError formats its arguments as errno and strerror; messages of Carina are one sentence.
+        """Return the message, without an error number."""
         return str(self.args[0]) if self.args else ""
 
 
 class DiskError(CarinaError, OSError):
-    """A disk takes nothing more: it is full, read-only, or what was named is not there.
+    """Disk that cannot be written: it is full or read-only, or the file or folder does not exist.
 
-    The message says what, where and what to do; ``errno`` is the system's.
+    The message states the operation, the path and a remedy; ``errno`` is the system's.
     """
 
     code = "disk.failed"
     exit_code = 1
 
     def __str__(self) -> str:
-        # OSError formats its arguments as errno and strerror; ours is one sentence.
+        # OSError formats its arguments as errno and strerror; messages of Carina are one sentence.
+        """Return the message, without an error number."""
         return str(self.args[0]) if self.args else ""
 
 
 class UnsavedWorkError(CarinaError):
-    """Carina ended, or a case was closed, with work that could not be saved.
+    """Changes that could not be saved when Carina ended or a case was closed.
 
     The message states the number of lost changes, the reason, and the path of the last saved state.
     """
@@ -110,44 +113,46 @@ class UnsavedWorkError(CarinaError):
 
 
 class GeometryError(CarinaError, ValueError):
-    """A grid, a transform or an array's shape is unusable."""
+    """Grid, transform or array shape that is unusable."""
 
     code = "geometry"
     exit_code = 3
 
 
 class RenderError(CarinaError, ValueError):
-    """A view or a camera is out of range."""
+    """View or camera that is out of range."""
 
     code = "render"
     exit_code = 2
 
 
 class TrackingError(CarinaError):
-    """A path or an airway could not be tracked."""
+    """Path or airway that could not be tracked."""
 
     code = "track"
     exit_code = 4
 
 
 class NoResultError(TrackingError):
-    """The question has no answer in this volume: no airway, no path."""
+    """Request without a result in this volume: no airway, no path."""
 
     code = "track.no-result"
     exit_code = 4
 
 
 class NoEvidenceError(NoResultError):
-    """An airway was asked for where the CT shows no wall round the whole way; asked again, it can be drawn by hand.
+    """Requested airway along which the CT shows no continuous wall.
+
+    The caller can repeat the request to draw the airway by hand.
 
     Attributes
     ----------
     doubtful_mm
-        Length of the way along which no wall is seen, mm.
+        Length of the path without a visible wall, mm.
     way_lps
-        (n, 3) float64, LPS mm, the way from the tree to the point.
+        (n, 3) float64, LPS mm, path from the tree to the point.
     doubtful
-        (n-1,) bool, which of its segments are doubtful.
+        (n-1,) bool, whether each segment of the path is doubtful.
     """
 
     code = "track.no-evidence"
@@ -162,28 +167,29 @@ class NoEvidenceError(NoResultError):
 
 
 class ClusterError(CarinaError):
-    """The cluster refused or lost a machine."""
+    """Machine that the cluster rejected or lost."""
 
     code = "cluster"
     exit_code = 1
 
 
 class ProtocolError(CarinaError, ValueError):
-    """A message does not follow the wire format."""
+    """Message that does not follow the wire format."""
 
     code = "protocol"
     exit_code = 1
 
 
 def kind_of(error: CarinaError) -> str:
-    """Return the name of the class of this module that an error is of, or that its class derives from."""
+    """Return the name of the error's class, or of the class of this module from which that class derives."""
     return next(cls.__name__ for cls in type(error).__mro__ if cls.__module__ == __name__)
 
 
 def error_of(kind: str, message: str, *, code: str) -> CarinaError:
     """Rebuild an error of another process from the name of its class (:func:`kind_of`), its message and its code.
 
-    One that has more than words, and one that this Carina does not know, is the nearest that has words alone.
+    The result is the nearest base class that needs only a message, if the class needs more or is unknown to this
+    version.
     """
     cls = globals().get(kind)
     if not isinstance(cls, type) or not issubclass(cls, CarinaError):
@@ -194,7 +200,7 @@ def error_of(kind: str, message: str, *, code: str) -> CarinaError:
 
 
 def _pickled_error(cls: type[CarinaError], args: tuple[Any, ...], state: dict[str, Any]) -> CarinaError:
-    """Return the error that a pickle holds, as joblib and Ray pass errors of their workers."""
+    """Return the error that a pickle contains; joblib and Ray pass errors of their workers as pickles."""
     error = cls.__new__(cls, *args)
     error.args = args
     for name, value in state.items():
@@ -203,18 +209,18 @@ def _pickled_error(cls: type[CarinaError], args: tuple[Any, ...], state: dict[st
 
 
 def check_type(where: str, name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
-    """Refuse an argument of another type at a public door, in the words of all other refusals.
+    """Reject an argument of a wrong type in a public function, with the uniform message.
 
     Parameters
     ----------
     where, name
-        The function and its argument.
+        Function and argument.
     value
-        What was passed.
+        Passed value.
     kinds
-        What it must be.
+        Accepted types.
     remedy
-        How to get one; the end of the sentence.
+        How to get such a value; the end of the sentence.
 
     Raises
     ------
@@ -231,11 +237,13 @@ def check_type(where: str, name: str, value: object, kinds: type | tuple[type, .
 def refuse_pickle(value: object, remedy: str) -> NoReturn:
     """Refuse to pickle or copy a value that is bound to its process; ``__reduce__`` of its class calls this function.
 
+    ``remedy`` is the end of the message.
+
     Raises
     ------
     TypeError
-        The class that Python raises for pickles. An error of Carina could be taken for an answer, such as a verdict.
-        ``remedy`` is the end of the sentence.
+        Always. It is the class that Python raises for pickles; an error of Carina could be mistaken for a result, such
+        as a verdict.
     """
     raise TypeError(f"a {type(value).__name__} cannot be copied or pickled; {remedy}")
 

@@ -1,7 +1,7 @@
 """Shell commands that add missing parts to this installation of Carina.
 
-Every message that names such a command takes it from this module. No command names ``carina`` to a package index: the
-name is not registered there, so that a package of that name would be another person's.
+Every message with such a command uses this module. No command requests the package ``carina`` from a package index: the
+name is not registered there, so a package of that name would be another person's.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 def _checkout() -> Path | None:
-    """Return the folder of Carina's source if the package runs from it."""
+    """Return the folder of Carina's source code if the package runs from there, else None."""
     folder = Path(__file__).resolve().parents[2]
     return folder if (folder / "Makefile").is_file() and (folder / "crates").is_dir() else None
 
 
 def _shell_line(words: list[str]) -> str:
-    """Return a command for the system's shell, in which ``>`` of a version is no redirection."""
+    """Return a command line for the system's shell, quoted so that ``>`` of a version is not a redirection."""
     if os.name == "nt":
         return " ".join(f'"{word}"' if set(word) & set(" <>&|^") else word for word in words)
     return shlex.join(words)

@@ -1,4 +1,4 @@
-"""A phantom whose trachea leans: the slices above the carina are moved in their planes."""
+"""Phantom with a leaning trachea: the slices above the carina are shifted in their planes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 __all__ = ["MOST_LEAN_DEG", "lean_chest", "moved_mm"]
 
 MOST_LEAN_DEG = 35.0
-# The trachea bends over this height above and below the carina.
+# Height above and below the carina over which the trachea bends.
 BEND_MM = 10.0
-# Values that move in from outside the volume: air, far from any airway.
+# Value of voxels that are shifted in from outside the volume: air, far from any airway.
 AIR_HU = -1000.0
 FAR_MM = 5.0
 
@@ -26,14 +26,18 @@ def moved_mm(lean_deg: Sequence[float], z_mm: NDArray[np.float64]) -> NDArray[np
 
 
 def lean_chest(made: dict[str, Any], lean_deg: Sequence[float], beside: tuple[int, ...]) -> None:
-    """Lean a chest in place: the voxels and the truth that ``carina._core.generate_chest`` returned.
+    """Lean a chest in place: the voxels and the ground truth that ``carina._core.generate_chest`` returned.
 
-    The chest must include the distance to the lumen, which is removed.
+    ``made`` must include the distance to the lumen, which this function removes.
 
     Parameters
     ----------
+    made
+        Dictionary that ``carina._core.generate_chest`` returned; it is modified.
+    lean_deg
+        Angles to the patient's left and to the back, degrees.
     beside
-        Number of voxels along x and y that are cut off on each side after the move.
+        Number of voxels along x and y that are cut off on each side after the shift.
     """
     matrix = np.array(made["lps_from_ijk"], dtype=np.float64)
     heights = matrix[2, 3] + matrix[2, 2] * np.arange(made["hu_zyx"].shape[0])
@@ -64,7 +68,7 @@ def lean_chest(made: dict[str, Any], lean_deg: Sequence[float], beside: tuple[in
 
 
 def _moved(slice_yx: NDArray[np.float32], steps: float, axis: int, outside: float) -> NDArray[np.float32]:
-    """Return a slice moved by a number of voxels, with cubic (Catmull-Rom) interpolation, which blurs little."""
+    """Return a slice shifted by a number of voxels, with cubic (Catmull-Rom) interpolation, which blurs little."""
     whole = int(np.floor(steps))
     t = steps - whole
     weights = (

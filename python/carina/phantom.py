@@ -1,4 +1,4 @@
-"""A chest CT with exact truth: made, not scanned. For demos, tests, teaching and synthetic data."""
+"""Synthetic chest CT with exact ground truth, for demos, tests, teaching and synthetic data."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ __all__ = ["Phantom", "demo_phantom", "generate_phantom", "lumen_distance_at", "
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-# Raise it when the same options give another chest (a test pins their checksum): cached demos are then made anew.
+# Increment if the same options give another chest (a test pins their checksum): cached demos are then generated again.
 GENERATOR_VERSION = 2
 DEMO_OPTIONS: dict[str, Any] = {"seed": 0, "spacing_mm": 0.9, "generations": 7, "nodule": True}
 
@@ -52,33 +52,40 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Phantom:
-    """A generated chest and everything that is known about it."""
+    """Generated chest CT and its ground truth."""
 
     volume: Volume
-    """The CT, HU."""
+    """The CT, in HU."""
     lumen_zyx: NDArray[np.uint8]
-    """``(nz, ny, nx)``: 1 where a voxel's *centre* lies in an airway's lumen."""
+    """``(nz, ny, nx)``: 1 in voxels whose *centre* lies in an airway's lumen."""
     truth: dict[str, Any]
-    """The document of ``truth.json``: a ``carina-tree`` (LPS, mm), exact; with ``nodule`` and ``stenosis``, or None;
-    ``cricoid_lps``, ``tube`` and ``lean_deg`` where they were requested."""
+    """Document of ``truth.json``: an exact ``carina-tree`` (LPS, mm), with ``nodule`` and ``stenosis`` or None.
+
+    It has ``cricoid_lps``, ``tube`` and ``lean_deg`` if they were requested.
+    """
     lumen_distance_mm: NDArray[np.float32] | None = None
-    """``(nz, ny, nx)`` signed distance to the lumen's surface, negative inside, at least 5 where no airway is near;
-    None unless asked for."""
+    """``(nz, ny, nx)`` signed distance to the lumen's surface, mm, negative inside; None unless requested.
+
+    It is at least 5 where no airway is near.
+    """
     upper_airway_zyx: NDArray[np.uint8] | None = None
-    """``(nz, ny, nx)``: 1 where a voxel's centre lies in the air above the cricoid (larynx and throat), no part of the
-    tree; None without a neck."""
+    """``(nz, ny, nx)``: 1 in voxels whose centre lies in the air above the cricoid; None without a neck.
+
+    This air (larynx and throat) is not part of the tree.
+    """
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"Phantom({self.volume!r}, branches={len(self.truth['branches'])})"
 
 
 def _check_lean(where: str, name: str, value: object) -> None:
-    """Refuse anything but two angles that a leaning trachea may have."""
+    """Reject anything but two angles within the limits of a leaning trachea."""
     each(number_from(-MOST_LEAN_DEG, MOST_LEAN_DEG, unit="degrees"), least=2, most=2)(where, name, value)
 
 
 def _check_spacing(where: str, name: str, value: object) -> None:
-    """Refuse anything but one number or three numbers from 0.3 to 10 mm."""
+    """Reject anything but one number or three numbers from 0.3 to 10 mm."""
     one = number_from(0.3, 10.0, unit="mm")
     (each(one, least=3, most=3) if isinstance(value, list | tuple | np.ndarray) else one)(where, name, value)
 
@@ -116,7 +123,7 @@ def generate_phantom(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Phantom:
-    """Make a chest CT: body, lungs, vessels and an airway tree with named segments, with the truth.
+    """Generate a chest CT with ground truth: body, lungs, vessels and an airway tree with named segments.
 
     The carina lies at the origin of LPS space; the trachea's first point lies in the top slice. The same arguments give
     the same voxels, on any machine and any number of cores.
@@ -124,42 +131,43 @@ def generate_phantom(
     Parameters
     ----------
     seed
-        Another seed is another person: other directions, sizes, patterns of division (upper and lower lobes), noise.
+        Seed of the anatomy: directions, sizes, patterns of division (upper and lower lobes), noise.
     spacing_mm
         Distance of voxel centres, one number or ``(x, y, z)``; 0.3 to 10 mm. A thick slice averages over its thickness.
     generations
-        Airways divide below this generation (trachea 0), 3 to 9; named segments are always there.
+        Airways divide up to this generation (trachea 0), 3 to 9; named segments always exist.
     stenosis
-        Narrow the left main or the intermediate bronchus to less than half its diameter.
+        Whether the left main or the intermediate bronchus is narrowed to less than half its diameter.
     nodule
-        Put a round nodule of 5 to 10 mm radius near the end of an airway.
+        Whether a round nodule of 5 to 10 mm radius lies near the end of an airway.
     noise_hu
         Standard deviation of the noise, 0 to 200 HU; correlated in plane.
     neck
-        Go on above the chest, to 195 mm above the carina: larynx with the vocal cords, piriform sinuses, throat and the
-        neck round them. The trachea then ends at the lower border of the cricoid, ``truth["cricoid_lps"]``, 104 to
-        126 mm above the carina; the air above it is ``upper_airway_zyx``, and no part of the tree.
+        Whether the volume continues above the chest, to 195 mm above the carina: larynx with the vocal cords, piriform
+        sinuses, throat and the surrounding neck. The trachea then ends at the lower border of the cricoid,
+        ``truth["cricoid_lps"]``, 104 to 126 mm above the carina; the air above it is ``upper_airway_zyx`` and not part
+        of the tree.
     lean_deg
-        Angles, -35 to 35 degrees, by which everything above the carina leans to the patient's left and to the back: the
-        trachea with its neck, as in a patient with scoliosis. The slices above the carina are moved in their planes;
-        the chest below it stays the same. Not together with a nodule or ``with_distance``.
+        Angles, -35 to 35 degrees, by which all anatomy above the carina leans to the patient's left and to the back:
+        the trachea with the neck, as in a patient with scoliosis. The slices above the carina are shifted in their
+        planes; the chest below stays the same. Not together with a nodule or ``with_distance``.
     tube
-        Put a tube into the trachea: "endotracheal" (through the larynx where there is a neck, with its cuff and fluid
-        on it) or "tracheostomy" (through the front of the neck, open to the air outside; it needs the neck). Its tip is
-        in ``truth["tube"]``; the lumen's truth is the trachea's, tube and all.
+        Tube in the trachea: "endotracheal" (with a neck through the larynx, with its cuff and fluid on it) or
+        "tracheostomy" (through the front of the neck, open to the air outside; it needs the neck). Its tip is in
+        ``truth["tube"]``; the truth of the lumen is the whole trachea, including the tube.
     resected
-        Take a lobe away, as after a lobectomy: RUL, RML, RLL, LUL or LLL. A stump of its bronchus is left, a branch
-        without a name; neighbouring airways have moved a little into the room.
+        Lobe that is missing, as after a lobectomy: RUL, RML, RLL, LUL or LLL. A stump of its bronchus remains, a branch
+        without a name; neighbouring airways are shifted slightly into the free space.
     box_lps
-        ``((x, y, z), (x, y, z))`` lower and upper corner of the part to make, in mm; the whole chest unless told. The
-        truth is always the whole tree.
+        ``((x, y, z), (x, y, z))`` lower and upper corner of the part to generate, in mm. Default: the whole chest. The
+        truth always contains the whole tree.
     with_distance
-        Also hand over the signed distance to the lumen (4 bytes per voxel).
+        Whether to return the signed distance to the lumen (4 bytes per voxel).
     progress
-        False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
-        None where it is unknown.
+        False, True or ``f(what, fraction)``. True and None show a bar in a terminal or a notebook. The fraction is None
+        where it is unknown.
     cancel
-        Called often; the work stops when it returns True.
+        Function that is called often; the work stops when it returns True.
 
     Returns
     -------
@@ -171,7 +179,7 @@ def generate_phantom(
     UsageError
         If an option is out of range.
     CancelledError
-        If ``cancel`` said so.
+        If ``cancel`` returned True.
 
     Examples
     --------
@@ -204,7 +212,7 @@ def generate_phantom(
         raise UsageError(
             f"lean: expected a chest without a {what}; found both; leave one of them out", code="phantom.option"
         )
-    # The parts of the neck that move into the box come from outside it.
+    # Parts of the neck that are shifted into the box come from outside the box.
     beside: tuple[int, ...] = (0, 0)
     if leans and box is not None:
         most_mm = moved_mm(lean_deg, np.array([box[1][2]]))[0]
@@ -290,7 +298,7 @@ def lumen_distance_at(
     Returns
     -------
     numpy.ndarray
-        (n,) mm, negative in the lumen. Near the surface it is the distance to it; 5 where no airway is near.
+        (n,) mm, negative in the lumen, exact near the surface; 5 where no airway is near.
 
     Examples
     --------
@@ -304,21 +312,21 @@ def lumen_distance_at(
 
 @check_arguments(phantom=instance(Phantom, "make one with carina.generate_phantom"), directory=file_path())
 def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[Path]:
-    """Write ``ct.nii.gz``, ``lumen.nii.gz`` and ``truth.json`` into a folder, which is made if missing.
+    """Write ``ct.nii.gz``, ``lumen.nii.gz`` and ``truth.json`` into a folder, which is created if missing.
 
-    With a neck ``upper-airway.nii.gz`` too: the air above the cricoid.
+    A phantom with a neck also gives ``upper-airway.nii.gz``: the air above the cricoid.
 
     Parameters
     ----------
     phantom
-        What to write.
+        Phantom to write.
     directory
-        Where. Files of these names are replaced, each in one step, so that a reader never sees half of one.
+        Folder. Files of these names are replaced, each in one step, so that a reader never sees an incomplete file.
 
     Returns
     -------
     list of Path
-        The files. NIfTI is RAS by convention; SimpleITK turns the LPS grid into it and back.
+        Paths of the files. NIfTI is RAS by convention; SimpleITK converts the LPS grid into it and back.
 
     Examples
     --------
@@ -329,7 +337,7 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     """
     folder = make_folder(directory, what="the phantom")
     matrix = phantom.volume.lps_from_ijk
-    # Level 1: noise does not shrink further, only slower.
+    # Compression level 1: a higher level takes longer and does not make noise smaller.
     parts: tuple[tuple[str, str, Callable[[BinaryIO], object]], ...] = (
         ("ct.nii.gz", "the CT", lambda file: _write_nifti(file, phantom.volume.hu_zyx, matrix, "the CT")),
         ("lumen.nii.gz", "the lumen", lambda file: _write_nifti(file, phantom.lumen_zyx, matrix, "the lumen")),
@@ -341,7 +349,7 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
         parts = (*parts[:2], (name, what, lambda file: _write_nifti(file, upper, matrix, what)), parts[2])
     drafts: list[Draft] = []
     try:
-        # All are on the disk before the first takes its place: a disk that fills up leaves the former ones.
+        # All files are written before the first replaces its predecessor: a full disk leaves the former files.
         for name, what, write in parts:
             draft = Draft(folder / name, what=what)
             drafts.append(draft)
@@ -371,13 +379,13 @@ def demo_phantom(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Phantom:
-    """Return the demo case: a chest with a nodule, made once and then read from the cache.
+    """Return the demo case: a chest with a nodule, generated once and then read from the cache.
 
     Parameters
     ----------
     cache_dir
-        Where to keep it; the person's own cache folder unless told. What is damaged there is made anew; a cache that
-        cannot be written costs time only.
+        Cache folder; default: the user's. Damaged files are generated again. A cache that cannot be written costs only
+        time.
     progress, cancel
         As for :func:`generate_phantom`.
 
@@ -427,12 +435,12 @@ def _frozen(values: NDArray[Scalar]) -> NDArray[Scalar]:
 
 
 def _json(document: object) -> str:
-    # Python writes each float64 with as many digits as give it back, so points survive bit for bit.
+    # Python writes each float64 with the digits that restore it, so points survive bit for bit.
     return json.dumps(document, allow_nan=False, separators=(",", ":"))
 
 
 def _write_cached(phantom: Phantom, folder: Path) -> None:
-    """Write beside its place and rename: a reader, or a second writer, sees all of it or nothing."""
+    """Write into a temporary folder and rename it, so that no reader sees an incomplete phantom."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     _sweep_drafts(folder.parent)
     scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".phantom-"))
@@ -455,7 +463,7 @@ def _write_cached(phantom: Phantom, folder: Path) -> None:
 
 
 def _sweep_drafts(root: Path) -> None:
-    """Remove drafts of Carina processes that were killed; no draft is written for an hour."""
+    """Delete temporary folders of killed Carina processes: those older than an hour, since no phantom takes so long."""
     for draft in root.glob(".phantom-*"):
         with contextlib.suppress(OSError):
             if time.time() - draft.lstat().st_mtime > ABANDONED_S:
@@ -463,7 +471,7 @@ def _sweep_drafts(root: Path) -> None:
 
 
 def _read_cached(folder: Path) -> Phantom | None:
-    """Return the cached phantom; None where there is none or its content was changed."""
+    """Return the cached phantom; None if there is none or its content was changed."""
     try:
         sums = json.loads((folder / "sums.json").read_text(encoding="utf-8"))
         for name in ("ct.npy", "lumen.npy", "truth.json"):

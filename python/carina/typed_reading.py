@@ -1,9 +1,9 @@
-"""Reading of typed values by msgspec, with one thread at a time that prepares a type.
+"""Reading of typed values by msgspec, where only one thread at a time prepares a type.
 
-msgspec 0.22.0 stores what it prepares for a class in the class before the preparation is complete. The preparation runs
-Python code, so that another thread can read a value with the incomplete result, which ends the process with a
-segmentation fault. In Carina only the functions of this module read typed values;
-``tests/contract/test_typed_reading.py`` checks it.
+msgspec 0.22.0 stores its prepared data of a class in the class before the preparation is complete. The preparation runs
+Python code, so another thread can read a value with the incomplete data, which ends the process with a segmentation
+fault. In Carina only the functions of this module read typed values; ``tests/contract/test_typed_reading.py`` checks
+this rule.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def read_plain(plain: Any, cls: type[T]) -> T:
     Parameters
     ----------
     plain
-        What JSON text was read to.
+        Result of parsing JSON text.
     cls
-        A class with typed fields.
+        Class with typed fields.
 
     Raises
     ------
@@ -56,9 +56,9 @@ def read_json(
     text
         JSON, in UTF-8.
     cls
-        A class with typed fields.
+        Class with typed fields.
     dec_hook
-        ``dec_hook(type, plain)`` reads a field of a type that msgspec does not know.
+        Function ``dec_hook(type, plain)`` that reads a field of a type that msgspec does not know.
 
     Raises
     ------
@@ -79,6 +79,6 @@ def _prepare(cls: type) -> None:
     if cls in _PREPARED:
         return
     with _LOCK:
-        # A decoder prepares the class and all classes of its fields.
+        # Creating a decoder prepares the class and all classes of its fields.
         msgspec.json.Decoder(cls)
         _PREPARED.add(cls)

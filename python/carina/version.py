@@ -6,4 +6,4 @@ __all__ = ["VERSION", "WIRE_VERSION"]
 
 VERSION = "0.1.0"
 WIRE_VERSION = 4
-"""Of the messages between Carina and its window, a phone, and programs that join (``protocol/README.md``)."""
+"""Version of the messages between Carina and its window, a phone, and client programs (``protocol/README.md``)."""

@@ -31,6 +31,7 @@ Lumen = tuple[WallField, Floats, list[Floats]]
 
 @pytest.fixture(scope="module")
 def chest() -> Lumen:
+    """Return the phantom's wall and paths, without voxels of the whole chest."""
     truth = generate_phantom(seed=SEED, spacing_mm=9.0, noise_hu=0.0).truth
     branches: dict[int, dict[str, Any]] = {b["id"]: b for b in truth["branches"]}
 
@@ -53,6 +54,7 @@ def chest() -> Lumen:
 
 @pytest.fixture(scope="module")
 def patient() -> Lumen:
+    """Return the wall and the paths of the bundled patient."""
     volume, airways = made_patient()
     tree = airways.tree
     routes = [tree.route_to(tip.id).points_lps for tip in tree.tips()]

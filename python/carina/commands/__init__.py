@@ -1,14 +1,15 @@
-"""What can be asked of an open case: each command is one frozen value.
+"""Commands on an open case and questions about it; each is one frozen value.
 
-``Case.do`` does one, and the window sends the same ones as JSON; recordings and files of edits are made of them too::
+``Case.do`` executes a command. The window sends the same commands as JSON; recordings and files of edits consist of
+them::
 
     from carina.commands import AddTarget, SetTexture
 
     case.do(SetTexture(on=False))
     case.do(AddTarget((-20.0, 15.0, -180.0)))
 
-Points are LPS mm, angles degrees or radians as the field says. Bounds are looked at by ``do`` and not by the
-constructors; what is out of them is refused in words.
+Points are LPS mm; angles are in degrees or radians as the name of the field states. ``do`` checks the bounds of the
+fields, the constructors do not; a value out of its bounds raises an error with a message.
 """
 
 from carina.commands.case import *  # noqa: F403
@@ -26,7 +27,8 @@ from carina.commands.value import FrozenValue, subclasses
 from carina.commands.value import all_commands as all_commands
 from carina.commands.value import checked as checked
 
-# Found and not listed, so that writing a command is registering it; `help` and `import *` read this.
+# The names are collected, not listed, so that the definition of a command registers it; `help` and `import *` read
+# __all__.
 globals()["__all__"] = [
     "Command",
     "all_commands",

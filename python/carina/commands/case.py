@@ -1,4 +1,4 @@
-"""Opening and closing a case, stopping jobs, and undo."""
+"""Commands that open and close a case, stop jobs, undo and redo."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class OpenCaseFile(LocalCommand, frozen=True):
     """Open a case file of this machine."""
 
     path: Any
-    """A :class:`pathlib.Path`."""
+    """Path of the case file, a :class:`pathlib.Path`."""
     ct: Any = None
-    """Where its CT lies now, a :class:`pathlib.Path`; None looks where it was."""
+    """Present path of the case's CT, a :class:`pathlib.Path`; None uses the recorded path."""
 
 
 class OpenDemo(Command, frozen=True):
@@ -32,19 +32,19 @@ class OpenDemo(Command, frozen=True):
 
 
 class OpenRecent(Command, frozen=True):
-    """Open a case of ``start.recent``; its path never travels."""
+    """Open a case of ``start.recent``, by its ID; the path of the case is never sent."""
 
     recent_id: Identifier
 
 
 class BeginAnew(Command, frozen=True):
-    """Begin another case of the open CT; the one that was continued stays in the list."""
+    """Start a new case of the open CT; the present case stays in the list."""
 
 
 class RenameCase(Command, frozen=True):
-    """Call a case of the list by a name of one's own; null is what the scan calls itself.
+    """Give a case in the list a name; null restores the name from the scan.
 
-    The name stays on this machine: no file that is saved or exported holds it.
+    The name stays on this machine: no saved or exported file contains it.
     """
 
     recent_id: Identifier
@@ -52,33 +52,33 @@ class RenameCase(Command, frozen=True):
 
 
 class ForgetCase(Command, frozen=True):
-    """Take a case out of the list, and what is kept of its CT; for a day it can be brought back."""
+    """Delete a case from the list, and its cached CT; the case can be restored for a day."""
 
     recent_id: Identifier
 
 
 class RestoreCase(Command, frozen=True):
-    """Bring a forgotten case back."""
+    """Restore a deleted case."""
 
     recent_id: Identifier
 
 
 class EmptyForgotten(Command, frozen=True):
-    """Remove all forgotten cases from the disk, for good."""
+    """Delete all deleted cases from the disk permanently."""
 
 
 class EmptyCtCache(Command, frozen=True):
-    """Remove the CTs that are kept to open faster; they are read from their files again."""
+    """Delete the cached CTs; Carina then reads them from their files again."""
 
 
 class KeepCts(Command, frozen=True):
-    """Whether CTs that are opened are kept to open faster; without, those kept are removed."""
+    """Set whether opened CTs are cached for faster opening; off deletes the cached CTs."""
 
     on: bool
 
 
 class OpenFiles(LocalCommand, frozen=True):
-    """Open files that are no case of this machine, such as dropped ones: not kept in the list of recent cases."""
+    """Open files that belong to no case of this machine, such as dropped files; recent cases do not list them."""
 
     path: str
 
@@ -87,15 +87,15 @@ class OpenVolume(LocalCommand, frozen=True):
     """Open a volume that is already in memory."""
 
     volume: Any
-    """A :class:`carina.volume.Volume`."""
+    """Volume, a :class:`carina.volume.Volume`."""
     kept: Any = None
-    """A :class:`carina.case.Moment` to go on from; None begins anew."""
+    """Saved state to continue from, a :class:`carina.case.Moment`; None starts a new case."""
     follows: bool = False
-    """Another process owns the case: nothing is looked for here."""
+    """Whether another process owns the case, so that this process looks for no saved state."""
 
 
 class CloseCase(Command, frozen=True):
-    """Back to the start page."""
+    """Close the case and return to the start page."""
 
 
 class Cancel(Command, frozen=True):
@@ -105,43 +105,43 @@ class Cancel(Command, frozen=True):
 
 
 class Undo(Command, frozen=True):
-    """Take back the last change."""
+    """Undo the last change."""
 
 
 class Redo(Command, frozen=True):
-    """Do it again."""
+    """Redo the last undone change."""
 
 
 class SaveCase(Command, frozen=True):
-    """Write the case as one whole file, which is kept up to date while the case is open.
+    """Write the whole case to one file, which is then updated while the case is open.
 
-    Nothing needs it against loss: what is done is always kept on this machine.
+    The file is not needed against loss: Carina always saves the case on this machine.
     """
 
     path: PathText | None = None
-    """Where to; null is where it was saved before."""
+    """Path of the file; null is the path where the case was saved before."""
     replace: bool = False
-    """Whether a file that is there already may be replaced."""
+    """Whether an existing file may be replaced."""
 
 
 class KeepNow(LocalCommand, frozen=True):
-    """Write what is not on the disk yet, before anything else is done; it would be written by itself soon."""
+    """Write unsaved changes to the disk before the next command, instead of by the next automatic save."""
 
 
 class FollowMoment(LocalCommand, frozen=True):
-    """Show the open case as it is now in the process that owns it; the sight stays."""
+    """Show the open case in the state of the process that owns it; the display settings stay."""
 
     moment: Any
-    """A :class:`carina.case.Moment` of the same case."""
+    """State of the same case, a :class:`carina.case.Moment`."""
 
 
 class TakeOver(LocalCommand, frozen=True):
-    """Own the case that was followed until now, and keep it from now on: its owner has gone."""
+    """Become the owner of the followed case and save it from now on, because its owner has ended."""
 
     case_id: Identifier
 
 
 class GoToStep(Command, frozen=True):
-    """Have so many steps of the history hold, from 0: others are taken back, or done again."""
+    """Undo or redo changes until this number of steps of the history is in effect, counted from 0."""
 
     step: Annotated[int, Meta(ge=0, le=1_000_000)]

@@ -1,4 +1,4 @@
-"""Input devices and recordings."""
+"""Commands for input devices and recordings."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ Gain = Annotated[float, Meta(ge=0.01, le=100.0)]
 
 
 class DeviceGone(Command, frozen=True):
-    """A device was unplugged."""
+    """Remove a disconnected device."""
 
     device: DeviceName
 
 
 class TakeDevice(Command, frozen=True):
-    """This device moves the tip from now on."""
+    """Let a device move the tip from now on."""
 
     device: DeviceName
 
 
 class SetControl(Command, frozen=True):
-    """How a device moves the tip: its place (registered), what the hand does, or along the path."""
+    """Set how a device moves the tip: absolute (registered position), relative (hand movement), or along the path."""
 
     control: Control
 
 
 class CycleControl(LocalCommand, frozen=True):
-    """The next of absolute, relative and path that there is, as a device's first button does."""
+    """Select the next available control of absolute, relative and path, as a device's first button does."""
 
 
 class DeviceControls(FrozenValue, frozen=True):
-    """How a device's movement becomes that of the tip.
+    """Mapping from the movement of a device to the movement of the tip.
 
     Examples
     --------
@@ -48,39 +48,39 @@ class DeviceControls(FrozenValue, frozen=True):
     """
 
     gain_mm: Gain = 1.0
-    """What the tip moves per movement of the hand; *relative* and *path* only."""
+    """Movement of the tip per movement of the hand; *relative* and *path* only."""
     gain_turn: Gain = 1.0
-    """The same of its turns."""
+    """Rotation of the tip per rotation of the hand; *relative* and *path* only."""
     clutch: Clutch = "always"
-    """``always``: the hand moves the tip, unless button 1 is held (to lift it back). ``hold``: only while it is."""
+    """``always``: the hand moves the tip, except while button 1 is held. ``hold``: only while button 1 is held."""
     speed_mm_s: Annotated[float, Meta(ge=0.1, le=500.0)] = 25.0
-    """Of a stick pushed all the way."""
+    """Speed at full deflection of a stick."""
     turn_rad_s: Annotated[float, Meta(ge=0.01, le=10.0)] = 1.0
-    """Of a stick pushed all the way."""
+    """Rotation speed at full deflection of a stick."""
     lever_inverted: bool = False
-    """False follows a real lever: lever down bends the tip up."""
+    """Whether lever down bends the tip down; False follows a real lever: lever down bends the tip up."""
     lever_rad: Annotated[float, Meta(ge=0.01, le=2.0 * math.pi)] = math.pi / 3.0
-    """What the tip looks up at with the lever all the way down, without kinematics."""
+    """Pitch of the tip with the lever fully down, where no scope is simulated."""
     filter_on: bool = True
     """Whether the hand's tremor is smoothed (:class:`carina.navigate.SampleFilter`)."""
     min_cutoff_hz: Cutoff = 20.0
-    """Cut-off frequency at rest. Lower is steadier and later."""
+    """Cut-off frequency at rest; a lower value smooths more and delays more."""
     beta_per_mm: Beta = 0.1
-    """How the cut-off frequency grows with speed: Hz per mm/s."""
+    """Increase of the cut-off frequency with speed: Hz per mm/s."""
     beta_per_rad: Beta = 4.0
-    """And Hz per rad/s."""
+    """Increase of the cut-off frequency with rotation speed: Hz per rad/s."""
     derivative_cutoff_hz: Cutoff = 10.0
-    """Cut-off frequency of the speed itself."""
+    """Cut-off frequency of the filter of the speed."""
 
 
 class SetControls(Command, frozen=True):
-    """Gains, clutch, speeds and filter of devices."""
+    """Set gains, clutch, speeds and filter of devices."""
 
     controls: DeviceControls
 
 
 class Calibrate(Command, frozen=True):
-    """Register a tracker to the patient by pairs of points (3 or more); no pairs forget it."""
+    """Register a tracker to the patient by pairs of points (3 or more); no pairs remove the registration."""
 
     device: DeviceName
     tracker_mm: Annotated[tuple[Three, ...], Meta(max_length=100)]
@@ -88,24 +88,24 @@ class Calibrate(Command, frozen=True):
 
 
 class ArmPen(AskedPath, Command, frozen=True):
-    """What the pen's first button sets, at the pen's own tip (``pen``); null lets it change the way to move.
+    """Set which kind of point the pen's first button marks at the pen's tip (``pen``); null lets it cycle the control.
 
-    ``start`` is where paths of the costs ``walls`` and ``paper`` begin: windows are told (``start_marked``).
+    ``start`` is the start of paths of the costs ``walls`` and ``paper``: windows receive the message ``start_marked``.
     """
 
     tool: Literal["root", "start", "target"] | None
 
 
 class JoinPen(Command, frozen=True):
-    """In absolute movement the tip comes to the registered pen at once, instead of easing over."""
+    """Move the tip to the registered pen at once in absolute control, instead of gradually."""
 
 
 class RecordFlight(LocalCommand, frozen=True):
     """Record every move of the tip until :class:`StopRecording`, or until the case is closed."""
 
     path: Any = None
-    """A :class:`pathlib.Path` that does not exist yet; None records into the case."""
+    """Path of a new file, a :class:`pathlib.Path`; None records into the case."""
 
 
 class StopRecording(Command, frozen=True):
-    """End the recording."""
+    """End the recording of the flight."""

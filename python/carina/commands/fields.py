@@ -1,4 +1,4 @@
-"""Kinds of fields that commands and messages share, with their bounds."""
+"""Types of fields that commands and messages share, with their bounds."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ Numbers = Annotated[tuple[float, ...], Meta(max_length=2_000_000)]
 MaybeNumbers = Annotated[tuple[float | None, ...], Meta(max_length=2_000_000)]
 PointsLps = Annotated[tuple[PointLps, ...], Meta(max_length=1_000_000)]
 Matrix4 = Annotated[tuple[Coordinate, ...], Meta(min_length=16, max_length=16)]
-"""4x4, row-major."""
+"""4x4 matrix, row-major."""
 Identifier = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
 OwnName = Annotated[str, Meta(min_length=1, max_length=80, pattern=TEXT)]
-"""What a person calls something."""
+"""Name that the user gives."""
 PathText = Annotated[str, Meta(min_length=1, max_length=4096, pattern=TEXT)]
 DeviceName = Annotated[str, Meta(min_length=1, max_length=200, pattern=TEXT)]
 BranchId = Annotated[int, Meta(ge=0, le=2**31)]
 FlightNumber = Annotated[int, Meta(ge=1, le=2**31)]
-"""Of a recorded flight, from 1 in each case; no other flight of the case has it, before or after."""
+"""Number of a recorded flight, from 1 in each case; deleted numbers are not used again."""
 Pixels = Annotated[int, Meta(ge=16, le=4096)]
 PathMm = Annotated[float, Meta(ge=0.0, le=1e5)]
-"""A place along a path or a branch."""
-# Wide: what a device says too much is ignored and counted, and does not end the connection.
+"""Position along a path or a branch, mm."""
+# Wide bounds: an out-of-range value of a device is ignored and counted, and does not close the connection.
 Wide = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Three = tuple[Wide, Wide, Wide]
 Mode = Literal["free", "path", "scope"]
@@ -73,9 +73,9 @@ DemoName = Literal["phantom", "patient"]
 
 
 class AirwayPlace(FrozenValue, frozen=True):
-    """A place of the airways."""
+    """Point of the airways, with its branch."""
 
     lps: PointLps
-    """LPS mm."""
+    """Point, LPS mm."""
     branch_id: BranchId | None
-    """The branch that it belongs to."""
+    """ID of the branch that contains the point, or None."""

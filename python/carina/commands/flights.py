@@ -1,4 +1,4 @@
-"""Flights that were recorded into the case: their names, their order, and their file."""
+"""Commands on recorded flights of a case: name, description, order, replay, deletion."""
 
 from __future__ import annotations
 
@@ -11,36 +11,39 @@ from carina.commands.value import Command
 
 
 class RenameFlight(Command, frozen=True):
-    """Call a recorded flight by another name."""
+    """Rename a recorded flight."""
 
     number: FlightNumber
     name: OwnName
 
 
 class DescribeFlight(Command, frozen=True):
-    """Say something about a recorded flight; no words take the description away."""
+    """Set the description of a recorded flight; an empty text removes it."""
 
     number: FlightNumber
     words: Words
 
 
 class MoveFlight(Command, frozen=True):
-    """Earlier (below 0) or later in the list of recorded flights."""
+    """Move a recorded flight earlier (below 0) or later in the list."""
 
     number: FlightNumber
     by: Annotated[int, Meta(ge=-100_000, le=100_000)]
 
 
 class FlyFlight(Command, frozen=True):
-    """Tip to where it was at a time of a recorded flight; free mode afterwards. A job where it is read first."""
+    """Set the tip to its pose at a time of a recorded flight and enter free mode.
+
+    The command is a job if the flight must be read first.
+    """
 
     number: FlightNumber
     time_s: Annotated[float, Meta(ge=0.0, le=86_400.0)]
     goes_on: bool = False
-    """A flight under way: ignored if anything else has moved the tip since the last of these."""
+    """Whether the command continues a running flight: it is ignored if another command has moved the tip meanwhile."""
 
 
 class RemoveFlight(Command, frozen=True):
-    """Delete a recorded flight. It is no step of the history: undo does not bring it back."""
+    """Delete a recorded flight. The deletion is no step of the history, so undo does not restore the flight."""
 
     number: FlightNumber

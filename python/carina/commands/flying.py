@@ -1,4 +1,4 @@
-"""Moving the tip."""
+"""Commands that move the tip."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Turn = Annotated[float, Meta(ge=-7.0, le=7.0)]
 
 
 class Steer(Command, frozen=True):
-    """Movement since the last one, in the camera's axes: forward, to the right, up, clockwise as seen by the camera."""
+    """Move the tip in the camera's axes: forward, yaw right, pitch up, roll clockwise as the camera sees it."""
 
     advance_mm: Annotated[float, Meta(ge=-1000.0, le=1000.0)]
     yaw_rad: Turn
@@ -22,50 +22,50 @@ class Steer(Command, frozen=True):
 
 
 class SetMode(Command, frozen=True):
-    """Free movement, or along the path."""
+    """Set the mode: free movement, or movement along the path."""
 
     mode: Mode
 
 
 class ToggleMode(Command, frozen=True):
-    """The other mode, without a jump."""
+    """Change to the other mode, without a jump of the picture."""
 
 
 class GoTo(Command, frozen=True):
-    """To a place on the path; path mode only."""
+    """Go to a position on the path and enter path mode."""
 
     path_mm: PathMm
 
 
 class NextFork(Command, frozen=True):
-    """To the next fork along the path."""
+    """Go to the next fork along the path."""
 
 
 class PreviousFork(Command, frozen=True):
-    """To the fork before."""
+    """Go back to the previous fork along the path."""
 
 
 class Place(Command, frozen=True):
-    """Tip to this point, keeping the look; free mode afterwards."""
+    """Move the tip to a point, keep the direction of view, and enter free mode."""
 
     lps: PointLps
 
 
 class PlacePose(LocalCommand, frozen=True):
-    """Tip to a pose; free mode afterwards."""
+    """Set the pose of the tip and enter free mode."""
 
     lps_from_camera: Matrix4
 
 
 class ShowPlace(AirwayPlace, Command, frozen=True):
-    """Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards.
+    """Move the tip in front of a point of the airways, look at it, set the crosshair to it, and enter free mode.
 
-    Without a branch the nearest counts.
+    Without a branch the nearest branch is used.
     """
 
 
 class LevelHorizon(Command, frozen=True):
-    """Roll so that the operator's up is up."""
+    """Roll the picture so that the operator's up direction is up."""
 
 
 class ResetLook(Command, frozen=True):
@@ -73,7 +73,7 @@ class ResetLook(Command, frozen=True):
 
 
 class SetOperator(Command, frozen=True):
-    """Where the operator stands."""
+    """Set the position of the operator."""
 
     sets = "operator"
     undo_label = "operator position"

@@ -1,4 +1,4 @@
-"""Key frames: the list, the flight through it, and its file."""
+"""Commands on key frames: the list, the flight through it, and its file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Seconds = Annotated[float, Meta(ge=0.0, le=86_400.0)]
 
 
 def _kind(name: str) -> str:
-    """``KeyFrameAdd`` as ``add``."""
+    """Return the wire name of an edit: ``KeyFrameAdd`` gives ``add``."""
     return name.removeprefix("KeyFrame").lower()
 
 
@@ -24,38 +24,38 @@ class KeyFrameEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
 
 
 class KeyFrameAdd(KeyFrameEdit, frozen=True):
-    """The present pose becomes the last key frame."""
+    """Append the present pose as the last key frame."""
 
 
 class KeyFrameUpdate(KeyFrameEdit, frozen=True):
-    """The present pose takes a key frame's place."""
+    """Replace the pose of a key frame by the present pose."""
 
     key_id: Identifier
 
 
 class KeyFrameMove(KeyFrameEdit, frozen=True):
-    """Earlier (below 0) or later in the order."""
+    """Move a key frame earlier (below 0) or later in the order."""
 
     key_id: Identifier
     by: Annotated[int, Meta(ge=-200, le=200)]
 
 
 class KeyFrameRename(KeyFrameEdit, frozen=True):
-    """A name of one's own; null calls it by its branch."""
+    """Rename a key frame; null uses the name of its branch."""
 
     key_id: Identifier
     name: OwnName | None
 
 
 class KeyFrameSpeed(KeyFrameEdit, frozen=True):
-    """The speed on the way to a key frame; null takes that of all."""
+    """Set the speed of the leg to a key frame; null uses the speed of the flight."""
 
     key_id: Identifier
     speed_mm_s: Speed | None
 
 
 class KeyFrameRemove(KeyFrameEdit, frozen=True):
-    """Take a key frame away."""
+    """Delete a key frame."""
 
     key_id: Identifier
 
@@ -66,42 +66,42 @@ AnyKeyFrameEdit: TypeAlias = (
 
 
 class EditKeyFrames(Command, frozen=True):
-    """One change to the list of key frames, and one step of undo."""
+    """Change the list of key frames; each command is one step of undo."""
 
     edit: AnyKeyFrameEdit
 
 
 class KeyFrameFlying(FrozenValue, frozen=True):
-    """How the key frames are flown through."""
+    """Settings of the flight through the key frames."""
 
     speed_mm_s: Speed
-    """On the ways that name none of their own."""
+    """Speed on legs without their own speed."""
     through: Through
 
 
 class SetKeyFrameFlight(Command, frozen=True):
-    """How the key frames are flown through; null keeps what there is. Undoable."""
+    """Set how the flight passes through the key frames; null keeps a setting. Undoable."""
 
     speed_mm_s: Speed | None = None
     through: Through | None = None
 
 
 class ShowKeyFrame(Command, frozen=True):
-    """Tip to a key frame; free mode afterwards."""
+    """Set the tip to the pose of a key frame and enter free mode."""
 
     key_id: Identifier
 
 
 class FlyKeyFrames(Command, frozen=True):
-    """Tip to a time of the flight through the key frames; free mode afterwards."""
+    """Set the tip to its pose at a time of the flight through the key frames and enter free mode."""
 
     time_s: Seconds
     goes_on: bool = False
-    """A flight under way: ignored if anything else has moved the tip since the last of these."""
+    """Whether the command continues a running flight: it is ignored if another command has moved the tip meanwhile."""
 
 
 class TakeKeyFrameFile(LocalCommand, frozen=True):
-    """Take the key frames of a file in the place of these; undoable. Those of another case are refused."""
+    """Replace the key frames by those of a file; undoable. Key frames of another case are rejected."""
 
     path: Any
-    """Text or :class:`pathlib.Path`."""
+    """Path of the file, text or :class:`pathlib.Path`."""

@@ -1,7 +1,8 @@
-"""How the case is shown.
+"""Commands that change the display of the case.
 
-What only sets a field of the look (undoable) or of the sight (:class:`carina.render.Sight`, which is not) says so by
-``sets`` and needs nothing else: the session does it, and the window holds it until the server has answered.
+A command that only sets a field of the look (undoable) or of the sight (:class:`carina.render.Sight`, not undoable)
+names this field in ``sets`` and needs no other code: the session sets the field, and the window shows the new value
+until the server has responded.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from carina.value import FrozenValue, PointLps
 
 
 class Look(FrozenValue, frozen=True):
-    """What the airway view is seen through, and from where: chosen by a person, and undone."""
+    """Settings of the airway view that the user chose and that undo restores: instrument, outline and field of view."""
 
     scope: Identifier | None = DEFAULT_SCOPE
-    """The instrument, by name; null is a pinhole."""
+    """Name of the instrument; null is a pinhole."""
     outline: Outline = "round"
     """Outline of the picture."""
     fov_deg: float = scope_preset(DEFAULT_SCOPE).usual_fov_deg
-    """The scope's, unless a person chose another."""
+    """Field of view; the scope's, unless the user chose another."""
     operator: Operator = "head"
 
 
@@ -33,7 +34,7 @@ class Look(FrozenValue, frozen=True):
 
 
 class SetFov(Command, frozen=True):
-    """Full angle of the airway view over the shorter side."""
+    """Set the full angle of the airway view across the shorter side."""
 
     sets = "fov_deg"
     undo_label = "field of view"
@@ -41,7 +42,7 @@ class SetFov(Command, frozen=True):
 
 
 class SetOutline(Command, frozen=True):
-    """Outline of the airway picture: round, octagonal or the full frame."""
+    """Set the outline of the airway picture: round, octagonal or the full frame."""
 
     sets = "outline"
     undo_label = "image outline"
@@ -49,89 +50,89 @@ class SetOutline(Command, frozen=True):
 
 
 class SetScope(Command, frozen=True):
-    """Look through an instrument of the library, with its field of view and outline; null is a pinhole."""
+    """Use an instrument of the library, with its field of view and outline, for the airway view; null is a pinhole."""
 
     scope: Identifier | None
 
 
 class SetTransfer(Command, frozen=True):
-    """A preset by name, or a ``carina-transfer`` document; exactly one."""
+    """Set the transfer function: exactly one of a preset's name and a ``carina-transfer`` document."""
 
     undo_label = "transfer function"
     preset: Identifier | None = None
     document: dict[str, Any] | None = None
 
     def choice_problem(self) -> str | None:
-        """Exactly one."""
+        """Return an error text unless exactly one of both fields is set."""
         if (self.preset is None) == (self.document is None):
             return "set_transfer: expected exactly one of preset and document"
         return None
 
 
-# ------------------------------------------------------------------ without
+# ------------------------------------------------------------------ without a step of undo
 
 
 class SetCrosshair(Command, frozen=True):
-    """The point that slices and tri-plane show; null follows the tip."""
+    """Set the point that slices and the tri-plane view show; null follows the tip."""
 
     sets = "crosshair_lps"
     lps: PointLps | None
 
 
 class SetWindow(GreyWindow, Command, frozen=True):
-    """Grey window of all slice views; numbers of the file where the volume is not HU."""
+    """Set the grey window of all slice views; raw values where the volume is not in HU."""
 
     sets = "window"
 
 
 class SetSlab(Slab, Command, frozen=True):
-    """Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices."""
+    """Set thickness and kind of the slab of slices and views along the route; 0 mm are thin slices."""
 
     sets = "slab"
 
 
 class SetZoom(FlatPlace, Command, frozen=True, kw_only=True):
-    """Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits."""
+    """Set the scale of a slice (mm_per_px) or the width of the cut-plane (extent_mm); null shows the whole area."""
 
     sets = "zoom"
     view: FlatView
 
 
 class SetOrbit(Orbit, Command, frozen=True, kw_only=True):
-    """Where an outside view is seen from; distance null fits."""
+    """Set the camera of an external view; null as distance fits the view to its content."""
 
     sets = "orbits"
     view: OrbitView
 
 
 class SetCarm(Carm, Command, frozen=True):
-    """Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits."""
+    """Set the angles of the radiograph's C-arm (LAO and cranial above 0) and the scale at its centre; null fits."""
 
     sets = "carm"
 
 
 class SetReformation(Reformation, Command, frozen=True):
-    """Turn of the cutting plane of the views along the route, and their scale; null fits the route."""
+    """Set the angle of the cutting plane of the views along the route, and their scale; null fits the whole route."""
 
     sets = "reformation"
 
 
 class SetShading(Command, frozen=True):
-    """Light at the tip on or off."""
+    """Switch the light at the tip on or off."""
 
     sets = "shading"
     on: bool
 
 
 class SetTexture(Command, frozen=True):
-    """Decoration of the wall, which is not the patient's: texture, vessels, rings and the like, on or off."""
+    """Switch the decoration of the wall on or off: texture, vessels, rings and others, which no CT shows."""
 
     sets = "texture"
     on: bool
 
 
 class SetMethod(Command, frozen=True):
-    """Leaping, or the brute-force reference; the picture is the same."""
+    """Set the casting method, leaping or the brute-force reference; the pictures are the same."""
 
     sets = "method"
     method: Method

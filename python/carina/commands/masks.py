@@ -1,4 +1,4 @@
-"""Airways from a mask of another tool."""
+"""Commands that use a mask of another tool as the airways."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from carina.commands.value import Command, LocalCommand
 
 
 class TakeMask(LocalCommand, frozen=True):
-    """Take a mask's file as the airway lumen of the open case; undoable.
+    """Use the mask in a file as the airway lumen of the open case; undoable.
 
-    Where it holds several structures or is on another grid, nothing is changed and ``Snapshot.mask_question`` asks.
+    If the file contains several structures or has another grid, nothing is changed, and ``Snapshot.mask_question``
+    contains the question for the user.
     """
 
     path: str
-    """NIfTI, NRRD, MetaImage or DICOM SEG."""
+    """Path of a NIfTI, NRRD, MetaImage or DICOM SEG file."""
     label: int | None = None
     resample: bool = False
 
 
 class AnswerMask(Command, frozen=True):
-    """Answer ``state.mask_question``: which label is the airway; whether to resample."""
+    """Answer ``state.mask_question``: the label of the airways, and whether to resample."""
 
     label: Annotated[int, Meta(ge=-(2**53), le=2**53)] | None = None
     resample: bool = False
 
 
 class DismissMask(Command, frozen=True):
-    """Forget the mask that ``state.mask_question`` asks about."""
+    """Discard the mask of ``state.mask_question``."""

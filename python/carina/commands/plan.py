@@ -1,4 +1,4 @@
-"""Targets as things with a size, and how the way to them is planned."""
+"""Commands on targets with a size, and on the plans of routes to them."""
 
 from __future__ import annotations
 
@@ -17,64 +17,64 @@ TargetRank = Annotated[int, Meta(ge=1, le=9)]
 
 
 class Instruments(FrozenValue, frozen=True):
-    """A scope, and what goes through its channel."""
+    """Scope, and the tool in its working channel."""
 
     scope: Identifier = "thin"
-    """Of the library of instruments."""
+    """Name in the library of instruments."""
     tool: Identifier = "needle-21g"
 
 
 class PlanOptions(Instruments, frozen=True):
-    """With what a target is to be reached, and what counts against a route."""
+    """Instruments that shall reach a target, and conditions that reduce the score of a route."""
 
     vessel_margin_mm: Annotated[float, Meta(ge=0.0, le=50.0)] = 3.0
-    """A vessel nearer to the needle than this counts against a route."""
+    """Distance between needle and vessel below which the vessel counts against a route."""
     moved_mm: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None
-    """How far the target may have moved since the CT; null goes by the lobe."""
+    """Possible displacement of the target since the CT; null uses the default of the target's lobe."""
     entry_mm: Annotated[float, Meta(ge=0.0, le=500.0)] | None = None
-    """From nose or mouth to where the tree begins; null leaves depths and working lengths open."""
+    """Distance from nose or mouth to the start of the tree; null leaves depths and working lengths unknown."""
 
 
 class SetPlanOptions(PlanOptions, Command, frozen=True, kw_only=True):
-    """Plan the way to a target anew."""
+    """Plan the routes to a target again with other options."""
 
     target_id: Identifier
 
 
 class DescribeTarget(Command, frozen=True):
-    """Name a target, and say something about it."""
+    """Set name, description and rank of a target."""
 
     target_id: Identifier
     called: OwnName
     remark: TargetNote = ""
     rank: TargetRank = 1
-    """1 comes first."""
+    """Rank; 1 is the first."""
 
 
 class ChoosePlannedRoute(Command, frozen=True):
-    """Take one of the routes that were planned to a target: the flight leads to where the scope stands there."""
+    """Choose one of the routes planned to a target; the flight then leads to the scope's standing point."""
 
     target_id: Identifier
     number: Annotated[int, Meta(ge=1, le=100)] = 1
-    """1 is the best."""
+    """Number of the route; 1 is the best."""
 
 
 class SeeTurn(Command, frozen=True):
-    """Put the tip where a turn of the chosen route is seen from, as the list of turns tells its hour."""
+    """Put the tip at the viewpoint of a turn of the chosen route, as in the list of turns with clock positions."""
 
     number: Annotated[int, Meta(ge=1, le=100)]
-    """In the list, from 1."""
+    """Number of the turn in the list, from 1."""
 
 
 class KeepDrive(Command, frozen=True):
-    """Keep the simulated drive of an instrument, on the route that is taken, as a flight of the case."""
+    """Store the simulated drive of an instrument on the chosen route as a flight of the case."""
 
     scope: Identifier
-    """Whose verdict it belongs to."""
+    """Name of the instrument whose drive is stored."""
 
 
 class GrowTarget(Command, frozen=True):
-    """What was clicked beside an airway is a nodule, not a place in the airway."""
+    """Convert a target beside an airway into a nodule that is segmented from its point."""
 
     target_id: Identifier
 
@@ -87,40 +87,40 @@ class ResizeTarget(Command, frozen=True):
 
 
 class BrushTarget(Command, frozen=True):
-    """A stroke of a ball-shaped brush that adds to a target, or takes from it."""
+    """Add to a target, or remove from it, by a stroke of a ball-shaped brush."""
 
     target_id: Identifier
     stroke_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
     brush_mm: Annotated[float, Meta(ge=0.5, le=MAX_BRUSH_MM)]
-    """Radius."""
+    """Radius of the brush."""
     takes_away: bool = False
 
 
 class AimTarget(Command, frozen=True):
-    """What the needle is meant for: the middle of a target, or its middle and its periphery."""
+    """Set the aim of the needle: the centre of a target, or its centre and its periphery."""
 
     target_id: Identifier
     periphery: bool
 
 
 class MarkSphere(Command, frozen=True):
-    """A ball as a target, where the CT shows no boundary."""
+    """Mark a ball as a target, where the CT shows no boundary."""
 
     lps: PointLps
     diameter_mm: Annotated[float, Meta(ge=1.0, le=150.0)]
 
 
 class TakeTarget(LocalCommand, frozen=True):
-    """A target from a file: a mask, a DICOM SEG or an RTSTRUCT."""
+    """Add a target from a file: a mask, a DICOM SEG or an RTSTRUCT."""
 
     path: str
     structure: str | None = None
-    """Name or number, where the file has several."""
+    """Name or number of the structure, if the file has several."""
 
 
 class MapLungs(Command, frozen=True):
-    """Look for what lies round the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS."""
+    """Map the anatomy around the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS."""
 
 
 class MapReach(Instruments, Command, frozen=True):
-    """Map where in the lungs an instrument's tip and tool get to."""
+    """Map the parts of the lungs that an instrument's tip and tool can reach."""

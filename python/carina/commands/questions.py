@@ -1,4 +1,4 @@
-"""What can be asked about an open case: answered at once, and nothing changes."""
+"""Questions about an open case: they are answered at once and change nothing."""
 
 from __future__ import annotations
 
@@ -12,62 +12,65 @@ A = TypeVar("A")
 
 
 class Question(FrozenValue, Generic[A], frozen=True):
-    """A question whose answer has the type in its brackets."""
+    """Question whose answer has the type in its brackets."""
 
 
 class VoxelAt(Question[int | None], frozen=True):
-    """The number of the voxel that a point lies in (HU where the volume is in HU); None outside the volume."""
+    """Value of the voxel that contains a point (HU if the volume is in HU); None outside the volume."""
 
     lps: PointLps
 
 
 class WallAt(Question[Any], frozen=True):
-    """What the scan and the tree say about a point of the wall: a :class:`carina.session.WallPoint`."""
+    """Properties of a point of the wall from scan and tree: a :class:`carina.session.WallPoint`."""
 
     lps: PointLps
 
 
 class LivePathTo(Question[Any], frozen=True):
-    """The way from the root to a point under the cursor (paper 6.3), from what the tracker has solved already.
+    """Path from the root to a point under the cursor (paper 6.3), from the tracker's present solution.
 
-    The answer is a :class:`carina.track.LivePath`, with the reason in words in ``problem`` where no way leads there.
-    Without airways NoResultError.
+    The answer is a :class:`carina.track.LivePath`; its ``problem`` states the reason if no path leads to the point.
+    Without airways the question raises NoResultError.
     """
 
     lps: PointLps
 
 
 class PreviewOf(Question[Any], frozen=True):
-    """The very lines that an edit would make, at once and without making it: a :class:`carina.track.EditPreview`.
+    """Preview of the exact lines that an edit would create: a :class:`carina.track.EditPreview`.
 
-    With the reason in words in ``problem`` where it cannot be made. Without airways NoResultError.
+    Its ``problem`` states the reason if the edit is impossible. Without airways the question raises NoResultError.
     """
 
     edit: AddBranch | Bridge | MoveFork
 
 
 class PlanningOf(Question[Any], frozen=True):
-    """The plans of all targets with a size, as far as they are made: a :class:`carina.session.PlanningInfo`."""
+    """Plans of all targets with a size that are complete so far: a :class:`carina.session.PlanningInfo`."""
 
 
 class LungsOf(Question[Any], frozen=True):
-    """What was mapped of the lungs, as far as it is made: a :class:`carina.session.LungsInfo`."""
+    """Parts of the lungs that are mapped so far: a :class:`carina.session.LungsInfo`."""
 
 
 class CtFolder(Question[Any], frozen=True):
-    """Where the DICOM files of the CT lie, a path; UsageError (``plan.not-dicom``) says why it is not known."""
+    """Path of the folder of the CT's DICOM files.
+
+    UsageError (``plan.not-dicom``) states the reason if the folder is unknown.
+    """
 
 
 class PlanToTakeAway(Question[Any], frozen=True):
-    """What the report of a target's plan is made from: a :class:`carina.plan.report.PlanMaterials`."""
+    """Data of the report of a target's plan: a :class:`carina.plan.report.PlanMaterials`."""
 
     target_id: Identifier
 
 
 class LumenBeforeWall(Question[tuple[float, float, float]], frozen=True):
-    """The point that a click on a wall means: the lumen in front of it (paper 6.3, Figure 14).
+    """Point of the lumen in front of a wall, for a click on the wall (paper 6.3, Figure 14).
 
-    Without airways NoResultError.
+    Without airways the question raises NoResultError.
     """
 
     wall_lps: PointLps
@@ -75,44 +78,44 @@ class LumenBeforeWall(Question[tuple[float, float, float]], frozen=True):
 
 
 class MeasuresOf(Question[Any], frozen=True):
-    """What was measured along a branch (:class:`carina.track.BranchMeasures`); None until it is ready.
+    """Measurements along a branch (:class:`carina.track.BranchMeasures`); None until they are ready.
 
-    Without airways NoResultError; UsageError if the tree has no such branch.
+    Without airways the question raises NoResultError; if the tree has no such branch, UsageError.
     """
 
     branch_id: BranchId
 
 
 class AirwaysToTakeAway(Question[tuple[Any, Any]], frozen=True):
-    """The volume and its :class:`carina.track.Airways` as they are now (both immutable), for a file.
+    """Present volume and :class:`carina.track.Airways` (both immutable), for export to a file.
 
-    Without airways NoResultError.
+    Without airways the question raises NoResultError.
     """
 
 
 class KeyFramesToTakeAway(Question[Any], frozen=True):
-    """The key frames with their ways, the view and the case, as a :class:`carina.navigate.KeyFrameFile`.
+    """Key frames with their airway paths, the view and the case, as a :class:`carina.navigate.KeyFrameFile`.
 
-    Without any NoResultError (``session.keys``).
+    Without key frames the question raises NoResultError (``session.keys``).
     """
 
 
 class FlightToTakeAway(Question[str], frozen=True):
-    """A recorded flight as the text of a ``carina-recording`` file, read from the disk.
+    """Recorded flight as the text of a ``carina-recording`` file, read from the disk.
 
-    UsageError (``session.flights``) if the case has none of this number.
+    UsageError (``session.flights``) is raised if the case has no flight of this number.
     """
 
     number: FlightNumber
 
 
 class FlightsToKeep(Question[Any], frozen=True):
-    """The flights that no file has yet, for whoever saves the case: :class:`carina.case.recordings.WholeRecording`."""
+    """Flights that are in no file yet, for saving the case: :class:`carina.case.recordings.WholeRecording`."""
 
 
 class MomentToKeep(Question[Any], frozen=True):
-    """All of the case that a file keeps, as it is now: a :class:`carina.case.Moment`."""
+    """Present state of the case that a file stores: a :class:`carina.case.Moment`."""
 
 
 class MaskFileNeeded(Question[bool], frozen=True):
-    """Whether a mask's file is being read, or will be once its question is answered."""
+    """Whether a mask's file is being read, or will be read after the user's answer."""

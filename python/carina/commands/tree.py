@@ -1,4 +1,4 @@
-"""Airways: where they begin, the edits of their tree, targets and routes."""
+"""Commands on airways: root, edits of the tree, targets and routes."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ PathCost = Literal["lumen", "walls", "paper"]
 
 
 class SetRoot(Command, frozen=True):
-    """Find the airways again from this point."""
+    """Find the airways again from this root."""
 
     lps: PointLps
 
 
 class SetLumenThreshold(Command, frozen=True):
-    """Find the airways again with this threshold; null lets Carina choose."""
+    """Find the airways again with this threshold; null uses Carina's own."""
 
     value: Annotated[float, Meta(ge=-32_768.0, le=32_767.0)] | None
 
 
 class AskedPath(FrozenValue, frozen=True, kw_only=True):
-    """What a target's path costs, and where it begins.
+    """Cost and start of the path to a target.
 
-    ``lumen`` keeps to the middle of the airways; the target is snapped to the lumen within 5 mm, and said.
-    ``walls`` and ``paper`` (its sections 6.3 and 6.2) search all of the scan, whatever it shows, and move nothing.
+    The cost ``lumen`` keeps the path in the middle of the airways; the target is moved to the lumen within 5 mm, and
+    the move is reported. The costs ``walls`` and ``paper`` (paper 6.3 and 6.2) search the whole scan and move no point.
     """
 
     cost: PathCost = "lumen"
     root_lps: PointLps | None = None
-    """Where the path begins, for the costs ``walls`` and ``paper``; null begins where the airways do."""
+    """Start of the path, for the costs ``walls`` and ``paper``; null is the root of the airways."""
 
     def choice_problem(self) -> str | None:
-        """Paths through the lumen begin where the airways do."""
+        """Return an error text if a path through the lumen has its own start."""
         if self.cost == "lumen" and self.root_lps is not None:
             name = snake_case(type(self).__name__)
             return f"{name}: expected the cost walls or paper with a start point of its own; found lumen"
@@ -53,32 +53,32 @@ class AskedPath(FrozenValue, frozen=True, kw_only=True):
 
 
 class AddTarget(AskedPath, Command, frozen=True):
-    """A target, with the path that leads there."""
+    """Add a target, with the path to it."""
 
     lps: PointLps
 
 
 class RemoveTarget(Command, frozen=True):
-    """Take a target away."""
+    """Delete a target."""
 
     target_id: Identifier
 
 
 class ChooseRoute(Command, frozen=True):
-    """Route to a target or to the end of a branch; exactly one of both is set, or none for no route."""
+    """Set the route to a target or to the end of a branch; at most one of both, neither for no route."""
 
     target_id: Identifier | None = None
     branch_id: BranchId | None = None
 
     def choice_problem(self) -> str | None:
-        """One destination at most."""
+        """Return an error text if both destinations are set."""
         if self.target_id is not None and self.branch_id is not None:
             return "choose_route: expected a target or a branch; found both"
         return None
 
 
 def _kind(name: str) -> str:
-    """``AddBranch`` as ``add-branch``."""
+    """Return the wire name of an edit: ``AddBranch`` gives ``add-branch``."""
     return snake_case(name).replace("_", "-")
 
 
@@ -89,16 +89,18 @@ class TreeEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
 
 
 class AddBranch(TreeEdit, frozen=True):
-    """A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it."""
+    """Add a branch to a point, by the least-cost path through the lumen or, beyond it, by the best evidence."""
 
     lps: PointLps
-    """Where the branch ends, LPS mm."""
+    """End of the branch, LPS mm."""
     even_without_evidence: bool = False
-    """Whether to draw the branch where the CT shows no wall round the way; it is then ``manual``. Without it such an
-    edit ends with ``no_evidence``."""
+    """Whether to draw the branch even if the CT shows no continuous wall; the branch is then ``manual``.
+
+    Without it such an edit ends with ``no_evidence``.
+    """
 
     def __post_init__(self) -> None:
-        """Three finite numbers, and a true or false."""
+        """Check for three finite numbers and a truth value."""
         force_setattr(self, "lps", _point("the end of the branch", self.lps))
         if not isinstance(self.even_without_evidence, bool):
             msg = f"even_without_evidence: expected true or false, found {self.even_without_evidence!r}"
@@ -106,65 +108,65 @@ class AddBranch(TreeEdit, frozen=True):
 
 
 class CutBranch(TreeEdit, frozen=True):
-    """Take a branch away with all that hangs on it, from a place along it."""
+    """Delete a branch with all its descendants, from a position along it."""
 
     branch_id: BranchId
     at_mm: PathMm = 0.0
-    """How far along the branch, mm; 0 takes the whole branch."""
+    """Position along the branch, mm; 0 removes the whole branch."""
 
     def __post_init__(self) -> None:
-        """A branch's number, and a place."""
+        """Check for a branch's ID and a position."""
         _whole("branch_id", self.branch_id)
         force_setattr(self, "at_mm", _number("at_mm", self.at_mm, 0.0, math.inf))
 
 
 class Bridge(TreeEdit, frozen=True):
-    """Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air."""
+    """Continue the airways from the nearest tree point through mucus or tumour to a point in air beyond it."""
 
     lps: PointLps
-    """In the airway beyond, LPS mm."""
+    """Point in the airway beyond the obstruction, LPS mm."""
 
     def __post_init__(self) -> None:
-        """Three finite numbers."""
+        """Check for three finite numbers."""
         force_setattr(self, "lps", _point("the point beyond the obstruction", self.lps))
 
 
 class MoveRoot(TreeEdit, frozen=True):
-    """Begin all paths elsewhere; branches that are then flown the other way are turned round."""
+    """Set another root of all paths; branches whose direction changes are reversed."""
 
     lps: PointLps
-    """The new root, LPS mm."""
+    """New root, LPS mm."""
 
     def __post_init__(self) -> None:
-        """Three finite numbers."""
+        """Check for three finite numbers."""
         force_setattr(self, "lps", _point("the start", self.lps))
 
 
 class MoveFork(TreeEdit, frozen=True):
-    """Move the point where a branch ends and its children begin; the adjoining centrelines follow."""
+    """Move the point where a branch ends and its children start; the adjoining centrelines follow."""
 
     branch_id: BranchId
     lps: PointLps
-    """Where the fork is to be, LPS mm."""
+    """New position of the fork, LPS mm."""
 
     def __post_init__(self) -> None:
-        """A branch's number, and three finite numbers."""
+        """Check for a branch's ID and three finite numbers."""
         _whole("branch_id", self.branch_id)
         force_setattr(self, "lps", _point("the fork", self.lps))
 
 
 class PaintLumen(TreeEdit, frozen=True):
-    """A stroke of a brush that makes voxels lumen, or takes lumen away."""
+    """Add voxels to the lumen, or remove them, by a stroke of a brush."""
 
     points_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
-    """The way of the brush's centre, LPS mm; straight between points."""
+    """Path of the brush's centre, LPS mm; straight between points."""
     radius_mm: Annotated[float, Meta(ge=0.1, le=MAX_BRUSH_MM)]
     plane: BrushPlane = "axial"
-    """The slice that the brush is a disc in, one voxel thick; ``ball`` paints in all directions."""
+    """Slice in which the brush is a disc of one voxel thickness; ``ball`` paints in all directions."""
     erase: bool = False
 
     def __post_init__(self) -> None:
-        """Points, a radius, a plane."""
+        """Check for points, a radius and a plane."""
         points = self.points_lps
         if isinstance(points, str) or not 1 <= len(points) <= MAX_STROKE_POINTS:
             msg = f"stroke: expected 1 to {MAX_STROKE_POINTS} points, found {len(points)}"
@@ -180,24 +182,24 @@ class PaintLumen(TreeEdit, frozen=True):
 
 
 class SmoothBranch(TreeEdit, frozen=True):
-    """Make a branch's centreline smoother; its ends stay."""
+    """Smooth a branch's centreline; its ends stay."""
 
     branch_id: BranchId
 
     def __post_init__(self) -> None:
-        """A branch's number."""
+        """Check for a branch's ID."""
         _whole("branch_id", self.branch_id)
 
 
 class RenameBranch(TreeEdit, frozen=True):
-    """Give a branch a name of one's own, or the automatic one back."""
+    """Rename a branch, or restore its automatic name."""
 
     branch_id: BranchId
     name: OwnName | None
-    """None: the automatic name."""
+    """New name; None restores the automatic name."""
 
     def __post_init__(self) -> None:
-        """A branch's number, and a name with a letter in it."""
+        """Check for a branch's ID and a name with a letter."""
         _whole("branch_id", self.branch_id)
         if self.name is None:
             return
@@ -211,7 +213,7 @@ AnyTreeEdit: TypeAlias = AddBranch | CutBranch | Bridge | MoveRoot | MoveFork | 
 
 
 class EditTree(Command, frozen=True):
-    """One edit of the airway tree: a job, and one step of undo."""
+    """Edit the airway tree: a job, and one step of undo."""
 
     edit: AnyTreeEdit
 

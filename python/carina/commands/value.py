@@ -1,7 +1,7 @@
-"""What commands, questions and messages are made of: frozen values whose bounds stand in their types.
+"""Base classes of commands, questions and messages: frozen values whose bounds are part of their types.
 
-A constructor checks nothing, as everywhere in Python; :func:`checked` does, for whoever takes a value from somebody,
-and so does reading one from JSON. Both say what is wrong by the name of the field.
+A constructor does not check the bounds. :func:`checked` checks them for code that receives a value from a caller, and
+reading a value from JSON also checks them. Both name the wrong field in the error.
 """
 
 from __future__ import annotations
@@ -35,21 +35,24 @@ S = TypeVar("S")
 
 
 def snake_case(name: str) -> str:
-    """``SetTexture`` as ``set_texture``."""
+    """Return a name in snake case: ``SetTexture`` gives ``set_texture``."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What a person, a program or a device asks of an open case: done by ``Case.do``, sent by the window as JSON.
+    """Request of a user, a program or a device to an open case: ``Case.do`` executes it, the window sends it as JSON.
 
-    Writing the class is registering it: the wire, its schema and the window's types know it from then on. What it does
-    stands in ``carina/session``, in the file of the same subject.
+    The definition of the class registers the command on the wire, in its schema and in the window's types. The code
+    that executes the command is in ``carina/session``, in the file of the same subject.
     """
 
     undo_label: ClassVar[str | None] = None
-    """What undo calls it; None where it is no step of undo, or where the step's words tell what it was done to."""
+    """Name of the command in the undo menu.
+
+    None if the command is no step of undo, or if the step names the changed object itself.
+    """
     sets: ClassVar[str | None] = None
-    """The field of the look or of the sight that becomes what the command says, where that is all that it does."""
+    """Field of the look or of the sight that the command sets, if it does nothing else, else None."""
 
     def setting(self) -> tuple[str | None, Any]:
         """Return the view, if the field has a value for each view, and the new value of the field.
@@ -72,7 +75,7 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
 
 
 class LocalCommand(Command, frozen=True):
-    """A command that names things of this process or of this machine: never sent."""
+    """Command whose fields refer to objects of this process or machine; it is never sent."""
 
 
 def subclasses(base: type[S]) -> Iterator[type[S]]:
@@ -133,18 +136,18 @@ WORDS = {
 
 
 def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[Any]) -> tuple[str, str]:
-    """Describe what is wrong with a value, as a kind (``field``, ``range`` or ``size``) and one sentence.
+    """Describe an error of a value, as a kind (``field``, ``range`` or ``size``) and one sentence.
 
     Parameters
     ----------
     error
-        Of the library, whose words are about its types.
+        Error of msgspec, whose text names Python types.
     value
-        What was read.
+        Value that was read.
     where
-        The value's name.
+        Name of the value.
     cls
-        What it was read as.
+        Class as which the value was read.
     """
     text = str(error)
     place = PLACE.search(text)
@@ -208,6 +211,6 @@ def _choices(kind: msgspec.inspect.Type, names: list[str]) -> set[str]:
 
 def _short(value: Any) -> str:
     if isinstance(value, int | float) and not isinstance(value, bool):
-        # A huge integer has too many digits to be written.
+        # A huge integer has too many digits for a message.
         return "more" if abs(value) > 1e15 else f"{value:g}"
     return repr(value)[:40]

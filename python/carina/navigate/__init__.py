@@ -1,4 +1,4 @@
-"""Moving the tip of the scope: freely or along a path, by hand, key or device."""
+"""Navigation: movement of the scope's tip, freely or along a path, by hand, key or device."""
 
 from carina.navigate.auto_flight import AutoFlight
 from carina.navigate.flight_path import FlightPath

@@ -1,4 +1,4 @@
-"""A flight that nobody steers: along a route with a stop at each fork."""
+"""Automatic flight along a route with a stop at each fork."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from carina.scopes import Pose
 __all__ = ["AutoFlight", "check_duration", "frame_times_s"]
 
 MAX_DURATION_S = 86_400.0
-"""Of a flight, a day: a longer one is a slip of the pen, and its frames need more memory than there is."""
+"""Longest flight, one day: a longer one is an input error, and its frames do not fit in memory."""
 
 
 class AutoFlight:
-    """Along a path at one speed, with a pause at each look-out.
+    """Flight along a path at constant speed, with a pause at each look-out.
 
     Parameters
     ----------
     path
-        The way; it stops at its look-outs.
+        Flight path; the flight stops at its look-outs.
     speed_mm_s
-        0.1 to 500.
+        Speed, 0.1 to 500 mm/s.
     pause_s
-        At each look-out and at the end, 0 to 60.
+        Pause at each look-out and at the end, 0 to 60 s.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class AutoFlight:
             )
         self._path = path
         stops = [mm for mm in path.lookouts_mm if 0.0 < mm < path.length_mm]
-        # Times and places between which it moves evenly.
+        # Times and positions between which the flight moves at constant speed.
         times, places, now_s = [0.0], [0.0], 0.0
         for stop_mm in [*stops, path.length_mm]:
             now_s += (stop_mm - places[-1]) / speed_mm_s
@@ -67,16 +67,17 @@ class AutoFlight:
         self._times, self._places = np.array(times), np.array(places)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"AutoFlight({self._path!r}, {self.duration_s:.1f} s)"
 
     @property
     def duration_s(self) -> float:
-        """From the start of the path to the end of the last pause."""
+        """Time from the start of the path to the end of the last pause, s."""
         return float(self._times[-1])
 
     @check_arguments(time_s=number_from(-1e9, 1e9, unit="s"))
     def path_mm(self, time_s: float) -> float:
-        """Return the place on the path at a time; clamped to the ends."""
+        """Return the position along the path (mm) at a time; clamped to the ends."""
         return float(np.interp(time_s, self._times, self._places))
 
     @check_arguments(time_s=number_from(-1e9, 1e9, unit="s"))
@@ -86,7 +87,7 @@ class AutoFlight:
 
 
 def frame_times_s(duration_s: float, rate_hz: float) -> NDArray[np.float64]:
-    """Return the times of a video's frames: the first at 0, together as long as the flight, and at least one.
+    """Return the times of a video's frames: at least one, the first at 0, together as long as the flight.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def frame_times_s(duration_s: float, rate_hz: float) -> NDArray[np.float64]:
 
 
 def check_duration(duration_s: float) -> None:
-    """Refuse a flight that nobody means: its frames need more memory than there is."""
+    """Reject a flight of more than a day: its frames do not fit in memory."""
     if not duration_s <= MAX_DURATION_S:
         raise UsageError(
             f"a flight can last at most 24 hours ({MAX_DURATION_S:.0f} s); found {duration_s:g} s; check that the "

@@ -1,4 +1,4 @@
-"""A path to fly on: a smooth curve with a steady camera at every place."""
+"""Flight path: a smooth curve along an airway, with a steady camera at every position."""
 
 from __future__ import annotations
 
@@ -27,44 +27,44 @@ __all__ = ["FlightPath", "PathPoints"]
 
 
 class PathPoints(Protocol):
-    """A path that was found, such as :class:`carina.track.Route` or :class:`carina.track.TrackedPath`."""
+    """Path from a search, such as :class:`carina.track.Route` or :class:`carina.track.TrackedPath`."""
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
-        """(n, 3) LPS mm, root to tip."""
+        """Points (n, 3), LPS mm, from root to tip."""
 
 
 def _check_points(where: str, name: str, value: object) -> None:
-    """Refuse anything but finite numbers and a path with points."""
+    """Reject anything but finite numbers or a path with points."""
     numbers_within()(where, name, getattr(value, "points_lps", value))
 
 
 class FlightPath:
-    """A smooth curve along a tracked path, with camera frames that do not spin.
+    """Smooth curve along a tracked path, with camera frames that do not rotate about the viewing direction.
 
-    Places are counted in mm *of the given points* (the sum of their distances), so ``forks_mm`` and generations found
-    there keep their numbers.
+    Positions along the path are measured in mm along the polyline of *the given points*, so ``forks_mm`` and
+    generations that were found on these points stay valid.
 
     Parameters
     ----------
     points_lps
-        A route (:class:`carina.track.Route`), a tracked path, or points ``(n, 3)``, LPS mm, root to tip. Two different
-        points at least; the stairs of a voxel path are smoothed.
+        A route (:class:`carina.track.Route`), a tracked path, or points ``(n, 3)``, LPS mm, root to tip; at least two
+        different points. The steps of a voxel path are smoothed.
     up_lps
-        What appears up at the start. Anterior unless told (operator at the head end), or superior where the path starts
-        along the antero-posterior axis. Frames further on turn as little as can be about the viewing direction.
+        Direction that appears up at the start. Default: anterior (operator at the head end), or superior if the path
+        starts along the antero-posterior axis. Later frames rotate as little as possible about the viewing direction.
     forks_mm
-        Places of the bifurcations; those of a route unless given.
+        Positions of the bifurcations. Default: those of the route.
     lookouts_mm
-        Where :meth:`next_fork_mm` and :meth:`previous_fork_mm` stop: in front of the forks, with all openings in view.
-        The forks themselves unless given.
+        Positions where :meth:`next_fork_mm` and :meth:`previous_fork_mm` stop: in front of the forks, with all openings
+        in view. Default: the forks themselves.
     max_deviation_mm
-        The curve stays within this distance of the points' polyline, 0.2 to 10 mm.
+        Largest distance of the curve from the polyline, 0.2 to 10 mm.
 
     Raises
     ------
     UsageError
-        If the points make no path, ``up_lps`` lies along its start, or a number is out of range.
+        If the points make no path, ``up_lps`` is parallel to its start, or a number is out of range.
 
     References
     ----------
@@ -145,14 +145,14 @@ class FlightPath:
         lookouts_mm: tuple[float, ...],
         max_deviation_mm: float,
     ) -> FlightPath:
-        """Make a path from the :meth:`made_from` of a checked one; its curve is computed when it is needed.
+        """Create a path from the :attr:`made_from` of a checked path; compute its curve when it is first needed.
 
-        A case has hundreds of routes in its history, and shows one.
+        The history of a case contains hundreds of routes, of which one is shown, so most curves are never computed.
 
         Raises
         ------
         UsageError
-            When its curve is needed, if the points make no path.
+            When the curve is first needed, if the points make no path.
         """
         path = cls.__new__(cls)
         path._source_lps, path._up_lps = points_lps, up_lps
@@ -165,44 +165,46 @@ class FlightPath:
     def _curve(self) -> _core.FlightCurve:
         curve = self._made_curve
         if curve is None:
-            # Two threads may both make it: they make the same.
+            # No lock: two threads that compute the curve at the same time get equal curves.
             curve = self._made_curve = _core.FlightCurve(self._source_lps, self._up_lps, self._max_deviation_mm)
         return curve
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the arguments of the path for pickle; the curve is computed again."""
         values = (self._source_lps, self._up_lps, self._forks_mm, self._lookouts_mm, self._max_deviation_mm)
         return _path_of, values
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"FlightPath(length_mm={self.length_mm:.1f}, num_forks={len(self._forks_mm)})"
 
     @property
     def length_mm(self) -> float:
-        """Length of the given points' polyline."""
+        """Length of the polyline of the given points, mm."""
         return self._curve.length_mm
 
     @property
     def forks_mm(self) -> tuple[float, ...]:
-        """Places of the bifurcations, ascending."""
+        """Positions of the bifurcations along the path, mm, ascending."""
         return self._forks_mm
 
     @property
     def lookouts_mm(self) -> tuple[float, ...]:
-        """Places in front of the bifurcations, ascending."""
+        """Positions in front of the bifurcations along the path, mm, ascending."""
         return self._lookouts_mm
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
-        """Knots of the smooth curve, ``(m, 3)``, evenly spaced in mm of the path (a copy)."""
+        """Knots of the smooth curve, ``(m, 3)``, LPS mm, at even distances along the path (a copy)."""
         return self._curve.knots_lps()
 
     @property
     def source_lps(self) -> NDArray[np.float64]:
-        """The given points, ``(n, 3)``; not to be changed."""
+        """The given points, ``(n, 3)``, LPS mm; not to be modified."""
         return self._source_lps
 
     def made_from(self) -> dict[str, Any]:
-        """Return the arguments that make this path again, to the last bit."""
+        """Arguments from which :meth:`made_before` creates the same path, bit for bit."""
         return {
             "points_lps": tuple(map(tuple, self._source_lps.tolist())),
             "up_lps": self._up_lps,
@@ -213,26 +215,29 @@ class FlightPath:
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def pose_at(self, path_mm: float) -> Pose:
-        """Return the camera at a place, looking along the path ahead; clamped to the ends."""
+        """Return the pose of a camera at a position, looking ahead along the path.
+
+        Positions are clamped to the ends.
+        """
         return Pose(self._curve.pose_at(float(path_mm)))
 
     def frames(self) -> PathFrames:
-        """Return the plane across the path at each knot: +z is the path's own direction, not the gaze."""
+        """Return the plane perpendicular to the path at each knot; +z is the tangent of the path, not the gaze."""
         found = self._frames
         if found is None:
-            # Two threads may both find them: they find the same.
+            # No lock: two threads that compute the frames at the same time get equal frames.
             frames = self._curve.tangent_frames()
             found = self._frames = PathFrames(np.linspace(0.0, self.length_mm, len(frames)), frames)
         return found
 
     @check_arguments(point_lps=numbers_within())
     def nearest_mm(self, point_lps: ArrayLike) -> float:
-        """Return the place nearest to a point (LPS mm)."""
+        """Return the position along the path (mm) that is nearest to a point (LPS mm)."""
         return self.nearest(point_lps)[0]
 
     @check_arguments(point_lps=numbers_within())
     def nearest(self, point_lps: ArrayLike) -> tuple[float, float]:
-        """Return the place nearest to a point (LPS mm), and the distance to it in mm."""
+        """Return the position along the path (mm) that is nearest to a point (LPS mm), and its distance in mm."""
         point = np.asarray(point_lps, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
             raise UsageError("a point needs three finite numbers")
@@ -240,13 +245,13 @@ class FlightPath:
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def next_fork_mm(self, path_mm: float) -> float:
-        """Return the first look-out beyond a place, or the end of the path."""
-        # 0.01 mm: a person at a fork means the one after it, whatever the rounding of the way here.
+        """Return the first look-out beyond a position, or the end of the path, in mm."""
+        # Tolerance 0.01 mm: from a fork the next one is returned, in spite of rounding.
         return next((f for f in self._lookouts_mm if f > path_mm + 0.01), self.length_mm)
 
     @check_arguments(path_mm=number_from(-COORDINATE_MM, COORDINATE_MM, unit="mm"))
     def previous_fork_mm(self, path_mm: float) -> float:
-        """Return the last look-out before a place, or the start of the path."""
+        """Return the last look-out before a position, or the start of the path, in mm."""
         return next((f for f in reversed(self._lookouts_mm) if f < path_mm - 0.01), 0.0)
 
     def _on_path(self, what: str, places_mm: Sequence[float]) -> tuple[float, ...]:
@@ -264,7 +269,7 @@ def _path_of(
     lookouts_mm: tuple[float, ...],
     max_deviation_mm: float,
 ) -> FlightPath:
-    """Return the path that a pickle holds; its curve is computed when it is needed."""
+    """Return the path that a pickle contains; its curve is computed when it is first needed."""
     return FlightPath.made_before(
         source_lps, up_lps=up_lps, forks_mm=forks_mm, lookouts_mm=lookouts_mm, max_deviation_mm=max_deviation_mm
     )

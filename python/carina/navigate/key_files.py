@@ -1,4 +1,4 @@
-"""Key frames in files (``carina-keys``): version 1 has times, version 2 speeds, ways and the case they belong to."""
+"""Files of key frames (``carina-keys``): version 1 with times; version 2 with speeds, airway paths and case."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ MAX_NAME = 200
 @one_line
 @dataclass(frozen=True, slots=True)
 class KeyFrameFile:
-    """Key frames with all that a flight through them needs.
+    """Key frames with the data of the flight through them.
 
     Parameters
     ----------
     frames
-        In the order of the flight.
+        Key frames in the order of the flight.
     speed_mm_s
-        Of legs that name none.
+        Speed of legs without their own speed.
     through
-        What was asked for: the airways where two key frames lie in them, or a curve through space.
+        Chosen route: through the airways where two key frames lie in them, or a curve through space.
     case
-        :func:`carina.navigate.case_key` of the scan they were made in; None (version 1) does not say.
+        :func:`carina.navigate.case_key` of the scan in which they were made; None (version 1) if unknown.
     view
-        How the airway view was shown, as in a recording; empty does not say.
+        Display settings of the airway view, as in a recording; empty if unknown.
     """
 
     frames: tuple[KeyFrame, ...]
@@ -64,7 +64,7 @@ class KeyFrameFile:
         return KeyFrameFlight(self.frames, speed_mm_s=self.speed_mm_s)
 
     def check(self, volume: Volume) -> None:
-        """Refuse another case.
+        """Raise an error if the key frames belong to another case.
 
         Raises
         ------
@@ -113,7 +113,7 @@ def open_key_frames(path: str | Path) -> KeyFrameFile:
     Raises
     ------
     VolumeImportError
-        ``navigate.keys``: if they cannot be read, or are none.
+        ``navigate.keys``: if the file cannot be read or contains no key frames.
     """
     place = Path(path)
     try:
@@ -138,7 +138,7 @@ def open_key_frames(path: str | Path) -> KeyFrameFile:
 def _timed(document: dict[str, Any]) -> KeyFrameFile:
     keys = document["keys"]
     file = KeyFrameFile(tuple(KeyFrame(float(key["time_s"]), Pose(np.array(key["lps_from_camera"]))) for key in keys))
-    # Times that do not increase are the file's fault, whoever flies it.
+    # The flight is built here so that times that do not increase are reported as an error of the file.
     file.flight()
     return file
 

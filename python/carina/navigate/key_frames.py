@@ -1,4 +1,4 @@
-"""Flights through key frames: at times, or at a speed in mm/s."""
+"""Flights through key frames: at given times, or at a speed in mm/s."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from carina.scopes import Pose
 
 __all__ = ["MAX_SPEED_MM_S", "MIN_SPEED_MM_S", "KeyFrame", "KeyFrameFlight"]
 
-# A look around takes its time, however short the way: 40 degrees a second on average.
+# Mean rotation speed of the camera; a rotation takes this time however short the leg is.
 TURN_RAD_S = math.radians(40.0)
-# From rest to full speed.
+# Time of acceleration from rest to full speed.
 RAMP_S = 0.5
 STAND_S = 0.1
 
@@ -28,20 +28,20 @@ STAND_S = 0.1
 @one_line
 @dataclass(frozen=True, slots=True)
 class KeyFrame:
-    """A pose to fly through, and how to get there.
+    """Pose of a flight, and the route and speed of the leg that leads to it.
 
     Parameters
     ----------
     time_s
-        When; None where speeds say it.
+        Time of the key frame; None if speeds define the times.
     pose
-        What the camera sees then.
+        Pose of the camera.
     name
-        In words, for lists.
+        Name for lists.
     speed_mm_s
-        On the way here from the key frame before, 0.1 to 500; None takes the flight's.
+        Speed of the leg from the previous key frame, 0.1 to 500; None uses the flight's speed.
     way
-        The airways between the key frame before and this; None flies a curve through space.
+        Airways between the previous key frame and this one; None for a curve through space.
     """
 
     time_s: float | None
@@ -52,9 +52,10 @@ class KeyFrame:
 
 
 class _Timed:
-    """Between given times, in space: positions and velocities as the times want them, through all key frames.
+    """Positions through key frames at given times.
 
-    A cubic Hermite curve over time with the slopes of the neighbours' differences (Catmull-Rom over unequal times).
+    The curve is a cubic Hermite curve over time whose slopes are the differences of the neighbours (Catmull-Rom over
+    unequal times).
     """
 
     def __init__(self, at: NDArray[np.float64], times: NDArray[np.float64]) -> None:
@@ -72,7 +73,7 @@ class _Timed:
 
 
 class _Cruise:
-    """The distance flown after a time on a leg: evenly faster at first, then its speed, then evenly slower."""
+    """Distance flown on a leg as a function of time: constant acceleration, constant speed, constant deceleration."""
 
     def __init__(self, length_mm: float, begin_mm_s: float, speed_mm_s: float, end_mm_s: float) -> None:
         self._length_mm, self._speed = length_mm, speed_mm_s
@@ -92,36 +93,35 @@ class _Cruise:
         return self._begin_mm + (time_s - self._begin_s) * self._speed
 
     def _ramp_mm(self, slow_mm_s: float) -> float:
-        """The way over which the speed changes: at most half of the leg."""
+        """Return the distance over which the speed changes: at most half of the leg."""
         wanted = 0.5 * (self._speed + slow_mm_s) * (self._speed - slow_mm_s) / self._speed * RAMP_S
         return min(wanted, 0.5 * self._length_mm)
 
 
 class KeyFrameFlight:
-    """Through poses, without corners.
+    """Flight through poses, without corners.
 
-    Either all key frames have times, or none has: then there is one path, and each leg of it is flown at its speed
-    (mm/s), evenly but for half a second of gathering speed and of coming to rest. Where the path turns sharply back
-    (from one bronchus into its sibling) the flight rests for a moment. A look around on the way, or on the spot, takes
-    at least its own time.
+    Either all key frames have times, or none has. Without times there is one path, and each leg is flown at its speed
+    (mm/s) with half a second of acceleration and deceleration. The flight rests for a moment where the path turns
+    sharply back (from one bronchus into its sibling). A rotation of the camera takes at least its own time.
 
     Parameters
     ----------
     frames
         Two or more; times increase.
     speed_mm_s
-        Of legs that name none, 0.1 to 500.
+        Speed of legs without their own speed, 0.1 to 500.
 
     Raises
     ------
     UsageError
-        ``navigate.keys``: if they are fewer, only some have times, times do not increase, a speed is out of range, or
-        the flight lasts more than a day.
+        ``navigate.keys``: if there are fewer than two key frames, only some have times, times do not increase, a speed
+        is out of range, or the flight lasts more than a day.
 
     Notes
     -----
-    Where :attr:`KeyFrame.way` is given, the path is the airways' middle: what a key frame lies beside it eases out, and
-    the camera turns as the airway does. Elsewhere it is a curve through space. See
+    With :attr:`KeyFrame.way` the path is the centreline of the airways: the offset of a key frame from the centreline
+    decreases smoothly, and the camera turns with the airway. Elsewhere the path is a curve through space. See
     :func:`carina.navigate.key_legs.build_legs`.
 
     Examples
@@ -170,30 +170,31 @@ class KeyFrameFlight:
             check_duration(self.duration_s)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"KeyFrameFlight({len(self._poses)} key frames, {self.duration_s:.1f} s)"
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last."""
+        """Time from the first key frame to the last, s."""
         return float(self._times[-1])
 
     @property
     def key_times_s(self) -> tuple[float, ...]:
-        """When each key frame is passed, after the first."""
+        """Time of each key frame since the first, s."""
         return tuple(float(t) for t in self._times)
 
     @property
     def leg_mm(self) -> tuple[float, ...]:
-        """Length of the way to each key frame from the one before; one fewer than key frames."""
+        """Length of the leg to each key frame from the one before, mm; one fewer than key frames."""
         return tuple(leg.length_mm for leg in self._legs)
 
     @property
     def through_airways(self) -> tuple[bool, ...]:
-        """Whether that way follows the airways."""
+        """Whether each leg follows the airways."""
         return tuple(leg.frames is not None for leg in self._legs)
 
     def pose_at(self, time_s: float) -> Pose:
-        """The pose at a time after the first; clamped to the ends, the key frames themselves to the last bit."""
+        """Return the pose at a time after the first key frame; times are clamped, and key frames are exact."""
         wanted = min(max(time_s, 0.0), self.duration_s)
         n = min(int(np.searchsorted(self._times, wanted, side="right")) - 1, len(self._legs) - 1)
         since_s = wanted - float(self._times[n])
@@ -209,7 +210,7 @@ class KeyFrameFlight:
 
 
 class _TwoCruises:
-    """With a rest on the way."""
+    """Distance flown on a leg with a rest, as a function of time."""
 
     def __init__(self, first: _Cruise, first_mm: float, second: _Cruise) -> None:
         self._first, self._first_mm, self._second = first, first_mm, second
@@ -224,7 +225,7 @@ _Law = _Cruise | _TwoCruises
 
 
 def _cruises(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequence[float]) -> list[_Law | None]:
-    """How each leg is flown; None where the camera only turns."""
+    """Return the law of motion of each leg; None for a leg on which the camera only turns."""
     speeds = []
     for leg, speed in zip(legs, speeds_mm_s, strict=True):
         turn_s = leg.turn_rad / TURN_RAD_S

@@ -1,4 +1,4 @@
-"""The ways between key frames: through space or along an airway, and where the camera looks on them."""
+"""Legs between key frames: curves through space or along an airway, with the directions of the camera."""
 
 from __future__ import annotations
 
@@ -22,44 +22,46 @@ Points = NDArray[np.float64]
 
 STEP_MM = 0.5
 MAX_SAMPLES = 400
-# Shorter than this is no way: what is left of two equal poses after a round trip through a file.
+# Lengths below this count as zero: two equal poses can differ by this much after they were saved and read.
 STAND_MM = 1e-6
-# Ways that meet at a smaller angle run into each other; at a larger one the flight comes to rest between them.
+# The flight rests between legs that meet at a larger angle than this.
 BEND_RAD = math.radians(40.0)
-# The airway's direction, where the camera looks, is taken over this much way before and behind: a fork is turned into
-# as a scope is turned, and not within a voxel.
+# Half the length of the airway over which the direction of the camera is averaged, so that the camera turns smoothly
+# into a fork.
 LOOK_MM = 8.0
-# A key frame beside the airway's middle is left for it over four times its distance, and not within a voxel.
+# The path moves from a key frame beside the centreline to the centreline over four times their distance, and over at
+# least EASE_MM.
 EASE, EASE_MM = 4.0, 4.0
-# Round a fork: at most so far from the corner of the centrelines, where the lumens of both branches are one.
+# Largest distance of the rounded path from the corner of the centrelines at a fork, where both lumens are one.
 ROUND_MM = 1.0
 CORNER_MM = 2.0
-# Nearer to the anterior axis than this (cosine), "anterior up" spins with the slightest turn.
+# Cosine of the angle to the anterior axis above which "anterior up" is unstable.
 LEVEL_LIMIT = 0.9
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class AirwayWay:
-    """The airways' middle between the places of two key frames.
+    """Centreline of the airways between the positions of two key frames.
 
     Parameters
     ----------
     points_lps
         ``(n, 3)``, LPS mm, two or more, in the direction of the flight.
     apex
-        Index of the point nearest to the root: before it the flight withdraws, after it it advances.
+        Index of the point nearest to the root: before it the flight withdraws, after it the flight advances.
 
     Raises
     ------
     UsageError
-        ``navigate.keys``: if they are no such points.
+        ``navigate.keys``: if the points or the index are invalid.
     """
 
     points_lps: Points
     apex: int
 
     def __post_init__(self) -> None:
+        """Convert the points to float64 and check the fields."""
         points = np.array(self.points_lps, dtype=np.float64)
         if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
             raise UsageError(
@@ -72,32 +74,44 @@ class AirwayWay:
 
 @dataclass(slots=True, eq=False)
 class Leg:
-    """From one key frame to the next: places by the distance flown, directions by that and the share of the time."""
+    """Leg from one key frame to the next.
+
+    Positions depend on the distance flown; directions depend on the distance and the fraction of the time.
+    """
 
     start: Points
-    """``lps_from_camera`` at its two ends."""
+    """Pose ``lps_from_camera`` at the start."""
     end: Points
     place_mm: NDArray[np.float64]
     points_lps: Points
     tangents: Points
-    """Unit vectors; on a way of no length zeros."""
+    """Unit tangents of the path at the points; zeros for a leg of no length."""
     frames: Points | None = None
-    """``(n, 3, 3)``: the airway's own directions at the points, distal forward; None looks by the two ends alone."""
+    """Directions of the airway at the points, ``(n, 3, 3)``, distal forward.
+
+    With None the directions are interpolated between the two ends.
+    """
     rest_mm: float | None = None
-    """Where the way leaves one bronchus for its sibling, at an angle that is not flown without a rest."""
+    """Position in mm of a rest, where the path turns sharply from one bronchus into its sibling.
+
+    The value is None without a rest.
+    """
 
     @property
     def length_mm(self) -> float:
-        """Of the way."""
+        """Length of the leg, mm."""
         return float(self.place_mm[-1])
 
     @property
     def turn_rad(self) -> float:
-        """Between the directions at the ends."""
+        """Angle between the directions at the ends."""
         return float(np.linalg.norm(vector_from_rotation(orthonormal(self.start[:3, :3].T @ self.end[:3, :3]))))
 
     def position(self, mm: float) -> Points:
-        """The point at a place: a cubic through the samples with their tangents, so that velocity has no steps."""
+        """Return the point (3,), LPS mm, at a distance.
+
+        Cubic interpolation with tangents makes the velocity continuous.
+        """
         n, t, length = self._between(mm)
         if length == 0.0:
             return np.asarray(self.points_lps[n])
@@ -110,7 +124,10 @@ class Leg:
         )
 
     def rotation(self, mm: float, share: float) -> Points:
-        """The camera's axes at a place, and a share of the time: what a key frame looks away by eases over."""
+        """Return the camera's axes (3, 3) at a distance and a fraction of the time.
+
+        The offset of a key frame's direction from the airway's direction decreases along the leg.
+        """
         eased = share * share * (3.0 - 2.0 * share)
         a, b = self.start[:3, :3], self.end[:3, :3]
         if self.frames is None:
@@ -127,20 +144,22 @@ class Leg:
 
 
 def build_legs(poses: Sequence[Points], ways: Sequence[AirwayWay | None]) -> tuple[list[Leg], list[bool]]:
-    """The legs between poses, and at which poses the flight must come to rest because its direction breaks off.
+    """Build the legs between poses, and find the poses at which the flight must rest.
+
+    The flight rests where its direction changes sharply.
 
     Parameters
     ----------
     poses
-        ``lps_from_camera``, n of them.
+        n matrices ``lps_from_camera``.
     ways
         n - 1: the airway between a pose and the next, or None for a curve through space.
 
     Notes
     -----
-    Through space it is a centripetal Catmull-Rom curve (Yuksel, Schaefer, Keyser, "Parameterization and applications of
-    Catmull-Rom curves", CAD 43(7), 2011): of that family the one that makes no loops and leaves the chords least.
-    Directions turn with the gaze on the great circle and the horizon kept; along an airway they turn with it.
+    A leg through space is a centripetal Catmull-Rom curve (Yuksel, Schaefer, Keyser, "Parameterization and applications
+    of Catmull-Rom curves", CAD 43(7), 2011), which of its family makes no loops and stays nearest to the chords. On it
+    the gaze turns along the great circle with a steady horizon; along an airway the camera turns with the airway.
     """
     at = np.array([pose[:3, 3] for pose in poses])
     legs: list[Leg | None] = [
@@ -170,7 +189,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
     knot = math.sqrt(length)
 
     def slope(beyond: int, leg_beyond: int, tangent_at: int) -> Points:
-        """At an end, per knot interval 1: from the neighbour in space, or the direction of the airway that joins."""
+        """Return the slope at an end per knot interval: from the neighbour in space or the adjoining airway."""
         if 0 <= leg_beyond < len(airways):
             airway = airways[leg_beyond]
             if airway is not None:
@@ -192,7 +211,7 @@ def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequenc
 
 
 def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
-    """Along the airway's middle; None where there is hardly any airway between, so that the way is one across it."""
+    """Build the leg along the centreline; return None if there is hardly any airway between the key frames."""
     given_mm = _cumulative(way.points_lps)
     if given_mm[-1] <= STAND_MM:
         return None
@@ -204,7 +223,8 @@ def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
     if path.length_mm <= away:
         return None
     half = path.length_mm / 2.0
-    # Its own middle is where an airway is widest: what a key frame lies beside it is left soon, and taken up late.
+    # The centreline is where an airway is widest, so the path soon moves from a key frame beside it to the centreline,
+    # and leaves it late.
     leaving = _smooth(mm / min(half, max(EASE * float(np.linalg.norm(off_start)), EASE_MM)))
     coming = _smooth((mm[-1] - mm) / min(half, max(EASE * float(np.linalg.norm(off_end)), EASE_MM)))
     shifted = points + np.outer(1.0 - leaving, off_start) + np.outer(1.0 - coming, off_end)
@@ -216,7 +236,7 @@ def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
 
 
 def _corner(leg: Leg, place_mm: float) -> float | None:
-    """The place, if the way turns sharply round it."""
+    """Return the position if the path turns sharply at it, else None."""
     before = int(np.searchsorted(leg.place_mm, place_mm - CORNER_MM))
     after = int(np.searchsorted(leg.place_mm, place_mm + CORNER_MM))
     if before == 0 or after == len(leg.place_mm):
@@ -227,7 +247,7 @@ def _corner(leg: Leg, place_mm: float) -> float | None:
 def _leg(start: Points, end: Points, points: Points, slopes: Points) -> Leg:
     points[0], points[-1] = start[:3, 3], end[:3, 3]
     lengths = np.linalg.norm(slopes, axis=1)
-    # A slope vanishes where the curve turns back on itself: there the chord says where it goes.
+    # A slope vanishes where the curve turns back on itself; there the chord gives the direction.
     chords = np.gradient(points, axis=0)
     vanished = lengths < 1e-9
     slopes[vanished] = chords[vanished]
@@ -236,29 +256,29 @@ def _leg(start: Points, end: Points, points: Points, slopes: Points) -> Leg:
 
 
 def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> Points:
-    """Axes that look distally, averaged over the neighbourhood, with the horizon level where that is possible."""
+    """Return axes that look distally, averaged along the airway, with a level horizon if possible."""
     tangents = np.gradient(points, axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1), 1e-12)[:, None]
     distal = np.where((mm < apex_mm)[:, None], -tangents, tangents)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(distal, axis=0)])
     step = mm[1] - mm[0]
     numbers = np.arange(len(mm))
-    # Narrower towards the ends, so that it stays centred: a key frame there looks as the airway runs.
+    # The window is narrower towards the ends, so that it stays centred.
     reach = np.minimum(np.minimum(numbers, numbers[::-1]), max(int(LOOK_MM / step), 0))
     looks = sums[numbers + reach + 1] - sums[numbers - reach]
     norms = np.linalg.norm(looks, axis=1)
-    # Two airways never leave a fork in opposite directions; broken points might.
+    # Two airways never leave a fork in opposite directions; defective points might.
     looks = np.where((norms > 1e-9)[:, None], looks / np.maximum(norms, 1e-12)[:, None], distal)
     return _with_ups(np.asarray(looks, dtype=np.float64))
 
 
 def _with_ups(looks: Points) -> Points:
-    """Axes for viewing directions: level where all of them are well away from the anterior axis, else not twisting."""
+    """Return axes for viewing directions: level if all of them are far from the anterior axis, else untwisted."""
     level = bool((np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
     frames = np.empty((len(looks), 3, 3))
     up = upright(looks[0])
     for n, look in enumerate(looks):
-        # Carried on without a twist; where it is level, taken anew.
+        # The up direction is transported without twist; where the horizon is level, it is computed anew.
         up = upright(look) if level else up - float(up @ look) * look
         up = up / np.linalg.norm(up)
         frames[n] = np.column_stack([np.cross(-up, look), -up, look])
@@ -266,10 +286,10 @@ def _with_ups(looks: Points) -> Points:
 
 
 def _turned_level(a: Points, b: Points, share: float) -> Points:
-    """Between two rotations: the gaze on the great circle, what they roll against the horizon shared out evenly.
+    """Interpolate two rotations: the gaze on the great circle, the roll against the horizon in proportion.
 
-    Where the gaze passes too near to the anterior axis for a horizon, and where it turns right back, the shortest turn
-    (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+    If the gaze passes too near to the anterior axis for a horizon, or turns back by 180 degrees, the result is the
+    shortest rotation (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
     """
     axis = np.cross(a[:, 2], b[:, 2])
     sine, cosine = float(np.linalg.norm(axis)), float(a[:, 2] @ b[:, 2])
@@ -287,7 +307,7 @@ def _turned_level(a: Points, b: Points, share: float) -> Points:
 
 
 def _roll(rotation: Points) -> float:
-    """How far it is rolled from the horizon."""
+    """Return the roll angle against the horizon."""
     level = _with_ups(rotation[:, 2][None])[0].T @ rotation
     return math.atan2(float(level[1, 0]), float(level[0, 0]))
 

@@ -1,7 +1,7 @@
-"""All that can move the tip, as values: commands (:mod:`carina.commands`), and what only a pilot knows.
+"""Moves of the tip as values: commands (:mod:`carina.commands`), and moves that only a pilot creates.
 
-One kind of value for every source makes one owner of the pose possible, and recordings: a session's moves, fed to a
-:class:`carina.navigate.Pilot` again, give its poses again.
+Every source of movement uses the same kind of value. So one object owns the pose, and a recording of a session's moves
+gives the same poses when a :class:`carina.navigate.Pilot` applies the moves again.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ Sixteen = tuple[float, ...]
 
 
 class PilotMove(FrozenValue, frozen=True, tag_field="move", tag=True):
-    """A move that nobody asks a case for by itself: it follows from a command, from a device or from the clock."""
+    """Move that is not a command: it follows from a command, from a device or from the clock."""
 
 
 class PathWay(FrozenValue, frozen=True):
-    """A way on from a fork: an id of the giver's, and where it leads (unit vector, LPS)."""
+    """Branch that leads on from a fork: an ID that the caller assigns, and the direction (unit vector, LPS)."""
 
     way_id: int
     dir_lps: Vec3
 
 
 class PathFork(FrozenValue, frozen=True):
-    """A fork of the path: its place, the ways on from it, and which of them the path takes."""
+    """Fork of the path: its position, the branches that lead on from it, and the branch that the path takes."""
 
     path_mm: float
     ways: tuple[PathWay, ...]
@@ -73,7 +73,7 @@ class PathFork(FrozenValue, frozen=True):
 
 
 class SetPath(PilotMove, frozen=True):
-    """Another path to fly on, as the arguments of :class:`carina.navigate.FlightPath`; no points mean none."""
+    """Replace the path to fly on, by the arguments of :class:`carina.navigate.FlightPath`; no points mean no path."""
 
     points_lps: tuple[Vec3, ...]
     up_lps: Vec3 | None = None
@@ -84,7 +84,7 @@ class SetPath(PilotMove, frozen=True):
 
 
 class DeviceSaid(PilotMove, frozen=True):
-    """A sample of a device, and when it arrived (s, monotonic)."""
+    """Sample of a device, and its time of arrival (s, monotonic)."""
 
     device: str
     sample: Sample
@@ -92,15 +92,16 @@ class DeviceSaid(PilotMove, frozen=True):
 
 
 class Frame(PilotMove, frozen=True):
-    """Time for the tip to follow the newest sample (s, monotonic)."""
+    """Frame at which the tip follows the latest sample (s, monotonic)."""
 
     now_s: float
 
 
 class Register(PilotMove, frozen=True, tag="Calibrate"):
-    """Where a tracker's space lies in the patient, 16 numbers row by row; none forgets it.
+    """Registration of a tracker to the patient, 16 numbers row by row; an empty value removes it.
 
-    The result of :class:`carina.commands.Calibrate`, whose fit may differ in the last bits on another machine.
+    The registration is the result of :class:`carina.commands.Calibrate`, whose fit may differ in the last bits on
+    another machine.
     """
 
     device: str
@@ -108,18 +109,18 @@ class Register(PilotMove, frozen=True, tag="Calibrate"):
 
 
 class LayScope(PilotMove, frozen=True, tag="SetScope"):
-    """Lay a scope in the lumen along a path and hold it (mode *scope*); the pilot knows the wall.
+    """Insert a scope into the lumen along a path and enter mode *scope*; the pilot has the wall.
 
     Parameters
     ----------
     scope
         Name in the library.
     points_lps
-        From where the scope enters to beyond its tip, LPS mm.
+        Path from the scope's entry to beyond its tip, LPS mm.
     insertion_mm
-        Where the tip should be, in mm of the points.
+        Requested position of the tip, in mm along the points.
     up_lps
-        Where flexion up leads to at roll 0; anterior unless told.
+        Direction of upward flexion at roll 0; default anterior.
     """
 
     scope: str
@@ -161,21 +162,23 @@ def _name(cls: type[Any]) -> str:
     return "PlaceAt" if cls is Place else cls.__name__
 
 
-# What a recording calls each move: a word that files have does not change with the name of a class.
+# Names of the moves in recordings, which stay the same if a class is renamed.
 NAMES: dict[type[Any], str] = {cls: _name(cls) for cls in get_args(Move)}
 MOVES = {name: cls for cls, name in NAMES.items()}
 FILTER = ("min_cutoff_hz", "beta_per_mm", "beta_per_rad", "derivative_cutoff_hz")
 
 
 def move_to_json(move: Move, dt_s: float = 0.0) -> dict[str, Any]:
-    """The move as a recording keeps it. Floats keep every bit: JSON's shortest digits read back as the same number.
+    """Return a move as stored in a recording.
+
+    Floats keep every bit: JSON's shortest digits are read back as the same number.
 
     Parameters
     ----------
     move
-        What was applied.
+        Move that was applied.
     dt_s
-        Time since the hand moved before, kept with :class:`carina.commands.Steer`.
+        Time since the last move of the hand, stored with :class:`carina.commands.Steer`.
     """
     fields = msgspec.to_builtins(move, enc_hook=as_plain)
     if isinstance(move, Command):
@@ -191,12 +194,12 @@ def move_to_json(move: Move, dt_s: float = 0.0) -> dict[str, Any]:
 
 
 def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
-    """The move again, and the time since the hand moved before (s).
+    """Return the move of a recording, and the time since the last move of the hand (s).
 
     Raises
     ------
     UsageError
-        ``navigate.recording``: if it is none.
+        ``navigate.recording``: if the value is not a move.
     """
     fields = dict(value)
     name, dt_s = fields.pop("move", None), 0.0
@@ -207,7 +210,7 @@ def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
         if cls is Steer:
             dt_s = float(fields.pop("dt_s"))
         elif cls is ArmPen:
-            # Which point its button marks moves nothing.
+            # Which kind of point the button marks does not affect the movement.
             fields["tool"] = "target" if fields.pop("armed") else None
         elif cls is SetControls:
             controls = dict(fields["controls"])

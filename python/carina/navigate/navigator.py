@@ -1,4 +1,4 @@
-"""Who owns the pose of the tip: free movement, movement along a path, and the step between the two."""
+"""Navigator: the pose of the scope's tip in free movement, along a path, or as a scope in the lumen."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ Mode = Literal["free", "path", "scope"]
 OperatorPosition = Literal["head", "facing"]
 Limit = Literal["none", "volume", "path start", "path end"]
 
-# A tip this near to the path joins it without a jump, easing over; the trachea's radius is some 9 mm. Farther off,
-# easing over would fly through tissue.
+# Largest distance from the path at which the tip joins it without a jump and converges on it. The trachea's radius is
+# some 9 mm; from farther away the transition would pass through tissue.
 JOIN_MM = 10.0
 MM = bounded(COORDINATE_MM, unit="mm")
 RAD = bounded(1e6, unit="rad")
@@ -41,35 +41,38 @@ AN_OPERATOR = choice("head", "facing")
 A_POSE = instance(Pose, "get one from a carina.FlightPath or from carina.Pose.looking")
 A_PATH = instance(FlightPath, "create a carina.FlightPath from a route", optional=True)
 A_VOLUME = instance(Volume, "open a volume with carina.open_volume", optional=True)
-# Easing per mm of advance: at most 4 degrees and half a millimetre, and exponentially over the last stretch.
+# Decrease of the offset per mm of advance: at most 4 degrees and half a millimetre, exponential for small offsets.
 EASE_RAD_PER_MM = math.radians(4.0)
 EASE_MM_PER_MM = 0.5
 EASE_LENGTH_MM = 8.0
 
 
 class Navigator:
-    """The tip of the scope and how it moves. Pure: amounts are passed in, no clock is read.
+    """Pose of the scope's tip, and the rules by which it moves.
+
+    A navigator reads no clock: every amount is an argument.
 
     In mode *free* the tip advances along its viewing direction and turns about its own axes; it stays in the volume. In
-    mode *path* it advances along the path; turning is a free look around that leaves the way alone.
+    mode *path* it advances along the path; turning changes only the direction of view, not the path.
 
-    In mode *scope* a bronchoscope is held by the lumen: advancing inserts it, pitching bends its tip, and rolling or
-    yawing rolls it, since its tip bends in one plane only (paper 7; :class:`carina.scopes.ScopeDrive`). Up is the
-    picture's up, whichever way the operator's position turns it; levers are the instrument's (:meth:`hold_scope`).
+    In mode *scope* the lumen's wall constrains a bronchoscope: advancing inserts it, pitching bends its tip, and
+    rolling or yawing rolls it, since its tip bends in one plane only (paper 7; :class:`carina.scopes.ScopeDrive`). For
+    :meth:`steer`, up is the picture's up, whatever the operator's position; for :meth:`hold_scope`, up is the
+    instrument's.
 
-    Leaving the path keeps the pose exactly. Entering it within 10 mm keeps the pose too, and what is off the path
-    (position and direction) eases over while the tip advances, so the picture never jumps. From farther off the tip
-    goes to the nearest place of the path and looks along it.
+    Leaving the path keeps the pose exactly. Entering the path within 10 mm also keeps the pose; the offset in position
+    and direction then decreases while the tip advances, so the picture never jumps. From farther away the tip moves to
+    the nearest position on the path and looks along it.
 
     Parameters
     ----------
     pose
-        Where the tip is at first.
+        Initial pose of the tip.
     volume
-        Keeps the tip in its box (half a voxel beyond the outer centres) in mode *free*; None sets no limit.
+        Volume whose box (half a voxel beyond the outer centres) limits the tip in mode *free*; None sets no limit.
     operator
-        ``"head"``: anterior at 12 o'clock. ``"facing"``: the picture is turned by 180 degrees. Only says what
-        :meth:`set_operator` and :meth:`level_horizon` start from; ``pose`` is taken as it is.
+        ``"head"``: anterior at 12 o'clock. ``"facing"``: the picture is turned by 180 degrees. The value is only the
+        initial state of :meth:`set_operator` and :meth:`level_horizon`; ``pose`` is not changed.
 
     Examples
     --------
@@ -87,7 +90,7 @@ class Navigator:
         self._limit: Limit = "none"
         self._path: FlightPath | None = None
         self._path_mm = 0.0
-        # In mode path: pose = frame(path_mm) * base roll * entry * look, and the position is off the path by `shift`.
+        # In mode path: pose = frame(path_mm) * base roll * entry * look, and the position is offset by `shift`.
         self._base_roll_rad = 0.0
         self._entry = np.eye(3)
         self._look = np.eye(3)
@@ -97,69 +100,71 @@ class Navigator:
         self.place(pose)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         at = ", ".join(f"{v:.1f}" for v in self._pose.position_lps)
         along = f", path_mm={self._path_mm:.1f}" if self._mode == "path" else ""
         return f"Navigator(mode={self._mode!r}, at_lps=({at}){along}, operator={self._operator!r})"
 
-    # What a view, a slider and a status line need to know.
+    # State that views, sliders and the status line read.
 
     @property
     def pose(self) -> Pose:
-        """Where the tip is and looks."""
+        """Pose of the tip."""
         return self._pose
 
     @property
     def mode(self) -> Mode:
-        """``"free"``, ``"path"`` or ``"scope"``."""
+        """Mode: ``"free"``, ``"path"`` or ``"scope"``."""
         return self._mode
 
     @property
     def operator(self) -> OperatorPosition:
-        """Where the operator stands."""
+        """Position of the operator."""
         return self._operator
 
     @property
     def path(self) -> FlightPath | None:
-        """The path to fly on, if any; it may be set in either mode."""
+        """Path to fly on, or None; it may be set in any mode."""
         return self._path
 
     @property
     def path_mm(self) -> float | None:
-        """Place on the path in mode *path*, else None."""
+        """Position along the path in mode *path*, mm, else None."""
         return self._path_mm if self._mode == "path" else None
 
     @property
     def look_offset_rad(self) -> tuple[float, float, float]:
-        """The free look away from the path: yaw to the right, pitch up, roll clockwise; zeros in mode *free*."""
+        """View direction relative to the path: yaw to the right, pitch up, roll clockwise; zeros in mode *free*."""
         r = self._look
         pitch = math.asin(max(-1.0, min(1.0, -float(r[1, 2]))))
         return math.atan2(r[0, 2], r[2, 2]), pitch, math.atan2(r[1, 0], r[1, 1])
 
     @property
     def limit(self) -> Limit:
-        """What held back the last movement: the volume's edge, an end of the path, or nothing."""
+        """Limit that stopped the last movement: the volume's edge, an end of the path, or nothing."""
         return self._limit
 
     @property
     def scope_state(self) -> ScopeState | None:
-        """The scope in the lumen, in mode *scope*."""
+        """State of the scope in the lumen, in mode *scope*, else None."""
         return self._drive.state if self._mode == "scope" and self._drive is not None else None
 
     @property
     def scope_tip_mm(self) -> float | None:
-        """Diameter of the scope's tip, in mode *scope*."""
+        """Diameter of the scope's tip in mm, in mode *scope*, else None."""
         return self._drive.scope.tip_mm if self._mode == "scope" and self._drive is not None else None
 
     @property
     def flexion_range_rad(self) -> tuple[float, float] | None:
-        """Stops of the lever, down (below 0) and up, in mode *scope*."""
+        """Flexion limits of the lever in mode *scope*, down (below 0) and up, else None."""
         return self._drive.flexion_range_rad if self._mode == "scope" and self._drive is not None else None
 
     @property
     def picture_turned(self) -> bool:
-        """The picture is turned against the instrument, for an operator who faces the patient.
+        """Whether the picture is turned by 180 degrees, for an operator who faces the patient.
 
-        In every mode, so that a lens that looks up from its shaft sees the same when a scope is laid or let go.
+        The value does not depend on the mode, so a forward-oblique lens shows the same before and after a change of
+        mode.
         """
         return self._operator == "facing"
 
@@ -180,12 +185,13 @@ class Navigator:
         Parameters
         ----------
         advance_mm
-            Forward, or back where negative: along the viewing direction (*free*) or along the path (*path*).
+            Distance forward, or back if negative: along the viewing direction (*free*), along the path (*path*), or as
+            insertion (*scope*).
         yaw_rad, pitch_rad, roll_rad
-            Right, up, and clockwise as the operator sees it, about the camera's own axes. In mode *path* they add to
-            the free look, which stays until :meth:`reset_look`.
+            Right, up, and clockwise as the operator sees it, about the camera's own axes. In mode *path* they change
+            the direction of view relative to the path, which stays until :meth:`reset_look`.
         dt_s
-            Since the move before; mode *scope* counts the time of contact with it.
+            Time since the last move; mode *scope* adds it to the time of contact.
 
         Raises
         ------
@@ -209,14 +215,16 @@ class Navigator:
 
     @check_arguments(offset_mm=array_of(3), turn=array_of(3, 3, largest=2.0), dt_s=SECONDS)
     def move_by(self, offset_mm: tuple[float, float, float], turn: NDArray[np.float64], *, dt_s: float = 0.0) -> None:
-        """Move and turn at once, as a rigid hand does.
+        """Translate and rotate the tip at once, as a rigid hand movement does.
 
         Parameters
         ----------
         offset_mm
-            To the right, down and forward, in the camera's axes before the turn. In mode *path* only forward counts.
+            To the right, down and forward, in the camera's axes before the rotation. In mode *path* only forward has an
+            effect.
         turn
-            3x3 rotation about the camera's own axes; in mode *path* it adds to the free look.
+            3x3 rotation about the camera's own axes; in mode *path* it changes the direction of view relative to the
+            path.
         dt_s
             As in :meth:`steer`.
 
@@ -241,13 +249,16 @@ class Navigator:
 
     @check_arguments(insertion_mm=MM, roll_rad=RAD, flexion_rad=RAD, dt_s=SECONDS)
     def hold_scope(self, insertion_mm: float, roll_rad: float, flexion_rad: float, *, dt_s: float = 0.0) -> None:
-        """Set the scope's three controls; mode *scope* only. See :meth:`carina.scopes.ScopeDrive.drive`."""
+        """Set the scope's three controls, in mode *scope* only; see :meth:`carina.scopes.ScopeDrive.drive`."""
         drive = self._needed_drive()
         self._pose = drive.drive(insertion_mm, roll_rad, flexion_rad, max(dt_s, 0.0)).pose
 
     @check_arguments(drive=instance(ScopeDrive, "create a carina.ScopeDrive"))
     def enter_scope(self, drive: ScopeDrive) -> None:
-        """Hold a scope that lies in the lumen; the tip is where its tip is, seen as the operator stands."""
+        """Enter mode *scope* with a scope that lies in the lumen; the navigator's tip becomes the scope's tip.
+
+        The scope's picture is turned for the position of the operator.
+        """
         drive.set_operator(self._operator)
         self._drive = drive
         self._mode, self._limit = "scope", "none"
@@ -256,9 +267,9 @@ class Navigator:
 
     @check_arguments(path_mm=MM)
     def go_to(self, path_mm: float) -> None:
-        """Go to a place of the path, clamped to its ends; enters mode *path*.
+        """Go to a position along the path (mm, clamped to its ends) and enter mode *path*.
 
-        From modes *free* and *scope* the tip then looks along the path; in mode *path* a free look is kept.
+        From modes *free* and *scope* the tip then looks along the path; in mode *path* the direction of view is kept.
         """
         if not math.isfinite(path_mm):
             raise UsageError(f"a position on the path must be finite; found {path_mm}")
@@ -268,18 +279,21 @@ class Navigator:
         self._advance_on_path(path_mm)
 
     def next_fork(self) -> float:
-        """Go to the next fork of the path, or to its end; returns the place in mm."""
+        """Go to the next fork of the path, or to its end; return the position in mm."""
         self.go_to(self._needed_path().next_fork_mm(self._nearest_mm()))
         return self._path_mm
 
     def previous_fork(self) -> float:
-        """Go back to the last fork of the path, or to its start; returns the place in mm."""
+        """Go back to the last fork of the path, or to its start; return the position in mm."""
         self.go_to(self._needed_path().previous_fork_mm(self._nearest_mm()))
         return self._path_mm
 
     @check_arguments(pose=A_POSE)
     def place(self, pose: Pose) -> None:
-        """Put the tip anywhere in the volume; enters mode *free*. Outside it is held at the edge (:attr:`limit`)."""
+        """Put the tip anywhere in the volume and enter mode *free*.
+
+        Outside, the tip stops at the edge (:attr:`limit`).
+        """
         self._mode = "free"
         self._look = np.eye(3)
         self._entry = np.eye(3)
@@ -292,7 +306,7 @@ class Navigator:
 
     @check_arguments(point_lps=numbers_within())
     def place_at(self, point_lps: Sequence[float] | NDArray[np.float64]) -> None:
-        """Move the tip to a point and keep where it looks; enters mode *free*."""
+        """Move the tip to a point (LPS mm), keep its direction of view, and enter mode *free*."""
         point = np.asarray(point_lps, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
             raise UsageError("a tip position needs three finite numbers (LPS mm)")
@@ -304,7 +318,10 @@ class Navigator:
 
     @check_arguments(path=A_PATH)
     def set_path(self, path: FlightPath | None) -> None:
-        """Take another path to fly on. In mode *path* the tip joins it where it is nearest; without one it is free."""
+        """Set the path to fly on, or None.
+
+        In mode *path* the tip joins the new path at the nearest position; with None it enters mode *free*.
+        """
         self._path = path
         if self._mode == "path":
             self._mode = "free"
@@ -320,7 +337,7 @@ class Navigator:
         Raises
         ------
         UsageError
-            If the mode is unknown, or *path* is wanted and there is no path.
+            If the mode is unknown, or *path* is requested and there is no path.
         """
         if mode not in {"free", "path", "scope"}:
             raise UsageError(f"expected mode 'free', 'path' or 'scope'; found {mode!r}")
@@ -336,34 +353,34 @@ class Navigator:
             self._look = np.eye(3)
 
     def toggle_mode(self) -> Mode:
-        """Change to the other mode; returns it."""
+        """Change between the modes *free* and *path*; return the new mode."""
         self.set_mode("free" if self._mode == "path" else "path")
         return self._mode
 
     # Orientation.
 
     def reset_look(self) -> None:
-        """Look along the path again; in mode *free* there is nothing to reset."""
+        """Look along the path again; no effect in mode *free*."""
         if self._mode == "path":
             self._look = np.eye(3)
             self._entry = np.eye(3)
             self._follow()
 
     def level_horizon(self) -> None:
-        """Roll until anterior (superior, where the view is antero-posterior) is up; down for an operator who faces."""
+        """Roll until anterior (superior in an antero-posterior view) is up, or down for a facing operator."""
         level = upright(self._pose.forward_lps)
         if self._operator == "facing":
             level = -level
         rotation = self._pose.lps_from_camera[:3, :3]
         # In mode scope the whole instrument is rolled.
-        # Level is at a right angle to the view; the camera's own up is -y.
+        # The level direction is perpendicular to the view; the camera's own up is -y.
         self._roll(math.atan2(float(level @ rotation[:, 0]), float(level @ -rotation[:, 1])))
 
     @check_arguments(position=AN_OPERATOR)
     def set_operator(self, position: OperatorPosition) -> None:
-        """Stand at the patient's head or face the patient: the picture turns by 180 degrees.
+        """Set the operator's position, at the patient's head or facing the patient: the picture turns by 180 degrees.
 
-        In mode *scope* too it is only the picture: a roll of the instrument would swing a bent tip to the other wall.
+        Mode *scope* also turns only the picture: a roll of the instrument would move a bent tip to the opposite wall.
         """
         if _checked_operator(position) == self._operator:
             return
@@ -373,10 +390,10 @@ class Navigator:
         else:
             self._roll(math.pi)
 
-    # All of it, for recordings.
+    # State for recordings.
 
     def state(self) -> dict[str, Any]:
-        """Everything but volume, path and scope, as JSON values that keep every bit; a scope has to be laid again."""
+        """Return the state without volume, path and scope, as exact JSON values; a scope must be inserted again."""
         return {
             "operator": self._operator,
             "mode": "free" if self._mode == "scope" else self._mode,
@@ -390,12 +407,12 @@ class Navigator:
 
     @check_arguments(state=instance(dict, "take one from Navigator.state"), path=A_PATH)
     def restore(self, state: dict[str, Any], path: FlightPath | None) -> None:
-        """Be as at :meth:`state`.
+        """Restore a state from :meth:`state`.
 
         Raises
         ------
         UsageError
-            If it is no such state.
+            If ``state`` is not such a state.
         """
         try:
             arrays = {name: np.array(state[name], dtype=np.float64) for name in ("entry", "look", "shift_lps")}
@@ -419,10 +436,10 @@ class Navigator:
         self._limit = "none"
         self._pose = pose
 
-    # Inside.
+    # Private methods.
 
     def _roll(self, angle_rad: float) -> None:
-        """Roll the picture clockwise about its middle, in mode *path* for the whole path."""
+        """Roll the picture clockwise about its centre, in mode *path* for the whole path."""
         if self._mode == "scope":
             self._drive_by(0.0, angle_rad, 0.0, 0.0)
             return
@@ -431,7 +448,7 @@ class Navigator:
             self._set_pose(orthonormal(self._pose.lps_from_camera[:3, :3] @ roll), self._pose.position_lps)
             return
         # frame * base * entry * look * roll = frame * (base * roll) * (roll^T entry roll) * (roll^T look roll): the
-        # roll stays along the path, and the offsets keep what they do to the picture.
+        # roll stays along the path, and the offsets keep their effect on the picture.
         self._base_roll_rad = math.remainder(self._base_roll_rad + angle_rad, math.tau)
         self._entry = roll.T @ self._entry @ roll
         self._look = roll.T @ self._look @ roll
@@ -443,7 +460,11 @@ class Navigator:
         return self._drive
 
     def _drive_by(self, advance_mm: float, roll_rad: float, pitch_rad: float, dt_s: float) -> None:
-        """From where the scope is, not from what was asked for: a hand that pushed at a wall has not to draw back."""
+        """Move the scope by amounts relative to its present state.
+
+        The amounts are not added to the last commanded values, so a hand that pushed against a wall need not first draw
+        back.
+        """
         drive = self._needed_drive()
         state = drive.state
         down, up = drive.flexion_range_rad
@@ -459,7 +480,7 @@ class Navigator:
         return self._path
 
     def _nearest_mm(self) -> float:
-        """Place on the path now, or nearest to the free tip."""
+        """Return the position along the path, or the one nearest to the tip outside mode *path*, mm."""
         if self._mode == "path":
             return self._path_mm
         return self._needed_path().nearest_mm(self._pose.position_lps)
@@ -483,7 +504,7 @@ class Navigator:
         on_path = self._needed_path().pose_at(path_mm).lps_from_camera
         self._entry = orthonormal((on_path[:3, :3] @ self._base()).T @ before[:3, :3])
         self._shift_lps = before[:3, 3] - on_path[:3, 3]
-        # The pose is left as it is, to the last bit: what the offsets give differs by rounding.
+        # The pose is not computed again from the offsets, because rounding would change it.
 
     def _advance_on_path(self, path_mm: float) -> None:
         length_mm = self._needed_path().length_mm
@@ -500,7 +521,7 @@ class Navigator:
         return rotation_from_vector(np.array([0.0, 0.0, self._base_roll_rad]))
 
     def _follow(self) -> None:
-        """Set the pose from the place on the path and the offsets."""
+        """Set the pose from the position along the path and the offsets."""
         on_path = self._needed_path().pose_at(self._path_mm).lps_from_camera
         rotation = orthonormal(on_path[:3, :3] @ self._base() @ self._entry @ self._look)
         self._set_pose(rotation, on_path[:3, 3] + self._shift_lps)
@@ -517,7 +538,7 @@ class Navigator:
         self._set_pose(rotation, at)
 
     def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Return the volume's box in voxel coordinates, a little smaller: rounding must not put the tip outside."""
+        """Return the volume's box in voxel coordinates, reduced by more than rounding errors."""
         if self._volume is None:
             return None
         nz, ny, nx = self._volume.shape_zyx
@@ -525,7 +546,7 @@ class Navigator:
         return np.full(3, -0.5 + hair), np.array([nx, ny, nz]) - 0.5 - hair
 
     def _clamped(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the point, or the nearest voxel coordinate in the box."""
+        """Return the point, or the nearest point of the volume's box, LPS mm."""
         box = self._box()
         if box is None or self._volume is None:
             return point_lps
@@ -536,7 +557,7 @@ class Navigator:
     def _held_inside(
         self, start_lps: NDArray[np.float64], end_lps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], bool]:
-        """Return the end of a move, cut where it leaves the box: the tip does not slide along the face."""
+        """Return the end of a move, cut where the move leaves the box; the tip does not slide along the face."""
         box = self._box()
         if box is None or self._volume is None:
             return end_lps, False
@@ -553,10 +574,10 @@ class Navigator:
 
 
 def eased(amount: float, moved_mm: float, rate_per_mm: float) -> float:
-    """Return the share of an offset that is left after an advance.
+    """Return the fraction of an offset that remains after an advance.
 
-    It shrinks by ``rate_per_mm``, and exponentially once that is slower. A closed form, so that ten steps of 1 mm do
-    the same as one of 10 mm.
+    The offset decreases by ``rate_per_mm``, and exponentially once that is slower. The formula is closed, so ten steps
+    of 1 mm give the same result as one of 10 mm.
     """
     if amount == 0.0 or moved_mm == 0.0:
         return 1.0

@@ -1,4 +1,4 @@
-"""The one-euro filter: steady while the hand rests, quick while it moves."""
+"""One-euro filter: strong smoothing while the hand rests, short delay while it moves."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from carina.navigate.samples import HandleSample, PoseSample, Sample
 
 __all__ = ["SampleFilter", "filter_latency_ms"]
 
-# A gap longer than this is a new beginning, not a movement.
+# After a longer gap the filter starts again.
 MAX_GAP_S = 0.25
-# What a radian of roll, and half the lever's way, count for beside a shaft's mm: movements of the hand of one size.
+# Weight of a radian of roll and of half the lever's range, in mm of shaft, so that hand movements have similar size.
 HANDLE_MM = 50.0
 
 
 def filter_latency_ms(controls: DeviceControls) -> float:
-    """What the filter delays at rest, the most that it ever does.
+    """Return the filter's delay at rest in ms, which is its largest delay.
 
     A low-pass of cut-off frequency fc delays slow movements by 1 / (2 pi fc), and by less while the hand moves, since
     fc grows with speed.
@@ -35,12 +35,14 @@ def filter_latency_ms(controls: DeviceControls) -> float:
 
 
 class SampleFilter:
-    """The filter of one device: position and orientation of a pen, the controls of a handle. Sticks pass as they are.
+    """One-euro filter of one device: position and orientation of a pen, or the controls of a handle.
+
+    Samples of sticks are not changed.
 
     Parameters
     ----------
     settings
-        Its cut-off frequencies and betas; without ``filter_on`` samples are handed on as they are.
+        Cut-off frequencies and betas of the device; without ``filter_on`` samples are not changed.
 
     Raises
     ------
@@ -64,15 +66,16 @@ class SampleFilter:
         self._latency_s = 0.0
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"SampleFilter({self._settings!r})"
 
     @property
     def latency_ms(self) -> float:
-        """The delay of the last sample: the longer of that of position and orientation."""
+        """Delay of the last sample in ms: the longer of the delays of position and orientation."""
         return 1000.0 * self._latency_s
 
     def apply(self, sample: Sample) -> Sample:
-        """The smoothed sample; the first one, and the first after a gap, is handed on as it is."""
+        """Return the smoothed sample; the first sample, and the first after a gap, is returned unchanged."""
         last, self._last = self._last, sample
         values = _values(sample)
         if not self._settings.filter_on or values is None:
@@ -95,7 +98,7 @@ class SampleFilter:
         if len(values) == 0:
             return 0.0
         s = self._settings
-        # Of the samples themselves: against what is kept, the lag would count as speed.
+        # Speed of the raw samples: relative to the smoothed values, the lag would count as speed.
         speed, self._raw = (values - self._raw) / passed_s, values
         self._speed = self._speed + _share(s.derivative_cutoff_hz, passed_s) * (speed - self._speed)
         cutoff_hz = s.min_cutoff_hz + s.beta_per_mm * float(np.linalg.norm(self._speed))
@@ -108,7 +111,7 @@ class SampleFilter:
         self._turning = self._turning + _share(s.derivative_cutoff_hz, passed_s) * (turning - self._turning)
         away = vector_from_rotation(self._turn.T @ turn)
         cutoff_hz = s.min_cutoff_hz + s.beta_per_rad * float(np.linalg.norm(self._turning))
-        # A part of the rotation between both: the same as slerp.
+        # A fraction of the rotation between both orientations, which equals slerp.
         self._turn = self._turn @ rotation_from_vector(_share(cutoff_hz, passed_s) * away)
         return _time_constant_s(cutoff_hz)
 
@@ -126,7 +129,7 @@ class SampleFilter:
 
 
 def _values(sample: Sample) -> NDArray[np.float64] | None:
-    """What is smoothed as numbers, in mm; None for sticks, whose speeds are integrated and so smoothed anyway."""
+    """Return the smoothed quantities as numbers, in mm; None for sticks, whose integrated speeds are smooth already."""
     match sample:
         case PoseSample():
             return np.zeros(0) if sample.position_mm is None else np.array(sample.position_mm, dtype=np.float64)
@@ -141,5 +144,5 @@ def _time_constant_s(cutoff_hz: float) -> float:
 
 
 def _share(cutoff_hz: float, passed_s: float) -> float:
-    """Of the way to the new value: the exponential smoother whose delay is the time constant exactly."""
+    """Return the weight of the new value: exponential smoothing whose delay equals the time constant."""
     return 1.0 / (1.0 + _time_constant_s(cutoff_hz) / passed_s)

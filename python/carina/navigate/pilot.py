@@ -1,4 +1,4 @@
-"""The one owner of the pose: every move of the tip, by hand, key, device or program, goes through here."""
+"""Pilot: the single owner of the tip's pose, which applies every move by hand, key, device or program."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ __all__ = ["CLUTCH_BUTTON", "CYCLE_BUTTON", "DeviceState", "PenState", "Pilot"]
 
 CYCLE_BUTTON = 0
 CLUTCH_BUTTON = 1
-# A stick that said nothing for so long is not being held any more; nor is it after a pause of the program.
+# Time without samples after which a stick counts as released, also after a pause of the program.
 STALE_S = 0.25
 MAX_FRAME_S = 0.1
-# Another way than the route's is taken only where it is meant: nearer to the direction held by this angle.
+# A branch other than the route's is chosen only if it is nearer to the aim by this angle.
 FORK_MARGIN_RAD = math.radians(10.0)
-# A turn of the hand counts as this movement when an offset is eased away: the length of a pen.
+# Hand movement in mm that a radian of rotation counts for when an offset decreases: the length of a pen.
 HAND_MM_PER_RAD = 100.0
 MM3 = NDArray[np.float64]
 Tool = Literal["root", "start", "target"]
@@ -48,12 +48,12 @@ Tool = Literal["root", "start", "target"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class DeviceState:
-    """What is shown of a device."""
+    """State of a device, for display."""
 
     device: str
     holds: bool
     sample: Sample | None
-    """The newest, filtered."""
+    """Latest sample, filtered."""
     latency_ms: float
     num_used: int
     num_ignored: dict[str, int]
@@ -64,51 +64,54 @@ class DeviceState:
 @one_line
 @dataclass(frozen=True, slots=True)
 class PenState:
-    """The tracked pen that moves the tip, and the point that its button marks."""
+    """State of the tracked pen that moves the tip, and the point that its button marks."""
 
     device: str
     is_tracked: bool
-    """It tells its position, not only how it is turned."""
+    """Whether the pen reports its position, not only its orientation."""
     lps: tuple[float, float, float] | None
-    """Its own tip in the patient; None unless its tracker is registered."""
+    """Tip of the pen in the patient, LPS mm; None unless its tracker is registered."""
     off_mm: float | None
-    """In *absolute*: how far the scope's tip still is from it."""
+    """In *absolute*: remaining distance between the scope's tip and the pen, mm."""
     off_rad: float | None
-    """And by how much it is still turned against it."""
+    """In *absolute*: remaining angle between the scope's tip and the pen."""
     is_armed: bool
-    """Its first button marks that point."""
+    """Whether the pen's first button marks the point."""
 
 
 @dataclass(slots=True)
 class _Device:
     filter: SampleFilter
     measured: Sample | None = None
-    """The newest as it was measured."""
+    """Latest sample as measured."""
     newest: Sample | None = None
-    """The same, filtered."""
+    """Latest sample, filtered."""
     arrived_s: float = -math.inf
     buttons: int = 0
     registration: Registration | None = None
 
 
 class Pilot:
-    """Applies moves to a :class:`Navigator`; devices by way of gate, filter and mapper. Pure: no clock is read.
+    """Object that applies moves to a :class:`Navigator`; device samples pass a gate, a filter and a mapping.
 
-    A device's samples come as they come (:class:`moves.DeviceSaid`); the tip follows the newest one when a frame is due
-    (:class:`moves.Frame`). So a device that floods costs no pictures, and one that stalls stops none.
+    A pilot reads no clock: times are arguments. Samples of devices may arrive at any time (:class:`moves.DeviceSaid`);
+    the tip follows the latest sample when a frame is due (:class:`moves.Frame`). So a device with a high sample rate
+    does not slow the pictures, and a device that stalls does not stop them.
 
-    Three ways to move by a device (paper 3.2), cycled by button 0 or :class:`carina.commands.CycleControl`:
+    A device can control the tip in three ways (paper 3.2), cycled by button 0 or :class:`carina.commands.CycleControl`:
 
-    *absolute*: the pen's place in the patient, by the registration of its tracker. *relative*: what the hand does, the
-    tip does, times a gain, from where it is; a clutch lets the hand go back. *path*: forward along the path, the turns
-    a free look; at a fork the way nearest to where the tip looks (a stick: is held) is asked for.
+    *absolute*: the tip follows the pen's position in the patient, by the registration of its tracker. *relative*: the
+    tip repeats the hand's movement, times a gain, from its present pose; a clutch lets the hand return without moving
+    the tip. *path*: forward moves along the path, rotations change the direction of view; at a fork the branch nearest
+    to the direction of view (for a stick: to the deflection) is requested.
 
-    No change of them moves the picture: what the pen is off by in *absolute* eases over while the hand moves.
+    A change of control does not move the picture: in *absolute* the offset between tip and pen decreases while the hand
+    moves.
 
     Parameters
     ----------
     navigator
-        What is moved. Nobody else should move it.
+        Navigator to move. No other object should move it.
 
     Examples
     --------
@@ -121,11 +124,11 @@ class Pilot:
     def __init__(self, navigator: Navigator) -> None:
         self.navigator = navigator
         self.on_move: Callable[[m.Move, float], None] | None = None
-        """Told of every move after it was applied, and of the time since the one before (s), for recordings."""
+        """Function that receives every applied move and the time since the hand's last move (s), for recordings."""
         self.wall: WallField | None = None
-        """What holds a scope in the lumen."""
+        """Wall that constrains a scope in the lumen."""
         self.wall_made_from: dict[str, Any] | None = None
-        """What a replay makes that wall from again, as JSON values; kept with each scope that is laid."""
+        """JSON values from which a replay computes the same wall; recorded with each inserted scope."""
         self._gate = SampleGate()
         self._devices: dict[str, _Device] = {}
         self._controls = DeviceControls()
@@ -137,50 +140,52 @@ class Pilot:
         self._marks: list[tuple[str, Tool]] = []
         self._frame_s: float | None = None
         self._passed_s = 0.0
-        # What the tip followed in the last frame; None begins anew, so that nothing jumps.
+        # The sample that the tip followed in the last frame; after None the tip starts from the next sample without a
+        # jump.
         self._followed: tuple[str, Sample] | None = None
         # In absolute: pose = registered pen * turn, shifted.
         self._off_turn = np.eye(3)
         self._off_lps: MM3 = np.zeros(3)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         held = "" if self.holder is None else f", held by {as_words(self.holder)}"
         return f"Pilot({self.navigator!r}{held})"
 
-    # ------------------------------------------------------------ what others read
+    # ------------------------------------------------------------ state for other parts
 
     @property
     def control(self) -> Control:
-        """How a device moves the tip now."""
+        """Control: how a device moves the tip now."""
         mode = self.navigator.mode
-        # A scope goes where the wall lets it: no pen says its place.
+        # The wall constrains a scope, so a pen cannot set its position (no *absolute*).
         return "path" if mode == "path" else "relative" if mode == "scope" else self._free
 
     @property
     def controls(self) -> DeviceControls:
-        """Gains, clutch, speeds, filter."""
+        """Settings of devices: gains, clutch, speeds, filter."""
         return self._controls
 
     @property
     def holder(self) -> str | None:
-        """The device that moves the tip."""
+        """Name of the device that moves the tip, or None."""
         return self._gate.holder
 
     @property
     def scope_flexion_range_rad(self) -> tuple[float, float] | None:
-        """The stops of the lever of the scope in the lumen."""
+        """Flexion limits of the scope in the lumen, down (below 0) and up, or None."""
         return self.navigator.flexion_range_rad
 
     @property
     def is_moving(self) -> bool:
-        """Whether frames move the tip without another sample: a stick is held."""
+        """Whether frames move the tip without another sample, as while a stick is deflected."""
         newest = self._newest()
         if isinstance(newest, PoseSample):
             return newest.advance != 0.0
         return isinstance(newest, AxesSample) and any(abs(v) > 0.0 for v in newest.axes)
 
     def devices(self) -> tuple[DeviceState, ...]:
-        """All devices that said something."""
+        """State of all devices that have sent samples."""
         return tuple(
             DeviceState(
                 name,
@@ -196,16 +201,17 @@ class Pilot:
         )
 
     def pen_pose(self, device: str) -> Pose | None:
-        """Where a registered pen is in the patient; None without registration or position."""
+        """Return the pose of a registered pen in the patient; None without registration or position."""
         known = self._devices.get(device)
         if known is None or known.registration is None or not isinstance(known.newest, PoseSample):
             return None
         return None if known.newest.position_mm is None else self._registered(known.registration, known.newest)
 
     def pen_lps(self, device: str) -> NDArray[np.float64] | None:
-        """Where the tip of a registered pen was measured last, (3,) in LPS mm; None without registration or position.
+        """Return the last measured tip of a registered pen, (3,) LPS mm; None without registration or position.
 
-        As measured, not as filtered: the filter follows a moving hand late, and this is the point that a person shows.
+        The position is the measured one, not the filtered one: the filter lags behind a moving hand, and the user
+        points with the pen's real tip.
         """
         known = self._devices.get(device)
         if known is None or known.registration is None or not isinstance(known.measured, PoseSample):
@@ -215,7 +221,7 @@ class Pilot:
         return self._registered(known.registration, known.measured).position_lps
 
     def pen(self) -> PenState | None:
-        """The pen that moves the tip; None while nothing does, or a stick or a handle."""
+        """Return the state of the pen that moves the tip; None if no device, a stick or a handle moves the tip."""
         holder = self._gate.holder
         device = None if holder is None else self._devices.get(holder)
         if holder is None or device is None or not isinstance(device.measured, PoseSample):
@@ -232,23 +238,23 @@ class Pilot:
         return PenState(holder, is_tracked, place, off_mm, off_rad, self._pen_tool is not None)
 
     def take_message(self, now_s: float) -> str | None:
-        """One sentence about samples that were ignored, now and then."""
+        """Return one sentence about samples that were ignored, at most one in ten seconds, or None."""
         return self._gate.take_message(now_s)
 
     def take_wanted_way(self) -> int | None:
-        """The way that the device asked for at a fork the tip has reached; once."""
+        """Return the branch that the device requested at a fork that the tip has reached, and clear the request."""
         wanted, self._wanted_way = self._wanted_way, None
         return wanted
 
     def take_marks(self) -> tuple[tuple[str, Tool], ...]:
-        """Since the last call: the devices whose first button was pressed while a pen was armed, and what it sets."""
+        """Return the presses of an armed pen's first button since the last call: device, and kind of point."""
         marks, self._marks = tuple(self._marks), []
         return marks
 
     # ------------------------------------------------------------ recordings
 
     def forget_devices(self) -> None:
-        """As if every device were plugged in anew; registrations stay, and nothing moves."""
+        """Remove every device as if it were connected anew; registrations stay, and the tip does not move."""
         self._gate = SampleGate()
         kept = {name: device.registration for name, device in self._devices.items() if device.registration is not None}
         self._devices = {}
@@ -257,7 +263,7 @@ class Pilot:
         self._followed = self._frame_s = self._wanted_way = None
 
     def setting_up(self) -> list[m.Move]:
-        """The moves that bring a new pilot where this one is, but for the tip and what devices said."""
+        """Return the moves that give a new pilot this pilot's state, without the tip's pose and device samples."""
         registered = [
             m.Register(name, tuple(float(v) for v in device.registration.lps_from_tracker.ravel()))
             for name, device in self._devices.items()
@@ -271,26 +277,26 @@ class Pilot:
     # ------------------------------------------------------------ moves
 
     def apply(self, move: m.Move, *, dt_s: float = 0.0) -> None:
-        """Do it.
+        """Apply a move.
 
         Parameters
         ----------
         move
-            What is asked for.
+            Move to apply.
         dt_s
-            Since the hand steered before, for the time of contact in mode *scope*.
+            Time since the last move of the hand, which counts as time of contact in mode *scope*.
 
         Raises
         ------
         UsageError
-            If a number is not finite, or it cannot be done (no path, no registration). Then nothing moved.
+            If a number is not finite, or the move is impossible (no path, no registration). Then the tip has not moved.
         """
         self._do(move, dt_s)
         if self.on_move is not None:
             self.on_move(move, dt_s)
 
     def set_registration(self, device: str, registration: Registration) -> None:
-        """As :class:`moves.Register`, keeping the residuals."""
+        """Apply :class:`moves.Register` and keep the residuals of the registration."""
         numbers = tuple(float(v) for v in registration.lps_from_tracker.ravel())
         self.apply(m.Register(device, numbers))
         self._device(device).registration = registration
@@ -332,7 +338,7 @@ class Pilot:
                 if move.device in self._devices:
                     kept = self._devices.pop(move.device).registration
                     if kept is not None:
-                        # A tracker that is plugged in again stands where it stood.
+                        # The registration of a tracker stays valid after the tracker was disconnected.
                         self._device(move.device).registration = kept
             case c.TakeDevice():
                 self._gate.take(move.device)
@@ -363,7 +369,7 @@ class Pilot:
             case _:
                 assert_never(move)
         if not isinstance(move, m.Frame | m.DeviceSaid | c.ArmPen | c.JoinPen):
-            # Whatever else moved the tip: the hand goes on from there.
+            # Another move changed the tip, so the hand's movement continues from the new pose.
             self._followed = None
 
     def _lay_scope(self, move: m.LayScope) -> None:
@@ -379,7 +385,7 @@ class Pilot:
 
     def _device(self, name: str) -> _Device:
         if name not in self._devices and len(self._devices) >= MAX_DEVICES:
-            # Those that the gate forgot go here as well; a registration is kept.
+            # Devices that the gate has removed are removed here too, unless they have a registration.
             lost = [d for d, kept in self._devices.items() if kept.registration is None and not self._gate.knows(d)]
             for other in lost:
                 del self._devices[other]
@@ -449,14 +455,14 @@ class Pilot:
                 code="navigate.not-absolute",
             )
         device = self._devices[holder]
-        # To the pen as it was measured: what the filter still lags behind is left out, too.
+        # The tip moves to the measured pen, so the filter starts again without its lag.
         assert device.measured is not None
         device.filter = SampleFilter(self._controls)
         device.newest = newest = device.filter.apply(device.measured)
         pen = self.pen_pose(holder)
         assert pen is not None
         self.navigator.place(pen)
-        # What the hand does from this sample on, the tip does: nothing is left to ease over.
+        # From this sample on the tip repeats the hand's movement exactly, so there is no offset to decrease.
         self._off_turn, self._off_lps = np.eye(3), np.zeros(3)
         self._followed = (holder, newest)
 
@@ -476,7 +482,8 @@ class Pilot:
         newest = device.newest
         last = self._followed[1] if self._followed is not None and self._followed[0] == holder else None
         if last is not None and not 0.0 <= newest.time_s - last.time_s <= MAX_GAP_S:
-            # A handle that started again counts from elsewhere; after a gap the hand is elsewhere. Neither moved.
+            # A restarted handle counts from another origin, and after a gap the hand is elsewhere: neither is a
+            # movement.
             last = None
         self._followed = (holder, newest)
         match newest:
@@ -505,7 +512,7 @@ class Pilot:
         self._move_by(
             np.array([right * mm, -up * mm, forward * mm]),
             yaw_pitch_roll(yaw * rad, pitch * rad, roll * rad),
-            # A stick says the way itself: full to the side is 45 degrees from ahead.
+            # The deflection of a stick gives the aim at a fork: full deflection is 45 degrees from straight ahead.
             np.array([yaw + right, -(pitch + up), 0.0]),
         )
 
@@ -520,7 +527,7 @@ class Pilot:
     def _follow_handle(self, sample: HandleSample, last: HandleSample) -> None:
         state = self.navigator.scope_state
         if state is not None and self.scope_flexion_range_rad is not None:
-            # The handle mimics the scope's: its lever says the flexion itself.
+            # The handle mimics the scope's, so its lever sets the flexion directly.
             self.navigator.hold_scope(
                 state.insertion_mm + sample.insertion_mm - last.insertion_mm,
                 state.roll_rad + sample.roll_rad - last.roll_rad,
@@ -540,7 +547,7 @@ class Pilot:
             tip = self.navigator.pose.lps_from_camera
             self._off_turn = orthonormal(pen[:3, :3].T @ tip[:3, :3])
             self._off_lps = tip[:3, 3] - pen[:3, 3]
-            # The tip stays where it is, to the last bit, until the hand moves.
+            # The pose does not change by any rounding until the hand moves.
             return
         before = rotation_from_wxyz(last.orientation_wxyz)
         turned = float(np.linalg.norm(vector_from_rotation(before.T @ rotation_from_wxyz(sample.orientation_wxyz))))
@@ -563,7 +570,10 @@ class Pilot:
         return Pose(matrix)
 
     def _move_by(self, offset_mm: MM3, turn: NDArray[np.float64], held: MM3) -> None:
-        """Move in the camera's axes; on the path up to a fork where another way is meant. ``held``: a stick's aim."""
+        """Move in the camera's axes; stop at a fork of the path where another branch is aimed at.
+
+        ``held`` is the deflection of a stick, added to the direction of view.
+        """
         tip = self.navigator
         if tip.mode == "path" and offset_mm[2] > 0.0 and tip.path_mm is not None:
             here_mm, there_mm = tip.path_mm, tip.path_mm + float(offset_mm[2])

@@ -1,7 +1,8 @@
-"""Recordings of a session's flight: every move that reached the pilot, with its time, and the pose that it gave.
+"""Recordings of a session's flight: every move that the pilot applied, its time, and the resulting pose.
 
-A file of lines (JSON): first a header, then one line for each move, pose that changed, and change of the views; last an
-end. Poses are there to compare with: a replay feeds the moves to a pilot again, through gate, filter and mapper.
+A recording is a text file with one JSON value per line: a header, then one line for each move, each changed pose and
+each change of the views, then an end. Poses serve for comparison: a replay applies the moves to a new pilot with its
+gate, filter and mapping.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ __all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording"
 FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
 MAX_LINE = 64 << 20
+"""Longest line in characters: a path of a million points."""
 MAX_LENGTH_S = 1e7
-"""Longest recording: four months."""
-"""Of characters: a path of a million points."""
+"""Longest recording in seconds: four months."""
 
 
 def case_key(volume: Volume) -> dict[str, Any]:
-    """Return what identifies a volume: its grid and a digest of its numbers; nothing about the patient."""
+    """Return the identification of a volume: its grid and a digest of its values; nothing about the patient."""
     digest = hashlib.blake2b(digest_size=16)
     digest.update(np.ascontiguousarray(volume.lps_from_ijk, dtype="<f8").tobytes())
     for slab in volume.hu_zyx:
@@ -47,32 +48,33 @@ def case_key(volume: Volume) -> dict[str, Any]:
 
 
 class Recorder:
-    """Writes what a pilot does until it is closed.
+    """Writer of a recording of a pilot's moves, until it is closed.
 
-    Devices are forgotten when it begins (as if they were plugged in anew, without a jump), since a replay begins with
-    none.
+    The pilot removes its devices when the recording starts (as if they were connected anew, without a jump), since a
+    replay starts without devices.
 
     Parameters
     ----------
     pilot
-        Whose moves; its ``on_move`` is taken.
+        Pilot to record; the recorder sets its ``on_move``.
     file
-        Open for writing text; closed by :meth:`close`.
+        Text file, open for writing; closed by :meth:`close`.
     case
         :func:`case_key` of the volume.
     carina
-        The version that records.
+        Version of Carina that records.
     now_s
-        The clock of the moves, at the beginning.
+        Time at the start, of the clock of the moves.
     view
-        How the airway view is shown, as JSON values.
+        Display settings of the airway view, as JSON values.
     on_end
-        Told once if the file cannot be written any more: the recording has ended there, and the flight goes on.
+        Function that is called once if the file cannot be written any more; the recording then ends, the flight
+        continues.
 
     Raises
     ------
     OSError
-        If not even the beginning can be written; the file is closed then.
+        If the start cannot be written; the file is then closed.
     """
 
     def __init__(
@@ -89,7 +91,7 @@ class Recorder:
         self._pilot, self._file, self._began_s = pilot, file, now_s
         self._on_end: Callable[[OSError], None] | None = None
         self.trouble: OSError | None = None
-        """Why the recording ended before it was closed."""
+        """Error that ended the recording before it was closed, or None."""
         self._pose: Pose | None = None
         self._view: dict[str, Any] = {}
         self._at_s = now_s
@@ -108,7 +110,7 @@ class Recorder:
         self.note_view(view, now_s)
         if self.trouble is None:
             try:
-                # A full disk is said now, and not when the buffer is.
+                # Flush now, so that a full disk is reported at the start.
                 file.flush()
             except OSError as trouble:
                 self._end(trouble)
@@ -118,12 +120,13 @@ class Recorder:
         pilot.on_move = self._moved
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         ended = "" if self.trouble is None else ", ended early"
         return f"Recorder({self.length_s:.1f} s, {self.num_moves} moves, {self.num_poses} poses{ended})"
 
     @property
     def length_s(self) -> float:
-        """Seconds recorded."""
+        """Length of the recording, s."""
         return self._at_s - self._began_s
 
     def note_view(self, view: dict[str, Any], now_s: float) -> None:
@@ -137,7 +140,7 @@ class Recorder:
         self._at_s = max(self._at_s, now_s)
 
     def close(self) -> None:
-        """Write the end and close the file; a file that cannot be written is told of, and raises nothing."""
+        """Write the end and close the file; a write error is passed to ``on_end`` and not raised."""
         self._pilot.on_move = None
         self._write({"end": self._time(self._at_s), "num_moves": self.num_moves, "num_poses": self.num_poses})
         if self.trouble is None:
@@ -153,7 +156,7 @@ class Recorder:
             line: dict[str, Any] = {"t": self._time(self._at_s), "move": m.move_to_json(move, dt_s)}
             json.dumps(line, allow_nan=False)
         except ValueError:
-            return  # a sample with NaN, which the gate refused: it moves nothing
+            return  # A sample with NaN was rejected by the gate, so it moves nothing.
         if isinstance(move, m.LayScope) and self._pilot.wall_made_from is not None:
             line["wall"] = self._pilot.wall_made_from
         pose = self._pilot.navigator.pose
@@ -176,7 +179,7 @@ class Recorder:
             self._end(trouble)
 
     def _end(self, trouble: OSError) -> None:
-        """Whoever moves the tip must not hear of a full disk."""
+        """End the recording after a write error, without an exception in the code that moves the tip."""
         self.trouble = trouble
         self._pilot.on_move = None
         with contextlib.suppress(OSError):
@@ -187,7 +190,7 @@ class Recorder:
 
 @dataclass(frozen=True, slots=True)
 class ReplayedPose:
-    """A moment of a replay: seconds from the beginning, the pose, and how the view was shown."""
+    """Moment of a replay: seconds from the start, pose, and display settings of the view."""
 
     time_s: float
     pose: Pose
@@ -199,16 +202,16 @@ class ReplayedPose:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A recording that was read: what it was made with, and its lines.
+    """Recording that was read from a file: header and lines.
 
     Parameters
     ----------
     header
-        The first line.
+        First line of the file.
     lines
-        The others, checked to have a time.
+        Other lines, each with a checked time.
     complete
-        False where the end is missing: the program was stopped while it recorded.
+        False if the end is missing because the program was stopped during the recording.
     """
 
     header: dict[str, Any]
@@ -217,11 +220,11 @@ class Recording:
 
     @property
     def length_s(self) -> float:
-        """Seconds from the first to the last moment."""
+        """Time from the first to the last moment, s."""
         return max((float(line.get("t", line.get("end", 0.0))) for line in self.lines), default=0.0)
 
     def check(self, volume: Volume, *, carina: str) -> None:
-        """Refuse another case or version.
+        """Raise an error if the recording belongs to another case or version of Carina.
 
         Raises
         ------
@@ -244,21 +247,21 @@ class Recording:
 
     @property
     def needs_wall(self) -> bool:
-        """Whether a scope was held in the lumen, so that a replay needs the wall."""
+        """Whether the recording contains a scope in the lumen, whose replay needs the wall."""
         return any(line.get("move", {}).get("move") == "SetScope" for line in self.lines)
 
     def recorded_poses(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """When the tip was where, as it was recorded: without a replay, so of any version of Carina.
+        """Return the recorded poses and their times, without a replay, so from any version of Carina.
 
         Returns
         -------
         tuple
-            (n,) seconds from the beginning, ascending, the first 0; and (n, 4, 4) ``lps_from_camera``, mm.
+            (n,) seconds from the start, ascending, the first 0; and (n, 4, 4) ``lps_from_camera``, mm.
 
         Raises
         ------
         VolumeImportError
-            ``navigate.recording``: if a pose is none.
+            ``navigate.recording``: if a recorded pose is invalid.
         """
         try:
             moments = [(0.0, self.header["tip"]["lps_from_camera"])]
@@ -275,20 +278,21 @@ class Recording:
     def replay(
         self, volume: Volume, *, wall: WallField | Callable[[dict[str, Any]], WallField] | None = None
     ) -> Iterator[tuple[ReplayedPose, bool]]:
-        """Fly it again: every pose that the moves give, and whether it equals the recorded one bit for bit.
+        """Apply the recorded moves again; yield every pose, and whether it equals the recorded pose bit for bit.
 
         Parameters
         ----------
         volume
-            The case's.
+            Volume of the case.
         wall
-            What held the scope, where there was one (:attr:`needs_wall`); or what makes it from what the recording
-            keeps of the airways (``digest``, ``root_lps``, ``lumen_threshold``, ``edits``), whenever a scope is laid.
+            Wall that constrains a scope (:attr:`needs_wall`); or a function that computes the wall for each inserted
+            scope from the recorded description of the airways (``digest``, ``root_lps``, ``lumen_threshold``,
+            ``edits``).
 
         Raises
         ------
         VolumeImportError
-            ``navigate.recording``: if a line holds no move.
+            ``navigate.recording``: if a line contains no valid move.
         """
         try:
             pilot = Pilot(Navigator(Pose(np.asarray(self.header["tip"]["lps_from_camera"])), volume=volume))
@@ -319,12 +323,12 @@ class Recording:
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Read a recording. One that was cut off by a crash is read as far as it goes.
+    """Read a recording; one that a crash has cut off is read up to its last complete line.
 
     Raises
     ------
     VolumeImportError
-        ``navigate.recording``: if it is none, of another version of the format, or too large.
+        ``navigate.recording``: if the file is not a recording, has another version of the format, or is too large.
     """
     place = Path(path)
     try:
@@ -333,7 +337,7 @@ def open_recording(path: str | Path) -> Recording:
         with open_regular_text(place) as file:
             return read_recording(file, place)
     except VolumeImportError:
-        raise  # it is an OSError as well
+        raise  # VolumeImportError is an OSError too, and must not be replaced.
     except OSError as trouble:
         raise _refused(place, trouble.strerror or "it cannot be read") from trouble
     except UnicodeDecodeError as trouble:
@@ -341,7 +345,7 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
-    """Read a recording from an open text; ``place`` is what messages call it.
+    """Read a recording from an open text file; messages name it by ``place``.
 
     Raises
     ------
@@ -362,7 +366,7 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
         line = _object(text)
         if line is None:
             if file.read(1) == "" and not text.endswith("\n"):
-                break  # the last line of a recording that was cut off
+                break  # The last line is incomplete, because the recording was cut off.
             raise _refused(place, f"line {len(lines) + 2} is not a JSON object")
         at_s = line.get("end", line.get("t"))
         if not isinstance(at_s, int | float) or not last_s <= at_s <= MAX_LENGTH_S:
@@ -390,7 +394,7 @@ def _refused(place: Path, why: str) -> VolumeImportError:
 
 
 def sampled(moments: list[ReplayedPose], times_s: NDArray[np.float64]) -> list[ReplayedPose]:
-    """Return the moment that was shown at each time: the newest that is not later."""
+    """Return the moment that was displayed at each time: the latest that is not later."""
     known = np.array([moment.time_s for moment in moments])
     places = np.maximum(np.searchsorted(known, times_s, side="right") - 1, 0)
     return [moments[int(n)] for n in places]

@@ -1,4 +1,4 @@
-"""Where a tracker's space lies in the patient: from pairs of points."""
+"""Registration of a tracker's space to the patient from pairs of points."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from carina.errors import UsageError
 __all__ = ["Registration", "as_registration", "fit_registration"]
 
 MIN_PAIRS = 3
-# Points on one line leave the turn about it open: the second-widest spread must be some millimetres.
+# Points on one line leave the rotation about the line undefined, so their second-largest spread must exceed this.
 MIN_SPREAD_MM = 2.0
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """A rigid map from tracker space to the patient.
+    """Rigid transform from tracker space to the patient (LPS).
 
     Parameters
     ----------
     lps_from_tracker
         (4, 4), rigid, mm.
     residuals_mm
-        What each pair is off by; empty where the map was set without pairs.
+        Residual distance of each pair; empty if the transform was set without pairs.
     """
 
     lps_from_tracker: NDArray[np.float64]
@@ -36,19 +36,19 @@ class Registration:
 
     @property
     def rms_mm(self) -> float | None:
-        """Root of the mean square of the residuals: the fiducial registration error."""
+        """Root mean square of the residuals, mm: the fiducial registration error."""
         return float(np.sqrt(np.mean(np.square(self.residuals_mm)))) if self.residuals_mm else None
 
 
 def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registration:
-    """The rigid map that brings points in tracker space nearest to the same points in the patient.
+    """Fit the rigid transform that brings points in tracker space nearest to the same points in the patient.
 
     Parameters
     ----------
     tracker_mm
-        ``(n, 3)``, n at least 3, where the pen was held.
+        ``(n, 3)``, n at least 3: positions of the pen in tracker space, mm.
     patient_lps
-        ``(n, 3)``, LPS mm, what it was held at, in the same order.
+        ``(n, 3)``, LPS mm: the points that the pen touched, in the same order.
 
     Raises
     ------
@@ -93,12 +93,12 @@ def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registrat
 
 
 def as_registration(matrix: Sequence[float]) -> Registration:
-    """The map of 16 numbers, row by row.
+    """Return the registration of a matrix of 16 numbers, row by row.
 
     Raises
     ------
     UsageError
-        ``navigate.registration``: if it is not rigid.
+        ``navigate.registration``: if the matrix is not rigid.
     """
     m = np.asarray(matrix, dtype=np.float64)
     if m.shape != (16,) or not np.isfinite(m).all():

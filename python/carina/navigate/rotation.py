@@ -19,7 +19,7 @@ __all__ = [
 
 
 def rotation_from_vector(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation about a vector by its length in radians (Rodrigues), 3x3."""
+    """Return the 3x3 rotation about a vector by its length in radians (Rodrigues)."""
     angle = float(np.linalg.norm(vector_rad))
     if angle < 1e-12:
         # sin(a)/a = 1 - a^2/6: below 1e-12 the first order is exact in float64.
@@ -29,10 +29,10 @@ def rotation_from_vector(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation vector of a 3x3 rotation, at most pi long.
+    """Return the rotation vector of a 3x3 rotation, at most pi long.
 
-    By way of the quaternion, from its largest component (Shepperd 1978), so that nothing is divided by a small number:
-    neither near no turn nor near half a turn, where the skew part of the matrix vanishes.
+    The function uses the largest component of the quaternion (Shepperd 1978), so it divides by no small number near
+    rotations of 0 or pi, where the skew part of the matrix vanishes.
     """
     r = rotation
     trace = float(np.trace(r))
@@ -59,9 +59,9 @@ def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float) -> NDArray[np.float64]:
-    """A turn of the tip: yaw to the right, then pitch up, then roll clockwise as the operator sees it, 3x3.
+    """Return the 3x3 rotation of the tip: yaw right, then pitch up, then roll clockwise as the operator sees it.
 
-    Columns of a pose multiplied by it from the right are turned about the camera's own axes.
+    Multiply the columns of a pose by this matrix from the right to rotate them about the camera's own axes.
     """
     return (
         rotation_from_vector(np.array([0.0, yaw_rad, 0.0]))
@@ -71,7 +71,7 @@ def yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float) -> NDArray
 
 
 def orthonormal(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The axes made square again, forward kept: rounding of many small turns adds up."""
+    """Return the axes made orthonormal, with the forward axis kept: rounding of many small rotations accumulates."""
     forward = rotation[:, 2] / np.linalg.norm(rotation[:, 2])
     down = rotation[:, 1] - float(rotation[:, 1] @ forward) * forward
     down = down / np.linalg.norm(down)
@@ -83,7 +83,7 @@ def _cross_matrix(v: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def rotation_from_wxyz(wxyz: Sequence[float]) -> NDArray[np.float64]:
-    """The 3x3 rotation of a quaternion of unit length."""
+    """Return the 3x3 rotation of a quaternion of unit length."""
     w, x, y, z = wxyz
     return np.array(
         [
@@ -95,7 +95,7 @@ def rotation_from_wxyz(wxyz: Sequence[float]) -> NDArray[np.float64]:
 
 
 def wxyz_from_rotation(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """The quaternion of a 3x3 rotation, unit length, w not negative."""
+    """Return the quaternion of a 3x3 rotation, of unit length and w not negative."""
     vector = vector_from_rotation(rotation)
     angle = float(np.linalg.norm(vector))
     # sin(a/2)/a = 1/2 to first order.

@@ -1,4 +1,4 @@
-"""What an input device says, and which of it is let through to the tip of the scope."""
+"""Samples of input devices, and the gate that decides which samples move the scope's tip."""
 
 from __future__ import annotations
 
@@ -31,39 +31,39 @@ Refusal = Literal[
 MAX_MM = 1e5
 MAX_BUTTONS = 32
 MAX_DEVICES = 64
-"""That are told apart at once; nobody has so many, but names come from outside."""
+"""Limit of devices that are tracked at once; device names come from outside, so their number must be bounded."""
 MAX_NAMED = 3
 OTHERS = "other devices"
-# A finger's tremor and a stick's rest: below it a stick is let go.
+# Deflection below which a stick counts as released: tremor of a finger and offset of a stick.
 REST = 1e-3
 
 
 class DeviceSample(FrozenValue, frozen=True, tag_field="kind"):
-    """What a device says at a moment.
+    """Sample of an input device at a moment.
 
     Parameters
     ----------
     time_s
-        The device's clock, or the moment of arrival where it has none; monotonic.
+        Time of the device's clock, or the time of arrival if it has none; monotonic.
     """
 
     time_s: float
 
 
 class PoseSample(DeviceSample, frozen=True, tag="pose"):
-    """Where a tracked pen is, in the tracker's own space.
+    """Pose of a tracked pen, in the tracker's own space.
 
     Parameters
     ----------
     position_mm
-        mm in tracker space; None for a device that knows only how it is turned (a phone).
+        mm in tracker space; None for a device that knows only its orientation (a phone).
     orientation_wxyz
         ``tracker_from_pen``, wxyz, any length but 0. The pen's axes are the camera's: +x right, +y down, +z forward.
     buttons
         Bit n is button n.
     advance
-        How far its forward key or stick is pushed, -1 (back) to 1 of full speed; of devices that cannot be carried
-        along an airway, such as a phone.
+        Deflection of the forward key or stick, -1 (back) to 1 of full speed, of devices that cannot be moved along an
+        airway, such as a phone.
     """
 
     position_mm: Vec3 | None
@@ -73,7 +73,7 @@ class PoseSample(DeviceSample, frozen=True, tag="pose"):
 
 
 class AxesSample(DeviceSample, frozen=True, tag="axes"):
-    """How far sticks and caps are pushed.
+    """Deflections of sticks and caps.
 
     Parameters
     ----------
@@ -88,16 +88,16 @@ class AxesSample(DeviceSample, frozen=True, tag="axes"):
 
 
 class HandleSample(DeviceSample, frozen=True, tag="handle"):
-    """The three controls of a scope handle (``docs/scope-handle.md``).
+    """Controls of a scope handle (``docs/scope-handle.md``).
 
     Parameters
     ----------
     insertion_mm
-        How far the shaft is in, from an origin of the device's own.
+        Insertion of the shaft from the device's own origin.
     roll_rad
         Clockwise as the operator sees it.
     lever
-        -1 to 1 of its way; 1 is fully down, which bends the tip up.
+        -1 to 1 of its range; 1 is fully down, which bends the tip up.
     buttons
         Bit n is button n.
     """
@@ -122,7 +122,7 @@ def _numbers(sample: Sample) -> tuple[float, ...]:
 
 
 def _checked(sample: Sample) -> Sample | Refusal:
-    """The sample with a quaternion of unit length, or why it cannot be used."""
+    """Return the sample with a quaternion of unit length, or the reason why it is invalid."""
     if not all(math.isfinite(v) for v in _numbers(sample)):
         return "non-finite numbers"
     if not 0 <= sample.buttons < 1 << MAX_BUTTONS:
@@ -133,7 +133,7 @@ def _checked(sample: Sample) -> Sample | Refusal:
                 return "numbers out of range"
             if abs(sample.advance) > 1.0 + REST:
                 return "numbers out of range"
-            # Largest first: squares of 1e200 are not finite, and of 1e-200 vanish.
+            # Division by the largest component first: squares of 1e200 overflow, and squares of 1e-200 vanish.
             largest = max(abs(v) for v in sample.orientation_wxyz)
             if largest < 1e-6:
                 return "an orientation of length 0"
@@ -156,33 +156,34 @@ def _at_rest(sample: Sample) -> bool:
 
 @dataclass(slots=True)
 class _Seen:
-    """What the gate knows of one device."""
+    """State of one device in the gate."""
 
     last_s: float | None = None
-    """Device clock of the last sample let through."""
+    """Device clock of the last admitted sample."""
     backwards_since_s: float | None = None
     arrived_s: float = -math.inf
     rests: bool = True
-    """Whether the last sample let through asked for nothing."""
+    """Whether the last admitted sample requested no movement."""
     num_used: int = 0
     ignored: Counter[Refusal] = field(default_factory=Counter)
 
 
 class SampleGate:
-    """Lets through samples that are numbers, in order, not too many, and of one device at a time.
+    """Gate that admits valid samples in order, at a limited rate, and from one device at a time.
 
-    Bad samples are ignored and counted; about all of them together there is one message in ten seconds at most. Pure:
-    the moment of arrival is passed in.
+    Invalid samples are ignored and counted; one message in ten seconds at most reports all of them. The gate reads no
+    clock: the time of arrival is an argument.
 
     Parameters
     ----------
     min_interval_s
-        Samples nearer in time to the last one used are too many: at 2,000 a second each next one says nothing new.
+        Shortest time between two admitted samples; a sample that follows sooner is ignored. At 2,000 samples a
+        second the next sample adds no information.
     silence_s
-        A device that was silent for so long lets go of the scope, and its place to another one where all
-        :data:`MAX_DEVICES` are taken; a clock that is behind for so long has been set back.
+        Time without samples after which a device no longer holds the scope, after which another device may replace it
+        if all :data:`MAX_DEVICES` places are taken, and after which a clock that runs behind counts as set back.
     message_every_s
-        The least time between two messages.
+        Shortest time between two messages.
     """
 
     def __init__(
@@ -197,25 +198,26 @@ class SampleGate:
         self._unsaid: Counter[tuple[str, Refusal]] = Counter()
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         held = "free" if self._holder is None else f"held by {as_words(self._holder)}"
         return f"SampleGate({len(self._seen)} devices, {held})"
 
     @property
     def holder(self) -> str | None:
-        """The device whose samples move the tip."""
+        """Name of the device whose samples move the tip, or None."""
         return self._holder
 
     def admit(self, device: str, sample: Sample, now_s: float) -> Sample | None:
-        """The sample as it may be used (its quaternion of unit length), or None where it is ignored.
+        """Return the sample in valid form (its quaternion of unit length), or None if the sample is ignored.
 
         Parameters
         ----------
         device
-            Any name that tells devices apart.
+            Name that identifies the device.
         sample
-            What it says.
+            Sample of the device.
         now_s
-            When it arrived, monotonic.
+            Time of arrival, monotonic.
         """
         holder = self._holder
         if holder is not None and self._seen[holder].arrived_s == math.inf:
@@ -243,23 +245,26 @@ class SampleGate:
         return checked
 
     def take(self, device: str) -> None:
-        """Give the scope to a device, whoever holds it; if it stays silent, for as long as any other holds it."""
+        """Make a device the holder of the scope.
+
+        If the device stays silent, it keeps the scope as long as any other holder would.
+        """
         if device not in self._seen:
             self._make_room(math.inf)
             self._seen[device] = _Seen()
         before = self._holder
         if before is not None and self._seen[before].arrived_s == math.inf:
-            self._seen[before].arrived_s = -math.inf  # it said nothing
+            self._seen[before].arrived_s = -math.inf  # The previous device has sent no sample.
         self._holder = device
-        # Of now, which the next sample says, be it another device's: a move that is recorded holds no time of its own.
+        # The arrival time is set by the next sample of any device: a recorded move contains no time of its own.
         self._seen[device].arrived_s = math.inf
 
     def knows(self, device: str) -> bool:
-        """Whether the device is one of those told apart."""
+        """Return whether the gate tracks the device."""
         return device in self._seen
 
     def gone(self, device: str) -> None:
-        """A device was unplugged; it may come back with any clock."""
+        """Reset the state of a disconnected device, which may return with any clock, and release the scope from it."""
         seen = self._seen.get(device)
         if seen is not None:
             seen.last_s = seen.backwards_since_s = None
@@ -268,15 +273,15 @@ class SampleGate:
             self._holder = None
 
     def num_used(self, device: str) -> int:
-        """Samples of a device that were let through."""
+        """Return the number of admitted samples of a device."""
         return self._seen[device].num_used if device in self._seen else 0
 
     def num_ignored(self, device: str) -> dict[Refusal, int]:
-        """Samples of a device that were ignored, by reason."""
+        """Return the number of ignored samples of a device, by reason."""
         return dict(self._seen[device].ignored) if device in self._seen else {}
 
     def take_message(self, now_s: float) -> str | None:
-        """One sentence about all that was ignored since the last one, or None."""
+        """Return one sentence about all samples that were ignored since the last message, or None."""
         if not self._unsaid or now_s - self._message_s < self._message_every_s:
             return None
         self._message_s = now_s
@@ -292,13 +297,13 @@ class SampleGate:
         return f"{total} {samples} from {devices} {were} ignored: {', '.join(words)}"
 
     def _note(self, device: str, why: Refusal) -> None:
-        # Devices may come and go many times between two messages.
+        # The number of entries is bounded, because devices can come and go many times between two messages.
         if (device, why) not in self._unsaid and len(self._unsaid) >= MAX_DEVICES:
             device = OTHERS
         self._unsaid[device, why] += 1
 
     def _make_room(self, now_s: float) -> bool:
-        """For one more device: the one that was silent the longest goes, if it is silent at all."""
+        """Remove the device that was silent the longest, if any was silent, to free a place for another."""
         if len(self._seen) < MAX_DEVICES:
             return True
         longest = min((d for d in self._seen if d != self._holder), key=lambda d: self._seen[d].arrived_s)
@@ -315,11 +320,11 @@ class SampleGate:
                     seen.backwards_since_s = now_s
                 if now_s - seen.backwards_since_s < self._silence_s:
                     return "timestamps that run backwards"
-            # A stick that is let go says so once: it must not fly on. What follows it as fast is too much again.
+            # The first sample of a released stick is admitted at any rate, or the tip would fly on.
             elif passed_s < self._min_interval_s and (seen.rests or not _at_rest(sample)):
                 return "too many samples"
         holder = self._holder
         if holder is not None and holder != device and now_s - self._seen[holder].arrived_s < self._silence_s:
-            # A stick that is let go asks for nothing.
+            # A released stick requests no movement, so its sample is admitted.
             return None if _at_rest(sample) else "another device is moving the scope"
         return None

@@ -1,4 +1,4 @@
-"""Casting the airway view: the table of a scene, the caster that can run now, the picture."""
+"""Caster of the airway view: transfer table of a scene, choice of the casting method, picture."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from carina.volume import Volume
 
 __all__ = ["AirwayCaster"]
 
-# Tables kept: one for each step in use, of the present transfer function.
+# Limit of cached transfer tables: one for each ray step of the present transfer function.
 TABLES_IN_MEMORY = 8
 
 
 class AirwayCaster:
-    """Casts the airway view of one volume, in any thread."""
+    """Caster of the airway view of one volume; any thread may use it."""
 
     def __init__(self, volume: Volume, *, simd: str | None = None, backend: Backend | None = None) -> None:
         self._volume = volume
@@ -48,13 +48,13 @@ class AirwayCaster:
         rows: tuple[int, int] | None = None,
         stop: _core.CancelToken | None = None,
     ) -> Picture:
-        """The picture, or the rows ``rows[0]`` to ``rows[1]`` of it."""
+        """Return the picture, or its rows ``rows[0]`` to ``rows[1]``."""
 
         def cast(scene: Scene, view: AirwayView, gpu: _core.GpuScene | None) -> Picture:
             return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu)
 
         method, _ = _choose_method(scene, view, _shades(scene, view))
-        # Leaps over all classes are the CPU's alone.
+        # Only the CPU can leap over all classes.
         on_device = method != "leap-all"
         picture = None
         if on_device:
@@ -121,12 +121,12 @@ class AirwayCaster:
         )
 
     def surface(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
-        """First walls of the picture, or of the rows ``rows[0]`` to ``rows[1]`` of it."""
+        """Return the first walls of the picture, or of its rows ``rows[0]`` to ``rows[1]``."""
         depth, position, normal = self._first_walls(scene, view, rows=rows)
         return Surface(depth, position, normal, pose=view.pose, fov_deg=view.optics.fov_deg)
 
     def pick(self, scene: Scene, view: AirwayView, column: int, row: int) -> Hit | None:
-        """The first wall at one pixel."""
+        """Return the first wall at one pixel."""
         if column < 0 or row < 0:
             raise RenderError(
                 f"expected a pixel column and row of 0 or more; found column {column}, row {row}", code="render.setting"
@@ -164,9 +164,9 @@ class AirwayCaster:
         )
 
     def _bricks_of(self, scene: Scene) -> _core.Bricks:
-        """What pictures of these values have worked out of them."""
+        """Return the cache that the casts of the scene's values share."""
         with self._swap:
-            # The entry keeps its values alive, so the identity cannot be another's.
+            # The entry holds a reference to its values, so no other array can have their identity.
             if self._bricks is None or self._bricks[0] is not scene.values:
                 self._bricks = (scene.values, _core.Bricks())
             return self._bricks[1]
@@ -175,7 +175,7 @@ class AirwayCaster:
         key = (*scene.range, step_mm)
         with self._swap:
             kept = self._tables.get(key)
-        # The entry keeps its transfer function alive, so the identity cannot be another's.
+        # The entry holds a reference to its transfer function, so no other object can have its identity.
         if kept is not None and kept[0] is scene.transfer:
             return kept[1]
         table = _core.TransferTable(
@@ -194,7 +194,7 @@ class AirwayCaster:
 
 
 def _rays(view: AirwayView) -> _core.LensRays | None:
-    """The rays of a picture through a lens or an outline; None for the pinhole formula, which is quicker."""
+    """Return the rays of a picture through a lens or an outline; None for a plain pinhole, whose formula is faster."""
     if view.lens == PINHOLE and view.field.outline == "none" and view.field.vignette == 0.0:
         return None
     return view.optics.rays(view.field)
@@ -214,7 +214,7 @@ def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
 
 
 def _decorated(scene: Scene, appearance: Appearance | None) -> tuple[DecorationName, ...]:
-    """What of a picture is decoration."""
+    """Return the names of the decorations that a picture shows."""
     parts = () if appearance is None else appearance.decorations
     return parts if scene.decoration is not None else tuple(part for part in parts if part not in FROM_TREE)
 
@@ -222,7 +222,10 @@ def _decorated(scene: Scene, appearance: Appearance | None) -> tuple[DecorationN
 def _choose_method(
     scene: Scene, view: AirwayView, shading: bool
 ) -> tuple[str, NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None]:
-    """The caster that can run now. With shading only transparent classes are leaped: it varies inside the others."""
+    """Return the casting method that the present maps allow, and its maps.
+
+    With shading only transparent classes are leaped, because shading varies inside the others.
+    """
     if view.method == "brute":
         return "brute", None
     if not shading and scene.class_maps is not None:

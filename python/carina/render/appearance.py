@@ -1,4 +1,4 @@
-"""How the wall of an airway looks through a scope: light guides, exposure, gloss, texture."""
+"""Appearance of the airway wall through a scope: light guides, exposure, gloss, texture."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["DECORATIONS", "FROM_TREE", "Appearance", "DecorationName", "check_gu
 DecorationName = Literal["texture", "vessels", "rings", "membrane", "hue", "spurs", "specks", "secretions", "fog"]
 DECORATIONS: tuple[DecorationName, ...] = get_args(DecorationName)
 FROM_TREE: frozenset[DecorationName] = frozenset(("rings", "membrane", "hue", "spurs"))
-"""Parts that need to know where on the airway a wall is."""
+"""Decorations that need the airway tree."""
 
-# Beside the lens of a common video bronchoscope, a little above its middle.
+# Positions beside the lens of a common video bronchoscope, a little above its centre.
 TWO_GUIDES_MM = ((-1.9, -0.5, 0.0), (1.9, -0.5, 0.0))
 
 
 def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
-    """Refuse what cannot be the ends of one or two light guides."""
+    """Reject anything but the ends of one or two light guides."""
     guides = np.array(guides_mm, dtype=np.float64)
     if guides.ndim != 2 or guides.shape[1:] != (3,) or len(guides) not in {1, 2} or not np.isfinite(guides).all():
         raise RenderError(f"expected one or two light guides [x, y, z] in mm; found {guides_mm}")
@@ -34,50 +34,65 @@ def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """Light, gloss and texture that are laid on the first wall of each pixel after casting.
+    """Light, gloss and texture that are applied to the first wall of each pixel after casting.
 
-    The model and where it comes from: docs/decisions/0105.
+    The model and its sources: docs/decisions/0105.
     """
 
     guides_mm: tuple[tuple[float, float, float], ...] = TWO_GUIDES_MM
-    """Ends of the light guides in camera space, one or two; they share the light."""
+    """Ends of the light guides in camera space, mm, one or two; they share the light."""
     exposure: float | None = None
-    """Light of the guides; None for automatic exposure."""
+    """Brightness of the guides; None for automatic exposure."""
     ambient: float = 0.12
-    """Light from the walls round about, as part of what the guides give head on."""
+    """Ambient light from surrounding walls, as a fraction of the guides' light at perpendicular incidence."""
     wrap: float = 0.15
-    """How far light creeps beneath the surface, 0..1."""
+    """Scattering of light below the surface, 0..1."""
     gloss: float = 0.7
-    """Highlights of the film of mucus."""
+    """Strength of the highlights of the film of mucus."""
     shininess_log2: int = 7
-    """The highlight's exponent is ``2 ** shininess_log2``."""
+    """Base-2 logarithm of the highlight's exponent: the exponent is ``2 ** shininess_log2``."""
     paleness: float = 0.5
-    """How far the mucosa pales over dense tissue, 0..1."""
+    """Paleness of the mucosa over dense tissue, 0..1."""
     pale_hu: tuple[float, float] = (0.0, 300.0)
-    """Values beneath the surface at which it begins to pale and at which it is palest."""
+    """HU below the surface at which paleness begins and at which it is complete."""
     texture: float = 1.0
-    """Mottling and micro relief; 0 for none."""
+    """Strength of mottling and micro relief; 0 for none."""
     vessels: float = 0.0
-    """Invented vessels in the mucosa; 0 for none. No CT shows them, and many of them would be a sign of disease."""
+    """Strength of invented vessels in the mucosa; 0 for none.
+
+    No CT shows such vessels, and many of them would be a sign of disease.
+    """
     silhouettes: bool = True
-    """Two rays for a pixel where a near wall ends before a far one. No decoration: both rays show the CT."""
+    """Whether a pixel at the end of a near wall in front of a far wall takes two rays.
+
+    This is not decoration: both rays show the CT.
+    """
     specks: float = 0.0
-    """Highlights on droplets of mucus, at a distance as well; 0 for none. Decoration."""
+    """Strength of highlights on droplets of mucus, also far away; 0 for none. Decoration."""
     secretions: float = 0.0
-    """Glossy pools and bubbles of secretions on the posterior wall (the lowest of a supine patient), 0..1. Decoration;
-    no CT shows them."""
+    """Strength of glossy pools and bubbles of secretions on the posterior wall, 0..1. Decoration.
+
+    The posterior wall is the lowest of a supine patient. No CT shows these secretions.
+    """
     fog: float = 0.0
-    """Mist on the lens, 0..1; decoration."""
+    """Strength of mist on the lens, 0..1. Decoration."""
     rings: float = 0.0
-    """Cartilage rings of trachea and main bronchi, plates of lobar bronchi, from the airway tree; 0 for none."""
+    """Strength of the cartilage rings of trachea and main bronchi and the plates of lobar bronchi; 0 for none.
+
+    They are drawn from the airway tree.
+    """
     membrane: float = 0.0
-    """The flat, folded membranous wall at the back of trachea and main bronchi, drawn from the tree; 0 for none."""
+    """Strength of the flat, folded membranous wall at the back of trachea and main bronchi; 0 for none.
+
+    It is drawn from the airway tree.
+    """
     hue: float = 0.0
-    """Colour by region, from the tree: a pale trachea, redder bronchi; 0 for one colour."""
+    """Strength of the colour by region, from the airway tree: a pale trachea, redder bronchi; 0 for one colour."""
     spurs: float = 0.0
-    """Pale ridges of forks, from the tree, 0..1."""
+    """Strength of pale ridges at forks, from the airway tree, 0..1."""
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_guides(self.guides_mm)
         if self.exposure is not None and not 0 <= self.exposure <= 1e6:
             raise RenderError(f"exposure must be between 0 and 1000000; found {self.exposure}")
@@ -108,22 +123,22 @@ class Appearance:
 
     @property
     def decorations(self) -> tuple[DecorationName, ...]:
-        """The parts that are on and not the patient's, by the names of their fields."""
+        """Names of the fields of the decorations that are on."""
         return tuple(name for name in DECORATIONS if getattr(self, name) > 0)
 
     def undecorated(self) -> Appearance:
-        """The same without them."""
+        """Return a copy without decoration."""
         dry = replace(self, specks=0.0, secretions=0.0, fog=0.0)
         return replace(dry, texture=0.0, vessels=0.0, rings=0.0, membrane=0.0, hue=0.0, spurs=0.0)
 
     def to_json(self) -> dict[str, Any]:
-        """As a JSON object."""
+        """Return the appearance as a JSON object."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return {**values, "guides_mm": [list(guide) for guide in self.guides_mm], "pale_hu": list(self.pale_hu)}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Appearance:
-        """From a JSON object; unknown keys are left alone, missing ones take their defaults."""
+        """Create an appearance from a JSON object; ignore unknown keys, use defaults for missing keys."""
         known = {f.name: document[f.name] for f in fields(cls) if f.name in document}
         if "guides_mm" in known:
             known["guides_mm"] = tuple(tuple(float(v) for v in guide) for guide in known["guides_mm"])

@@ -1,4 +1,4 @@
-"""Which processor casts the airway view: asked for, or measured; never on trust (docs/decisions/0107)."""
+"""Choice of the processor that casts the airway view: by the user or by measurement (docs/decisions/0107)."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ __all__ = ["RECORD_NAME", "Adapter", "AdapterMeasurement", "Backend", "find_adap
 
 log = logging.getLogger(__name__)
 
-# The record's file in the folder of caches.
+# File name of the record of measurements in the cache folder.
 RECORD_NAME = "backend.json"
 FORMAT = "carina-backend"
 VERSION = 1
-# Pixels that may differ by more than one grey level from the CPU's picture: the contract of the GPU caster.
+# Fraction of pixels that may differ by more than one grey level from the CPU's picture: the GPU caster's contract.
 MAX_PART_OFF = 1e-3
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Adapter:
-    """A graphics adapter of this machine."""
+    """Graphics adapter of this machine."""
 
     index: int
     name: str
     api: str
-    """``vulkan``, ``metal`` or ``dx12``."""
+    """Graphics interface: ``vulkan``, ``metal`` or ``dx12``."""
     driver: str
     kind: str
-    """``discrete``, ``integrated``, ``virtual``, ``software`` or ``unknown``."""
+    """Kind of adapter: ``discrete``, ``integrated``, ``virtual``, ``software`` or ``unknown``."""
 
     @property
     def is_software(self) -> bool:
-        """True for a program that plays a graphics card on the same cores (lavapipe, WARP)."""
+        """Whether the adapter is a program that emulates a graphics card on the CPU (lavapipe, WARP)."""
         return self.kind == "software"
 
 
 def find_adapters() -> tuple[Adapter, ...] | None:
     """Return the adapters of this machine, the likely fastest first; None in a build without GPU support.
 
-    Loads the graphics drivers on the first call.
+    The first call loads the graphics drivers.
     """
     found = _core.gpu_adapters()
     return None if found is None else tuple(Adapter(n, *facts) for n, facts in enumerate(found))
@@ -63,38 +63,38 @@ def find_adapters() -> tuple[Adapter, ...] | None:
 @one_line
 @dataclass(frozen=True, slots=True)
 class AdapterMeasurement:
-    """Times of one adapter and of the CPU for a picture of one size of volume, and which was chosen."""
+    """Times of one adapter and of the CPU for a picture of volumes of one shape, and the resulting choice."""
 
     adapter: str
     driver: str
     shape_zyx: tuple[int, int, int]
     chosen: bool
     why: str
-    """In words, for a person."""
+    """Reason of the choice, as text for the user."""
     cpu_ms: float | None = None
     gpu_ms: float | None = None
-    """Time of a picture, the way to the device and back included."""
+    """Time of a picture in ms, including the transfers to and from the device."""
 
 
 def part_off(expected: NDArray[np.uint8], found: NDArray[np.uint8]) -> float:
-    """Part of the pixels (h, w, 3) that differ by more than one grey level in a channel."""
+    """Return the fraction of the pixels (h, w, 3) that differ by more than one grey level in a channel."""
     if expected.shape != found.shape:
         return 1.0
     return float((np.abs(expected.astype(np.int16) - found).max(axis=2) > 1).mean())
 
 
 class Backend:
-    """The choice between CPU and GPU, for all volumes of a process.
+    """Choice between CPU and GPU, for all volumes of a process.
 
     Parameters
     ----------
     mode
-        ``cpu``; ``gpu`` for the first adapter that opens, whatever it is; ``auto`` for an adapter that was measured to
-        be faster than the CPU and to give its pictures, never one in software.
+        ``cpu``; ``gpu`` for the first adapter that opens, whatever its kind; ``auto`` for an adapter that was measured
+        to be faster than the CPU with the same pictures, never a software adapter.
     record
-        File of what was measured, for ``auto`` and ``carina doctor``; None keeps it in memory.
+        File of the measurements, for ``auto`` and ``carina doctor``; None keeps them in memory.
     find, open_device
-        Of this machine unless told; for tests.
+        Functions that find and open the adapters of this machine; replaced in tests.
 
     Raises
     ------
@@ -126,10 +126,11 @@ class Backend:
             self._measurements = {_key(v): v for v in _read(record)}
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"Backend({self.mode!r})"
 
     def adapters(self) -> tuple[Adapter, ...]:
-        """Those that may be tried in this mode, in order."""
+        """Return the adapters that may be used in this mode, in order of preference."""
         if self.mode == "cpu":
             return ()
         found = tuple(self._find() or ())
@@ -137,7 +138,7 @@ class Backend:
         return usable if self.mode == "gpu" else tuple(a for a in usable if not a.is_software)
 
     def open(self, adapter: Adapter) -> _core.Gpu:
-        """Return the adapter's device; it is opened once per process."""
+        """Return the adapter's device, which is opened once per process."""
         with self._lock:
             device = self._opened.get(adapter.index)
             if device is None:
@@ -145,7 +146,7 @@ class Backend:
             return device
 
     def give_up(self, adapter: Adapter | None, reason: str) -> None:
-        """Use an adapter no more in this process, and say so once."""
+        """Stop using an adapter in this process; the first call logs a warning."""
         with self._lock:
             if adapter is not None:
                 self._unusable[adapter.index] = reason
@@ -156,15 +157,15 @@ class Backend:
 
     @property
     def measurements(self) -> tuple[AdapterMeasurement, ...]:
-        """What was measured, here or earlier on this machine."""
+        """Measurements of this process and of earlier ones on this machine."""
         return tuple(self._measurements.values())
 
     def measurement(self, adapter: Adapter, shape_zyx: tuple[int, int, int]) -> AdapterMeasurement | None:
-        """Return the measurement of an adapter with this driver, on volumes of this size."""
+        """Return the measurement of an adapter with this driver, on volumes of this shape; None if there is none."""
         return self._measurements.get((adapter.name, adapter.driver, shape_zyx))
 
     def remember(self, measurement: AdapterMeasurement) -> None:
-        """Keep what was measured."""
+        """Store a measurement in memory and in the record."""
         with self._lock:
             self._measurements[_key(measurement)] = measurement
             measurements = list(self._measurements.values())
@@ -181,10 +182,10 @@ def _carina() -> str:
 
 
 def _read(path: Path) -> list[AdapterMeasurement]:
-    """Return the recorded measurements; empty where the file is missing or of another Carina."""
+    """Return the recorded measurements; empty if the file is missing or of another version of Carina."""
     try:
         data = json.loads(read_regular_text(path, max_bytes=1 << 20))
-        # Another Carina has other casters on either side.
+        # Another version of Carina has other casters, so its times do not apply.
         if (data["format"], data["version"], data["carina"]) != (FORMAT, VERSION, _carina()):
             return []
         return [_measurement(item) for item in data["measured"]]
@@ -207,7 +208,7 @@ def _measurement(item: dict[str, Any]) -> AdapterMeasurement:
 
 
 def _write(path: Path, measurements: list[AdapterMeasurement]) -> None:
-    """Replace the record whole; without a place to write to it is only not remembered."""
+    """Replace the record completely; without write access the measurements stay in memory only."""
     measured = [dataclasses.asdict(v) for v in measurements]
     data = {"format": FORMAT, "version": VERSION, "carina": _carina(), "measured": measured}
     try:

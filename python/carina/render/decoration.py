@@ -1,8 +1,9 @@
-"""Where a wall lies on its airway: what the rings and the membranous wall of the endoscopic look are drawn by.
+"""Decoration grid: positions on the airway wall for the rings and the membranous wall of the endoscopic look.
 
-The lighting of a pixel knows a point of the patient and nothing of anatomy. A coarse grid round the wide airways tells
-it how many rings lie before the point, on which side of the airway it is, and how much of each part belongs there. All
-of it changes evenly along and across a tube, so a coarse grid read between its cells is enough (docs/decisions/0105).
+The kernel that lights a pixel knows only a point in LPS. This module computes a coarse grid around the wide airways
+that gives, for each cell, the number of rings proximal to it, its side of the airway, and the strength of each part of
+the decoration. These values change smoothly along and across a tube, so interpolation between coarse cells is
+sufficient (docs/decisions/0105). Constants without a stated source are common knowledge or own choices.
 """
 
 from __future__ import annotations
@@ -23,70 +24,103 @@ __all__ = ["CHANNELS", "Decoration", "DecorationBranch", "DecorationTree", "deco
 Floats = NDArray[np.float64]
 
 CHANNELS = ("phase", "left", "back", "rings", "proximal", "spur", "membrane", "regular")
-"""What a cell holds: rings passed since the top of the trachea; the place across the airway as parts of its radius, to
-the patient's left and to the back; 0..1 each: rings, trachea's colour, ridge of a fork, membranous wall, evenness."""
+"""Channels of a cell.
+
+``phase`` is the number of rings since the top of the trachea. ``left`` and ``back`` are the position across the airway,
+towards the patient's left and back, in units of the airway's radius. The others are strengths 0..1: rings, colour of
+the trachea, ridge of a fork, membranous wall, and regularity of the rings.
+"""
 
 CELL_MM = 2.5
-"""Less than half a ring's distance, so that a fork's bend is followed; a fork's ridge is as wide (k)."""
+"""Cell size, mm: less than half the distance of two rings, so that bends at forks are followed.
+
+The ridge of a fork is one cell wide.
+"""
 REACH = 1.6
-"""Walls farther from the middle than so many radii belong to no tube; the kernel leaves rings out before (k)."""
+"""Largest distance of a wall from the centreline, in radii; the kernel draws no rings on walls beyond it."""
 SMOOTH_MM = 3.0
-"""Of the middle line: less than the radius of what has rings, more than a voxel (k)."""
+"""Length of the smoothing of the centreline, mm: below the radius of airways with rings, above a voxel."""
 BLEND = 0.08
-"""Between two tubes, as part of the radius (k)."""
+"""Width of the transition between two tubes, in radii."""
 TAIL_MM = 20.0
-"""Along a segmental bronchus the last plates fade out (k)."""
+"""Length over which the last cartilage plates fade out along a segmental bronchus, mm."""
 FORK_MM = 6.0
-"""Past a fork one branch's anatomy turns into the next one's (k)."""
+"""Length after a fork over which the decoration changes from the parent's to the branch's, mm."""
 
 LEVELS = {"Trachea": 0.0, "RMB": 1.0, "LMB": 1.0, "BI": 1.5}
 LEVELS |= dict.fromkeys(("RUL", "RML", "RLL", "LUL", "LML", "LLL", "Upper division", "Lingula"), 2.0)
 LEVELS |= dict.fromkeys(("Right basal trunk", "Left basal trunk"), 2.5)
 LAST_LEVEL = 3.0
-"""Segmental bronchi."""
+"""Level of the segmental bronchi."""
 
-# By level: 0 trachea, 1 main, 2 lobar, 3 segmental bronchi. Gray, Anatomy of the Human Body (1918), The Trachea and
-# Bronchi: 16 to 20 rings of 4 mm in a trachea of some 11 cm, narrow intervals between; 6 to 8 along the right bronchus
-# (2.5 cm), 9 to 12 along the left (5 cm); s. In the lung irregular plates, s; their distance, k.
+# Tables by level: 0 trachea, 1 main, 2 lobar, 3 segmental bronchi. Gray, Anatomy of the Human Body (1918), The Trachea
+# and Bronchi: 16 to 20 rings of 4 mm with narrow intervals in a trachea of some 11 cm; 6 to 8 along the right bronchus
+# (2.5 cm), 9 to 12 along the left (5 cm); irregular plates in the lung. The distance of the plates is not from Gray.
 _PITCH_MM = ((0.0, 1.0, 2.0, 3.0), (5.6, 4.4, 4.0, 3.4))
 _RINGS = ((0.0, 1.0, 2.0, 3.0, 3.5), (1.0, 0.9, 0.5, 0.25, 0.0))
 _REGULAR = ((0.0, 1.0, 1.5, 2.0), (1.0, 0.85, 0.35, 0.0))
 _MEMBRANE = ((0.0, 1.0, 1.5, 2.0), (1.0, 0.9, 0.5, 0.0))
 _PROXIMAL = ((0.0, 1.0, 2.0, 3.0), (1.0, 0.7, 0.35, 0.0))
 
-# A radius off the smooth course by so much is no healthy tube any more; between, rings fade (k).
+# Relative difference of the radius from its smooth course at which rings begin to fade and have vanished: beyond it the
+# branch may be diseased.
 _OFF_COURSE = (0.14, 0.30)
 _OFF_AROUND_MM = 9.0
-# How sure a branch must be, none and all of the rings (k).
+# Confidence of a branch below which no rings are drawn, and above which rings have full strength.
 _SURE = (0.5, 0.8)
 
 
 class DecorationBranch(Protocol):
-    """What is asked of a branch; :class:`carina.track.Branch` has it."""
+    """Properties of a branch that the decoration reads; :class:`carina.track.Branch` has them."""
 
     @property
-    def id(self) -> int: ...
+    def id(self) -> int:
+        """ID of the branch."""
+        ...
+
     @property
-    def parent(self) -> int | None: ...
+    def parent(self) -> int | None:
+        """ID of the parent branch; None for the root."""
+        ...
+
     @property
-    def children(self) -> tuple[int, ...]: ...
+    def children(self) -> tuple[int, ...]:
+        """IDs of the child branches."""
+        ...
+
     @property
-    def name(self) -> str | None: ...
+    def name(self) -> str | None:
+        """Anatomical name, or None."""
+        ...
+
     @property
-    def kind(self) -> str: ...
+    def kind(self) -> str:
+        """Origin of the branch; ``tracked`` if it was found in the CT."""
+        ...
+
     @property
-    def points(self) -> Floats: ...
+    def points(self) -> Floats:
+        """Centreline (n, 3), LPS mm."""
+        ...
+
     @property
-    def radius(self) -> Floats: ...
+    def radius(self) -> Floats:
+        """Radius of the lumen (n,), mm."""
+        ...
+
     @property
-    def confidence(self) -> float | None: ...
+    def confidence(self) -> float | None:
+        """Confidence 0..1, or None if unknown."""
+        ...
 
 
 class DecorationTree(Protocol):
-    """What is asked of a tree; :class:`carina.track.AirwayTree` has it."""
+    """Properties of a tree that the decoration reads; :class:`carina.track.AirwayTree` has them."""
 
     @property
-    def branches(self) -> Sequence[DecorationBranch]: ...
+    def branches(self) -> Sequence[DecorationBranch]:
+        """Branches; a parent precedes its children."""
+        ...
 
 
 @one_line
@@ -95,12 +129,13 @@ class Decoration:
     """Anatomy of the walls of wide airways on a coarse grid along the patient's axes."""
 
     cells: NDArray[np.float32] = field(repr=False)
-    """(nz, ny, nx, 8) float32, finite; the last axis is :data:`CHANNELS`. Zeros where there is no such wall."""
+    """(nz, ny, nx, 8) float32, finite; the last axis is :data:`CHANNELS`. Cells away from such walls are 0."""
     origin_lps: tuple[float, float, float]
-    """Middle of the first cell, LPS mm."""
+    """Centre of the first cell, LPS mm."""
     cell_mm: float
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         shape = self.cells.shape
         if len(shape) != 4 or shape[3] != len(CHANNELS) or min(shape) < 2 or self.cells.dtype != np.float32:
             msg = f"a decoration: expected (nz, ny, nx, {len(CHANNELS)}) float32, 2 cells or more; found {shape}"
@@ -112,7 +147,7 @@ class Decoration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tube:
-    """One branch, evenly sampled."""
+    """Branch that is sampled at even distances."""
 
     points: Floats
     along: Floats
@@ -120,28 +155,28 @@ class _Tube:
     phase: Floats
     per_mm: Floats
     parts: Floats
-    """(n, 4): rings, proximal, membrane, regular."""
+    """(n, 4) strengths: rings, proximal, membrane, regular."""
     end: Floats
-    """(4,) the last of them, as they were without doubt in this branch: what the next ones begin with."""
+    """(4,) last row of ``parts`` before the reduction for doubt; the child branches start with these values."""
     id: int
     parent: int | None
 
 
 def decoration_of(tree: DecorationTree | None) -> Decoration | None:
-    """The decoration of a tree's trachea, main, lobar and first segmental bronchi.
+    """Compute the decoration of a tree's trachea, main, lobar and first segmental bronchi.
 
-    Rings fade where a branch is doubtful, bridged or drawn by hand, and where its measured radius leaves the smooth
-    course along it by 14 to 30 %: a stenosis has none.
+    Rings fade where a branch is doubtful, bridged or drawn by hand, and where its measured radius differs from its
+    smooth course by 14 to 30 %: a stenosis has no rings.
 
     Parameters
     ----------
     tree
-        An airway tree, LPS mm; None for none known.
+        An airway tree, LPS mm, or None.
 
     Returns
     -------
     Decoration or None
-        None where the root is not named as trachea: without it front and back of the airways are not told.
+        None without a tree, and if the root is not named as trachea: front and back of the airways are then unknown.
     """
     if tree is None or not tree.branches or tree.branches[0].name != "Trachea":
         return None
@@ -177,7 +212,7 @@ def _smoothstep(x: Floats, low: float, high: float) -> Floats:
 
 
 def _tubes(branches: Iterable[DecorationBranch]) -> list[_Tube]:
-    """Branches down to the segmental ones; parents come first."""
+    """Return the branches down to the segmental ones as tubes; a parent precedes its children."""
     levels: dict[int, float] = {}
     ends: dict[int, tuple[float, Floats]] = {}
     tubes: list[_Tube] = []
@@ -226,13 +261,13 @@ def _tube(branch: DecorationBranch, level: float, phase: float, before: Floats |
 
 
 def _even(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
-    """About 1 mm apart, the line smoothed between its ends."""
+    """Resample a centreline and its radius at about 1 mm; the line is smoothed between its ends."""
     mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(mm) > 1e-9])
     mm, points, radius = mm[keep], points[keep], radius[keep]
     at = np.linspace(0.0, mm[-1], max(2, math.ceil(mm[-1]) + 1))
     line = np.column_stack([np.interp(at, mm, points[:, axis]) for axis in range(3)])
-    # Kernels shrink towards the ends, which stay in the fork.
+    # The kernels shrink towards the ends, so that the ends stay in the fork.
     sigma = np.minimum(SMOOTH_MM, 0.5 * np.minimum(at, at[-1] - at) + 1e-3)
     share = np.exp(-0.5 * ((at[:, None] - at[None, :]) / sigma[:, None]) ** 2)
     share /= share.sum(axis=1, keepdims=True)
@@ -240,7 +275,7 @@ def _even(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
 
 
 def _course(mm: Floats, radius: Floats) -> Floats:
-    """A straight course of the radius that narrow and wide places have no part in (Tukey's weights)."""
+    """Fit a straight line to the radius along a branch; Tukey's weights exclude narrow and wide places."""
     line = np.full(len(radius), np.median(radius))
     if len(radius) < 8:
         return line
@@ -256,12 +291,12 @@ def _course(mm: Floats, radius: Floats) -> Floats:
         spread = (weight * (x - centre) ** 2).sum()
         slope = (weight * (x - centre) * (radius - middle)).sum() / max(spread, 1e-9)
         line = middle + slope * (x - centre)
-    # A branch that is short or odd may send a line astray.
+    # Without this limit the fit of a short or irregular branch can be far off.
     return np.asarray(np.clip(line, 0.6 * np.median(radius), 1.6 * np.median(radius)))
 
 
 def _tube_like(mm: Floats, radius: Floats, course: Floats) -> Floats:
-    """1 where the measured radius keeps to its course, 0 where it leaves it or does so nearby."""
+    """Return 1 for each point whose measured radius is near its fitted course, 0 if it or a near one is not."""
     like = 1.0 - _smoothstep(np.abs(radius / course - 1.0), *_OFF_COURSE)
     around = np.abs(mm[:, None] - mm[None, :]) <= _OFF_AROUND_MM
     least = np.where(around, like[None, :], 1.0).min(axis=1)
@@ -273,7 +308,14 @@ _Box = tuple[slice, slice, slice]
 
 
 def _place(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Box, NDArray[np.bool_], Floats, Floats]:
-    """Box of the grid, which of its cells are near (nz, ny, nx), their channels (n, 8) and distance in radii (n,)."""
+    """Compute the channels of the grid cells near a tube.
+
+    Returns
+    -------
+    tuple
+        Box of the grid; mask (nz, ny, nx) of the cells of the box that are near; their channels (n, 8); and their
+        distance from the centreline in radii (n,).
+    """
     box, cells = _cells_near(tube, first, shape)
     nearest, away = _nearest(tube, cells.reshape(-1, 3))
     radius = tube.radius[nearest]
@@ -283,7 +325,7 @@ def _place(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Box, ND
     along = tube.along[nearest]
     ahead = np.einsum("ij,ij->i", away, along)
     back = np.array([0.0, 1.0, 0.0]) - along * along[:, 1:2]
-    # An airway that runs straight to the back has no back wall: then any side will do, for it has no rings either.
+    # An airway that runs straight to the back has no defined back wall; it has no rings, so any direction will do.
     back /= np.maximum(np.linalg.norm(back, axis=1), 1e-3)[:, None]
     left = np.cross(along, back)
     values = np.zeros((len(nearest), len(CHANNELS)))
@@ -291,7 +333,7 @@ def _place(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Box, ND
     values[:, 1] = np.einsum("ij,ij->i", away, left) / radius
     values[:, 2] = np.einsum("ij,ij->i", away, back) / radius
     values[:, [3, 4, 6, 7]] = tube.parts[nearest]
-    # Beyond its ends a branch goes on for a little; there its children are nearer.
+    # Beyond the start of the trachea the decoration fades out; beyond other ends the cells are nearer to the children.
     beyond = np.where((nearest == 0) & (ahead < 0), -ahead, 0.0) if tube.parent is None else np.zeros(len(nearest))
     values[:, 3] *= 1.0 - _smoothstep(beyond, 2.0, 6.0)
     values[:, 6] *= 1.0 - _smoothstep(beyond, 2.0, 6.0)
@@ -309,7 +351,7 @@ def _cells_near(tube: _Tube, first: Floats, shape: tuple[int, ...]) -> tuple[_Bo
 
 
 def _nearest(tube: _Tube, cells: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """The nearest point of the middle line, and the way from there to each cell, mm."""
+    """Return the index of the nearest centreline point (n,) and the vector from it to each cell (n, 3), mm."""
     nearest = np.empty(len(cells), dtype=np.intp)
     square = np.einsum("ij,ij->i", tube.points, tube.points)
     for at in range(0, len(cells), 4096):
@@ -319,7 +361,7 @@ def _nearest(tube: _Tube, cells: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Floats:
-    """How much of the ridge between two daughters a cell is: on the wall of both, and between them."""
+    """Return the strength (nz, ny, nx) of fork ridges: cells on the wall of two siblings and between them."""
     spurs = np.zeros(shape)
     by_parent: dict[int | None, list[_Tube]] = {}
     for tube in tubes:
@@ -327,7 +369,7 @@ def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Flo
     for parent, daughters in by_parent.items():
         for n, one in enumerate(daughters):
             for other in daughters[n + 1 :] if parent is not None else ():
-                # Past the first few radii two daughters have nothing between them.
+                # Beyond the first few radii two siblings have separate walls.
                 near = max(4, int(4.0 * max(float(one.radius[0]), float(other.radius[0]))))
                 a, b = (_shortened(tube, near) for tube in (one, other))
                 box, cells = _cells_near(a, first, shape)
@@ -338,13 +380,15 @@ def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Flo
                     off = np.linalg.norm(away, axis=1)
                     sides.append((off / tube.radius[nearest], away / np.maximum(off, 1e-9)[:, None], nearest))
                 (rho_a, dir_a, at_a), (rho_b, dir_b, at_b) = sides
-                # Across the ridge one distance grows as the other falls. No narrower than cells can hold.
+                # Across the ridge one distance grows as the other falls. The ridge is at least as wide as the grid can
+                # represent.
                 width = max(0.3, 0.8 * CELL_MM / float(min(a.radius[0], b.radius[0])))
                 off = np.square((rho_a - rho_b) / (2.0 * width)) + np.square((0.5 * (rho_a + rho_b) - 1.0) / width)
                 ridge = np.minimum(1.3 * np.exp(-off), 1.0)
-                # Between the two their walls face each other, at a wide fork askew; at its front and back they do not.
+                # Between two siblings the directions to their walls are opposite (oblique at a wide fork); at the front
+                # and back of the fork they are not.
                 ridge *= _smoothstep(-np.einsum("ij,ij->i", dir_a, dir_b), -0.6, 0.0)
-                # Not at the very ends of what was looked at.
+                # Cells nearest to the end of a shortened tube are excluded.
                 ridge *= (at_a < len(a.points) - 1) & (at_b < len(b.points) - 1)
                 strength = float(min(1.0, 1.2 - 0.2 * _level_of(one, other)))
                 spurs[box] = np.maximum(spurs[box], strength * ridge.reshape(cells.shape[:3]))
@@ -352,7 +396,7 @@ def _spurs(tubes: Sequence[_Tube], first: Floats, shape: tuple[int, ...]) -> Flo
 
 
 def _level_of(one: _Tube, other: _Tube) -> float:
-    """About 1 at the carina, 2 and 3 farther out."""
+    """Return the level of two siblings: about 1 at the carina, 2 and 3 farther out."""
     proximal = max(float(one.parts[-1, 1]), float(other.parts[-1, 1]))
     return float(np.interp(-proximal, [-v for v in _PROXIMAL[1]], _PROXIMAL[0]))
 

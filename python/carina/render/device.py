@@ -1,4 +1,4 @@
-"""One volume's airway view on a graphics device: what lies there, and whether it is used."""
+"""Airway view of one volume on a graphics device: the copy in device memory, and the choice between device and CPU."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ __all__ = ["DeviceCaster"]
 
 log = logging.getLogger(__name__)
 
-# Pictures from the CPU before anything is measured: the first ones are what the person waits for.
+# Number of pictures that the CPU renders before any measurement, so that the first pictures are not delayed.
 PICTURES_FIRST = 3
-# Without a radius map by then, the view is one that does not leap.
+# Number of pictures after which a view without a radius map is measured too: such a view does not leap.
 PICTURES_WITHOUT_MAP = 30
-# Pairs of pictures timed; of each the least disturbed one counts.
+# Number of timed pairs of pictures; the shortest time of each processor counts.
 NUM_PAIRS = 5
-# The GPU must be faster by this much: it also costs memory and a copy of every new wall.
+# Largest ratio of GPU time to CPU time for which the GPU is chosen: it also costs memory and a copy of every new wall.
 WORTH_IT = 0.9
-# Of this volume or view, and not of the device: the next one may do.
+# Error code of a limit of this volume or view, not of the device: another volume may fit.
 LIMIT = "render.gpu-limit"
 FAILED = "render.gpu"
-# A test picture smaller or darker than this shows neither speed nor agreement.
+# A test picture that is smaller or darker than this shows neither speed nor agreement.
 LEAST_PIXELS = 96 * 96
 LEAST_LIGHT = 40
 
@@ -42,7 +42,7 @@ Start = Callable[[Callable[[], None]], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Resident:
-    """What lies on the device, and of which arrays it is the copy."""
+    """Copy of a scene in device memory, with the arrays from which it was made."""
 
     adapter: Adapter
     values: NDArray[np.int16]
@@ -52,25 +52,25 @@ class _Resident:
 
 
 def _in_thread(work: Callable[[], None]) -> None:
-    # Not a daemon: a driver that is in the middle of a copy when the process ends may crash it.
+    # Not a daemon thread: ending the process while a driver copies data may crash it.
     threading.Thread(target=work, name="carina-gpu").start()
 
 
 class DeviceCaster:
-    """Casts one volume's airway views on a graphics device where that was asked for, or measured to be faster.
+    """Caster of one volume's airway views on a graphics device, if the user chose it or it was measured to be faster.
 
-    Never makes a picture wait in ``auto``: while something is measured or copied, the CPU goes on.
+    In ``auto`` no picture waits for the device: the CPU renders while a measurement or a copy runs.
 
     Parameters
     ----------
     backend
-        The choice for the process.
+        Choice between CPU and GPU of the process.
     cast
-        Makes the picture of a scene and a view, on the CPU or with what lies on the device.
+        Function that renders a scene and a view, on the CPU or from the copy in device memory.
     start
-        Runs work in the background; for tests.
+        Function that runs work in the background; for tests.
     clock
-        Seconds; for tests.
+        Function that returns the time in seconds; for tests.
     """
 
     def __init__(
@@ -83,17 +83,17 @@ class DeviceCaster:
         self._lock = threading.Lock()
         self._resident: _Resident | None = None
         self._is_busy = False
-        # Values that the device did not take.
+        # Values that did not fit the device.
         self._unfit: NDArray[np.int16] | None = None
         self._num_seen = 0
-        # In auto: not measured yet, measured and not taken, or the adapter.
+        # In auto, three states: not measured; measured without a choice (adapter None); measured, with an adapter.
         self._is_decided = backend.mode != "auto"
         self._adapter: Adapter | None = None
 
     def try_cast(self, scene: Scene, view: AirwayView, *, leaps: bool, cast: Cast) -> Picture | None:
-        """The picture from the device, or None where the CPU is to make it.
+        """Return the picture from the device, or None if the CPU must render it.
 
-        ``cast`` makes this picture from what lies on the device; it may be of some rows only.
+        ``cast`` renders the picture from the copy in device memory; the picture may consist of some rows only.
         """
         on_device = self._find(scene, leaps=leaps)
         if on_device is None:
@@ -107,7 +107,10 @@ class DeviceCaster:
             return None
 
     def seen(self, scene: Scene, view: AirwayView) -> None:
-        """A whole picture came from the CPU: in ``auto``, after some of them, adapters are measured beside it."""
+        """Count a whole picture from the CPU.
+
+        In ``auto``, start the measurement of the adapters after some pictures.
+        """
         if self._is_decided or view.width * view.height < LEAST_PIXELS:
             return
         with self._lock:
@@ -138,7 +141,7 @@ class DeviceCaster:
         return resident.leaping if leaps else resident.bare
 
     def _load_first(self, scene: Scene, radius: NDArray[np.uint8] | None) -> _Resident | None:
-        """Copy to the first adapter that takes it; the CPU renders where none does."""
+        """Copy the scene to the first adapter that accepts it; return None if no adapter does."""
         for adapter in self._backend.adapters():
             try:
                 return self._load(adapter, scene, radius)
@@ -153,7 +156,7 @@ class DeviceCaster:
         if old is not None and old.adapter == adapter and old.values is scene.values:
             bare = old.bare
         else:
-            # The old copy goes first: two volumes may not fit.
+            # The old copy is released first, because device memory may not hold two volumes.
             self._resident = None
             bare = self._backend.open(adapter).upload(scene.values)
         leaping = None if radius is None else bare.with_map(radius)
@@ -178,7 +181,7 @@ class DeviceCaster:
         self._start(work)
 
     def _refused(self, scene: Scene, error: RenderError, adapter: Adapter | None = None) -> None:
-        """Go on without the device: for these values, or for good."""
+        """Stop using the device, for these values or for the rest of the process."""
         resident, self._resident = self._resident, None
         if error.code == LIMIT:
             if self._unfit is not scene.values:
@@ -198,7 +201,10 @@ class DeviceCaster:
             self._is_busy = False
 
     def _try(self, adapter: Adapter, scene: Scene, view: AirwayView) -> bool:
-        """Measure one adapter; False ends the search: it was taken, or this view shows nothing to measure."""
+        """Measure one adapter.
+
+        Return False to end the search (adapter chosen, or the picture is too dark to measure).
+        """
         known = self._backend.measurement(adapter, scene.values.shape)
         if known is not None and not known.chosen:
             return True
@@ -211,7 +217,7 @@ class DeviceCaster:
         try:
             resident = self._load(adapter, scene, radius)
             on_device = resident.leaping if leaps else resident.bare
-            # Also in later runs, where the times are known: a driver may have changed under its name.
+            # The pictures are compared in later runs too, where the times are known: the driver may have changed.
             off = part_off(expected.rgb, self._cast(scene, view, on_device).rgb)
             if off > MAX_PART_OFF:
                 chosen, why = False, f"its image differs from the CPU's in {100 * off:.2g} % of the pixels"
@@ -235,7 +241,10 @@ class DeviceCaster:
         return not chosen
 
     def _race(self, scene: Scene, view: AirwayView, on_device: _core.GpuScene | None) -> tuple[float, float]:
-        """Least time of a picture in ms, CPU and device, taken in turn so that both meet the same other work."""
+        """Return the shortest time of a picture in ms, on the CPU and on the device.
+
+        The turns alternate, so that other load affects both.
+        """
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(NUM_PAIRS):
             for place, taken in zip((None, on_device), times, strict=True):

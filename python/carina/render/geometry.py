@@ -1,4 +1,4 @@
-"""Where the pixels of planes and projections lie, and where an orbit camera stands. World is LPS mm."""
+"""Positions of the pixels of planes and projections, and poses of orbit cameras, in LPS mm."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ Matrix = NDArray[np.float64]
 
 
 def plane_axes(plane: Plane) -> tuple[Matrix, Matrix, Matrix]:
-    """Unit directions right, down and into the screen of a slice's display."""
+    """Return the unit directions right, down and into the screen of a slice's display, LPS."""
     display = PLANES[plane]
     right, down = _direction(display.right), _direction(display.down)
     return right, down, np.cross(right, down)
 
 
 def _direction(axis: str) -> Matrix:
-    """A patient axis such as ``-z`` as a unit vector, LPS."""
+    """Return a patient axis such as ``-z`` as a unit vector, LPS."""
     direction = np.zeros(3)
     direction["xyz".index(axis[-1])] = -1.0 if axis[0] == "-" else 1.0
     return direction
@@ -41,7 +41,19 @@ def _direction(axis: str) -> Matrix:
 def plane_matrix(
     centre_lps: Matrix, axes: tuple[Matrix, Matrix, Matrix], mm_per_px: float, width: int, height: int
 ) -> Matrix:
-    """``lps_from_pixel`` of a plane whose middle pixel corner is ``centre_lps``; ``axes`` are right, down and depth."""
+    """Return ``lps_from_pixel`` of a plane.
+
+    Parameters
+    ----------
+    centre_lps
+        Position of the pixel corner in the middle of the picture, LPS mm.
+    axes
+        Unit directions right, down and depth.
+    mm_per_px
+        Size of a pixel.
+    width, height
+        Size of the picture in pixels.
+    """
     right, down, depth = axes
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right * mm_per_px, down * mm_per_px, depth
@@ -50,14 +62,14 @@ def plane_matrix(
 
 
 def box_corners_lps(volume: Volume) -> Matrix:
-    """The eight corners of the voxels' box, (8, 3)."""
+    """Return the eight corners of the voxels' box, (8, 3), LPS mm."""
     nz, ny, nx = volume.shape_zyx
     ends = [(-0.5, nx - 0.5), (-0.5, ny - 0.5), (-0.5, nz - 0.5)]
     return volume.to_lps(np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]]))
 
 
 def fit_mm_per_px(points_lps: Matrix, right: Matrix, down: Matrix, width: int, height: int) -> tuple[float, Matrix]:
-    """The scale at which points fit a picture, and the offset (in right and down) of their middle, mm."""
+    """Return the pixel size at which points fit a picture, and the offset of their middle along right and down, mm."""
     across, along = points_lps @ right, points_lps @ down
     extents = np.array([np.ptp(across) / width, np.ptp(along) / height])
     middle = np.array([(across.min() + across.max()) / 2, (along.min() + along.max()) / 2])
@@ -65,7 +77,7 @@ def fit_mm_per_px(points_lps: Matrix, right: Matrix, down: Matrix, width: int, h
 
 
 def grid_axes(volume: Volume) -> tuple[tuple[int, float], tuple[int, float], tuple[int, float]]:
-    """For each patient axis x, y, z the grid axis nearest to it and its sign along it."""
+    """Return for each patient axis x, y, z the nearest grid axis and its sign along the patient axis."""
     directions = volume.lps_from_ijk[:3, :3] / np.array(volume.spacing_mm)
     order = max(permutations(range(3)), key=lambda p: sum(abs(directions[a, p[a]]) for a in range(3)))
     x, y, z = ((order[a], 1.0 if directions[a, order[a]] >= 0 else -1.0) for a in range(3))
@@ -73,15 +85,18 @@ def grid_axes(volume: Volume) -> tuple[tuple[int, float], tuple[int, float], tup
 
 
 def bounding_radius_mm(points_lps: Matrix, centre_lps: Matrix) -> float:
-    """Largest distance of the points from a centre."""
+    """Return the largest distance of the points from a centre, mm."""
     return float(np.linalg.norm(points_lps - centre_lps, axis=1).max())
 
 
 def orbit_pose(centre_lps: Matrix, azimuth_deg: float, elevation_deg: float, distance_mm: float) -> Pose:
-    """A camera that looks at a point: azimuth 0 is anterior of it, 90 on the patient's left; elevation 90 above it."""
+    """Return the pose of a camera that looks at a point from an orbit.
+
+    Azimuth 0 is anterior of the point, 90 on the patient's left; elevation 90 is above the point.
+    """
     azimuth, elevation = np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
     out = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
-    # Written out, not found from an up vector, so that the poles are no special case.
+    # The axes have explicit formulas without an up vector, so the poles are no special case.
     right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right, np.cross(-out, right), -out

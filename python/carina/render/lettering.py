@@ -1,4 +1,4 @@
-"""Letters, ticks and names in pictures that leave Carina as files; the window draws its own."""
+"""Letters, scale ticks and branch names in pictures that are saved as files; the window draws its own."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carina.render.views import Picture, PictureLines
 
 __all__ = ["PathSpan", "letter_edges", "letters_of", "mark_path", "write_on"]
 
-# Dots of a 5 x 8 letter: a byte for each column, its lowest bit at the top.
+# Dots of the letters, 5 x 8: one byte for each column, the lowest bit is the top row.
 _DOTS = {
     " '()+,-.": "0000000000 0008070300 001c224100 0041221c00 08083e0808 0080703000 0808080808 0000606000",
     "/": "2010080402",
@@ -41,7 +41,7 @@ _TEXT_RGB, _QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184)
 _DRAWN_RGB = (244, 180, 76)
 _DASH_ROWS = 10
 
-# A direction of the path is that over this many rows.
+# Number of rows over which the direction of the path at an end is measured.
 LOCAL_ROWS = 12
 
 _LETTERS = (("L", "R"), ("P", "A"), ("S", "I"))
@@ -50,17 +50,17 @@ _LETTERS = (("L", "R"), ("P", "A"), ("S", "I"))
 @one_line
 @dataclass(frozen=True, slots=True)
 class PathSpan:
-    """A branch along a path, with the name to print."""
+    """Branch along a path, with the name to print."""
 
     name: str
     from_mm: float
     to_mm: float
     drawn: bool = False
-    """The CT shows no airway here (drawn by hand, or a bridge): its lines are dashes of another colour."""
+    """Whether the CT shows no airway here (drawn by hand, or a bridge); its lines are dashed and of another colour."""
 
 
 def letters_of(direction_lps: NDArray[np.float64]) -> str:
-    """The letters that name a direction, dominant first; a second one where it is oblique by 12 degrees and more."""
+    """Return the letters of a direction, dominant first; two letters if it is oblique by 12 degrees or more."""
     unit = np.asarray(direction_lps, dtype=np.float64) / float(np.linalg.norm(direction_lps))
     order = np.argsort(-np.abs(unit), kind="stable")[:2]
     return "".join(
@@ -69,18 +69,18 @@ def letters_of(direction_lps: NDArray[np.float64]) -> str:
 
 
 def letter_edges(picture: Picture) -> Picture:
-    """A copy of a picture with the patient's directions at its four edges, from its own geometry.
+    """Return a copy of a picture with the patient's directions at its four edges, from the picture's geometry.
 
     Raises
     ------
     UsageError
-        If the picture does not know where its pixels are.
+        If the picture has no geometry of its pixels.
     """
     rgb = picture.rgb.copy()
     height, width = rgb.shape[:2]
     lines = picture.lines
     if lines is not None:
-        # The letters stand at the ends of a way that bends: each is right where it stands.
+        # Along a bent path the direction changes, so each letter shows the direction at its own end of the path.
         known = np.flatnonzero(np.isfinite(lines.path_mm))
         first, last = (int(known[0]), int(known[-1])) if known.size > 1 else (0, height - 1)
         right = lines.step_lps[first]
@@ -94,7 +94,7 @@ def letter_edges(picture: Picture) -> Picture:
     inset = 3 * size
     sides = (inset, width - inset, height // 2)
     if lines is not None:
-        # The axis stands at the left and the names at the right.
+        # The axis occupies the left edge and the names the right edge.
         sides = (width // 4, width - width // 4, inset + _HEIGHT * size // 2)
     for direction, column, row, align in (
         (-right, sides[0], sides[2], 0.0),
@@ -107,7 +107,7 @@ def letter_edges(picture: Picture) -> Picture:
 
 
 def _way(lines: PictureLines, first: int, last: int) -> NDArray[np.float64]:
-    """From one row to another along the path."""
+    """Return the vector from one row to another along the path, mm."""
     ends = [lines.lps_of(float(lines.path_column[row]), row + 0.5) for row in (first, last)]
     return ends[1] - ends[0] if last > first else np.array([0.0, 0.0, -1.0])
 
@@ -118,22 +118,22 @@ def mark_path(
     spans: Sequence[PathSpan] = (),
     radius_mm: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> Picture:
-    """A copy of a view along a path with its axis: distances in mm, the branches' names, the lumen.
+    """Return a copy of a view along a path with its axis: distances in mm, names of the branches, outline of the lumen.
 
     Parameters
     ----------
     picture
         A ``straightened`` or ``curved`` picture.
     spans
-        Branches along the path; names are left out where they would print over one another.
+        Branches along the path; a name is omitted if it would overlap another.
     radius_mm
-        Places (n,) and lumen radii (n,) along the path, mm: drawn as two dotted lines in the straightened picture, not
-        along what a person drew.
+        Positions (n,) along the path and lumen radii (n,), mm. They are drawn as two dotted lines in the straightened
+        picture, except along branches that were drawn by hand.
 
     Raises
     ------
     UsageError
-        If the picture is no view along a path.
+        If the picture is not a view along a path.
     """
     lines = picture.lines
     if lines is None:
@@ -204,7 +204,7 @@ def write_on(
     size: int = 1,
     rgb_of: tuple[int, int, int] = _TEXT_RGB,
 ) -> None:
-    """Text with its middle at a row, light on a dark edge; what lies outside the picture is cut off."""
+    """Draw text, light on a dark edge and vertically centred on ``row``; parts outside the picture are cut off."""
     dots = np.zeros((_HEIGHT, max(_ADVANCE * len(text) - 1, 1)), dtype=bool)
     for n, letter in enumerate(text):
         for m, bits in enumerate(_GLYPHS.get(letter, _GLYPHS["-"])):

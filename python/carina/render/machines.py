@@ -1,4 +1,4 @@
-"""How the machines do that render one picture together: the cluster says it, the server hands it on."""
+"""State of the machines that render one picture together; the cluster creates it and the server sends it."""
 
 from __future__ import annotations
 
@@ -10,49 +10,53 @@ __all__ = ["ClusterState", "ClusterStatus", "Machine", "MemberStatus", "Processo
 
 
 class Processor(FrozenValue, frozen=True):
-    """What pictures are computed with: how many threads, and their vector instructions."""
+    """Processor that renders pictures: number of threads, and vector instructions."""
 
     threads: Count
     simd: Words
 
 
 class Machine(Processor, frozen=True):
-    """What a person wants to know about a machine that renders."""
+    """Machine that renders pictures, as shown to the user."""
 
     host: Words
 
 
 class MemberStatus(Machine, frozen=True):
-    """One machine that renders with others."""
+    """State of one machine that renders pictures together with others."""
 
     name: Words
     state: Literal["ready", "late", "away", "loading"]
-    """``late``: its strips went to others, until it answers. ``loading``: it is being sent the volume."""
+    """State of the machine.
+
+    ``late``: the machine has not answered in time, and others render its strips until it answers. ``loading``: the
+    machine is receiving the volume.
+    """
     share: Part
-    """Of a picture."""
+    """Share of a picture that the machine renders, 0..1."""
     latency_ms: float | None
-    """From the order of a strip to its answer, the median of the last; null before the first."""
+    """Median time from the request of a strip to its answer, ms, of the last strips; null before the first."""
     num_late: Count
     num_strips: Count
 
 
 class ClusterState(FrozenValue, frozen=True):
-    """All of them, and what comes of it."""
+    """State of all machines that render together, with the rate and latency of their pictures."""
 
     address: Words
     members: tuple[MemberStatus, ...]
     alone: bool
-    """No other machine can render now: this one does."""
+    """Whether no other machine can render now, so that this one renders alone."""
     mixed: bool
-    """Pictures may come from graphics devices: equal to the CPU's within one grey level only."""
+    """Whether pictures may come from graphics devices, which equal the CPU's within one grey level only."""
     fps: float
-    """Pictures put together in the last second."""
+    """Number of pictures that were assembled in the last second."""
     frame_ms: float | None
-    """From wanted to complete, the median of the last pictures; null before the first."""
+    """Median time from the request of a picture to its completion, ms, of the last pictures; null before the first."""
 
 
 class ClusterStatus(ClusterState, frozen=True):
-    """The same with what is to be said about it."""
+    """State of the cluster with messages for the user."""
 
     notices: tuple[Words, ...]
-    """What a person should know, oldest first; each is told once."""
+    """Messages for the user, oldest first; each is sent once."""

@@ -1,7 +1,7 @@
-"""IsoRegion maps on disk: found by what they were made from, checked when read, safe to delete.
+"""Disk cache of IsoRegion maps, keyed by the data from which a map is built and checked on reading.
 
-Building a map is faster than reading it on most machines, so only maps that were slow to build are kept
-(docs/decisions/0104).
+The cache folder can be deleted at any time. On most machines building a map is faster than reading it, so only maps
+that were slow to build are stored (docs/decisions/0104).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ __all__ = ["SLOW_NS_PER_VOXEL", "CachedMap", "MapCache", "MapName"]
 
 logger = logging.getLogger(__name__)
 
-# Raised when the map of the same input would come out different, or the file's layout changes.
+# Increment this number if the map of the same input or the file's layout changes.
 MAP_VERSION = 2
 SLOW_NS_PER_VOXEL = 5.0
-"""Maps that took longer to build are kept: three times what naming, reading and checking one takes."""
+"""Build time above which a map is stored, ns per voxel: three times the cost of hashing, reading and checking a map."""
 DEFAULT_MAX_BYTES = 2 << 30
 _MAGIC = b"CARINAMP"
-# Magic, version, length of the JSON header, then the header, then its arrays one after the other.
+# Start of a file: magic, version, length of the JSON header. The header and its arrays follow.
 _START = struct.Struct("<8sII")
 _MAX_HEADER_BYTES = 1 << 20
 _ABANDONED_S = 3600.0
@@ -44,15 +44,15 @@ Arrays = tuple[NDArray[np.uint8], ...]
 
 @dataclass(frozen=True, slots=True)
 class MapName:
-    """What a map is made from: voxel values and classes. Nothing about the patient."""
+    """Key of a map: voxel values and classes. It contains nothing about the patient."""
 
     values_zyx: NDArray[np.int16]
     classes: Any
-    """The kind of map and its classes, as plain values; what it prints is what counts."""
+    """Kind of the map and its classes, as plain values; the key uses their ``repr``."""
 
     @property
     def stem(self) -> str:
-        """The part of the name that costs nothing: of the classes and the shape."""
+        """First part of the name, from the classes and the shape; it does not need the voxels."""
         text = repr((MAP_VERSION, self.values_zyx.shape, self.classes))
         return hashlib.blake2b(text.encode(), digest_size=10).hexdigest()
 
@@ -63,17 +63,17 @@ class MapName:
 
 @dataclass(frozen=True, slots=True)
 class CachedMap:
-    """Arrays ``(nz, ny, nx)`` uint8 of the volume's shape, and what they mean as JSON values."""
+    """Arrays ``(nz, ny, nx)`` uint8 of the volume's shape, and their interpretation as JSON values."""
 
     arrays: Arrays
     meaning: Any = None
 
 
 class MapCache:
-    """A folder of maps of bounded size; may be used by several processes, and deleted while it is.
+    """Folder of maps with a size limit; several processes may use it, and it may be deleted while in use.
 
-    A file that is incomplete or altered is taken for missing and removed. Trouble with the disk costs time, never a
-    picture: it is logged and the map is built again. Storing happens in a thread of its own.
+    An incomplete or altered file counts as missing and is removed. A disk error is logged, and the map is built again;
+    no picture fails. A separate thread writes the files.
     """
 
     def __init__(self, folder: Path, *, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
@@ -83,7 +83,7 @@ class MapCache:
 
     def get_or_build(self, name: MapName, build: Callable[[], CachedMap]) -> CachedMap:
         """Return the map of this name from disk, else from ``build``; a map that was slow to build is then stored."""
-        # Naming reads the whole volume; where no file can be meant, that is left for later.
+        # The full name needs a read of the whole volume, so it is computed only if a file matches the first part.
         if any(self._folder.glob(f"{name.stem}*.isoregion")):
             found = self._load(name)
             if found is not None:
@@ -97,7 +97,7 @@ class MapCache:
         return built
 
     def wait_stored(self) -> None:
-        """Wait until nothing is being stored."""
+        """Wait until no map is being stored."""
         for thread in self._storing:
             thread.join()
 
@@ -123,7 +123,7 @@ class MapCache:
         return found
 
     def _store(self, name: MapName, built: CachedMap) -> None:
-        """Write a map whole or not at all, then drop the oldest beyond the bound."""
+        """Write a map completely or not at all, then delete the oldest maps beyond the size limit."""
         header = json.dumps(
             {
                 "shape_zyx": list(name.values_zyx.shape),
@@ -145,13 +145,13 @@ class MapCache:
             logger.warning("an IsoRegion map could not be cached: %s", error.strerror)
 
     def _trim(self) -> None:
-        """Drop the maps that were used longest ago, and what a process that was killed has left."""
+        """Delete the least recently used maps beyond the limit, and temporary files of killed processes."""
         ages = []
         for path in self._folder.iterdir():
             try:
                 stat = path.stat()
             except OSError:
-                continue  # Another process was faster.
+                continue  # Another process has deleted the file.
             if path.suffix == ".isoregion":
                 ages.append((stat.st_mtime, stat.st_size, path))
             elif path.suffix == ".part" and time.time() - stat.st_mtime > _ABANDONED_S:
@@ -169,7 +169,7 @@ def _read(file: Any, shape_zyx: tuple[int, ...]) -> CachedMap:
     Raises
     ------
     ValueError, KeyError, TypeError
-        If it is damaged, or of another version or shape.
+        If the file is damaged, or of another version or shape.
     """
     magic, version, header_bytes = _START.unpack(file.read(_START.size).ljust(_START.size, b"\0"))
     if magic != _MAGIC or version != MAP_VERSION or header_bytes > _MAX_HEADER_BYTES:
@@ -177,7 +177,7 @@ def _read(file: Any, shape_zyx: tuple[int, ...]) -> CachedMap:
     header = json.loads(file.read(header_bytes))
     digests = list(header["digests"])
     count = int(np.prod(shape_zyx))
-    # Checked before anything large is allocated.
+    # The size is checked before a large allocation.
     body_bytes = os.fstat(file.fileno()).st_size - _START.size - header_bytes
     if tuple(header["shape_zyx"]) != shape_zyx or body_bytes != count * len(digests):
         raise ValueError("a map with a different shape")
@@ -194,5 +194,5 @@ def _remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        # In use (Windows), or not ours to delete: it stays, and is looked at again next time.
+        # The file is in use (Windows) or not writable; it stays until the next clean-up.
         logger.debug("a cached map could not be removed", exc_info=error)

@@ -1,4 +1,4 @@
-"""Pictures for scripts and the command line: one call per view, and the tip marked in it."""
+"""Functions that render one picture of a volume and mark the scope's tip in it, for scripts and the command line."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ __all__ = ["ignored_settings", "mark_tip", "render_surface", "render_view", "vie
 
 MARK_RGB = (70, 220, 235)
 A_WORD = text_of(80, least=0)
-"""The view refuses wrong words and wrong numbers itself, as a `RenderError`."""
+"""Check of a text's length only; the view rejects unknown words and numbers out of range with a `RenderError`."""
 A_TRANSFER = instance(TransferFunction, "get one from carina.transfer_preset", optional=True)
 A_SCOPE = name_or(ScopePreset, "name one of carina.scopes.scope_presets", optional=True)
 A_LENS = instance(Lens, "create a carina.scopes.Lens", optional=True)
@@ -60,7 +60,7 @@ AN_OUTLINE = choice(*OUTLINES, optional=True)
 
 
 def _check_view(where: str, name: str, value: object) -> None:
-    """Refuse a name that is too long to be shown; `render_view` refuses every other wrong view."""
+    """Reject a name that is too long for an error message; `render_view` rejects every other invalid view."""
     if isinstance(value, str):
         text_of(80, least=0)(where, name, value)
 
@@ -133,52 +133,51 @@ def render_view(
     volume
         The volume.
     view
-        A value such as :class:`carina.render.AirwayView`, which says all that is to be seen; or a name, with the
-        parameters below: one of :data:`carina.render.VIEW_NAMES`: ``airway``, ``axial``, ``tree``, ...
+        A view definition such as :class:`carina.render.AirwayView`, which contains all settings; or a name from
+        :data:`carina.render.VIEW_NAMES` (``airway``, ``axial``, ``tree``, ...), with the parameters below.
     pose
-        The tip: camera of the airway view, centre of the planes. Needed with a view's name.
+        Pose of the tip: the camera of the airway view, the centre of the planes. Required with the name of a view.
     fov_deg
-        Full angle across the shorter side, of the airway view: unless told that of the scope, of the calibration, or
-        90.
+        Full angle across the shorter side of the airway view, in degrees. Default: the angle of the scope, of the lens
+        calibration, or 90.
     scope
-        Look through this instrument (see :func:`carina.scopes.scope_presets`): its lens, field of view, outline and
-        direction of view; ``pose`` is then the end of its shaft.
+        Instrument (see :func:`carina.scopes.scope_presets`) whose lens, field of view, outline and direction of view
+        are used; ``pose`` is then the end of its shaft.
     shading, texture
-        Of the airway view: light and gloss; decoration, which is not the patient's (mottling, micro relief, vessels,
-        and with ``tree`` what is fixed to anatomy).
+        Light and gloss, and decoration, of the airway view. Decoration does not come from the CT: mottling, micro
+        relief, vessels and, with ``tree``, decoration fixed to anatomy.
     lens, outline, vignette, depth_of_field
-        Of the airway view, in place of the scope's; a pinhole over the full frame without any, and never blurred unless
-        told.
+        Settings of the airway view that replace the scope's. Default without a scope: a pinhole over the full frame.
+        Depth of field is off by default.
     orbit
-        Azimuth and elevation in degrees and, if wished, distance in mm, of the camera of ``tri-plane`` and ``tree``.
+        Azimuth and elevation in degrees and, optionally, distance in mm, of the camera of ``tri-plane`` and ``tree``.
     window_hu
-        Width and level; (1500, -600) for planes and fitted to the values of an X-ray unless told. Of ``drr`` in mm of
-        water.
+        Width and level. Default: (1500, -600) for planes; fitted to the values of an X-ray. In mm of water for ``drr``.
     carm_deg, tone
-        Primary (LAO above 0) and secondary (cranial above 0) angle of ``drr``, and its tone.
+        Primary (LAO above 0) and secondary (cranial above 0) angle of ``drr`` in degrees, and its tone.
     path, turn_deg
-        The path of ``straightened`` and ``curved``, and the turn of their cutting plane.
+        Path of ``straightened`` and ``curved``, and the rotation of their cutting plane in degrees.
     slab
-        Shows planes and paths as a thick slice.
+        Slab thickness and kind of planes and path views.
     lumen_zyx
-        The airway lumen, needed for ``tree``, and for the closed wall of the endoscopic airway view.
+        The airway lumen (nz, ny, nx), required for ``tree``, and for the closed wall of the endoscopic airway view.
     tree
-        The airway tree of that lumen (:class:`carina.track.AirwayTree`): by it the endoscopic look draws rings,
+        The airway tree of that lumen (:class:`carina.track.AirwayTree`); the endoscopic look uses it to draw rings,
         membranous wall, colour by region and ridges of forks.
     backend
-        Whether an airway view may come from a graphics device; from the CPU unless told.
+        Processor of the airway view: CPU or graphics device. Default: CPU.
 
     Returns
     -------
     Picture
-        RGB and where its pixels are.
+        RGB and the geometry of its pixels.
 
     Raises
     ------
     UsageError
         If there is no view or scope of this name, or ``orbit`` has not two or three values.
     RenderError
-        If a setting is out of range, or a tree is asked for without a lumen.
+        If a setting is out of range, or ``tree`` is rendered without a lumen.
 
     Examples
     --------
@@ -244,7 +243,7 @@ _DEFAULTS = {name: parameter.default for name, parameter in inspect.signature(re
 
 
 def _differs(value: object, default: object) -> bool:
-    """Whether an argument was given; an array differs from every default."""
+    """Return whether an argument differs from its default; an array differs from every default."""
     return value is not default and (isinstance(value, np.ndarray) or value != default)
 
 
@@ -280,7 +279,7 @@ def render_surface(
     outline: Outline | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
 ) -> Surface:
-    """Depth, position and normal of the first wall at every pixel of an airway view.
+    """Return depth, position and normal of the first wall at every pixel of an airway view.
 
     Parameters
     ----------
@@ -289,15 +288,15 @@ def render_surface(
     pose
         Camera of the airway view.
     fov_deg
-        Full angle across the shorter side; as in :func:`render_view`.
+        Full angle across the shorter side, in degrees; default as in :func:`render_view`.
     scope, lens, outline
         As in :func:`render_view`.
     step_vox
         Ray step in units of the smallest spacing.
     transfer
-        What counts as wall; the *endoscopic* preset unless told.
+        Transfer function that defines the wall; default: the *endoscopic* preset.
     lumen_zyx
-        The airway lumen, for the closed wall of the endoscopic airway view.
+        The airway lumen (nz, ny, nx), for the closed wall of the endoscopic airway view.
 
     Returns
     -------
@@ -338,7 +337,7 @@ def render_surface(
     renderer = Renderer(volume, transfer=transfer)
     if lumen_zyx is not None:
         renderer.set_lumen(lumen_zyx)
-    # Brute force: for a single surface a radius map costs more than it saves.
+    # Brute force: for a single picture the radius map takes more time than it saves.
     return renderer.surface(view)
 
 
@@ -365,12 +364,12 @@ _PROBES: dict[str, tuple[Any, Any]] = {
     "vignette": (0.0, 1.0),
     "depth_of_field": (DepthOfField(3.0, 50.0), DepthOfField(5.0, 50.0)),
 }
-"""Two values of each setting of a view, by which `ignored_settings` sees whether a view uses the setting."""
+"""Two values of each setting of a view; `ignored_settings` compares the two views to find the settings in use."""
 
 
 @cache
 def ignored_settings(view: str) -> frozenset[str]:
-    """Return the settings of `render_view` that do not change a view; ``pose`` stands for its direction.
+    """Return the settings of `render_view` that do not change a view; ``pose`` stands for the direction of the pose.
 
     Examples
     --------
@@ -457,7 +456,7 @@ def _preset(scope: ScopePreset | str | None) -> ScopePreset | None:
 
 
 def _field(scope: ScopePreset | str | None, outline: Outline | None, vignette: float | None) -> ImageField:
-    """Outline and vignette of an airway view: what was asked for, else the scope's."""
+    """Return outline and vignette of an airway view; values that are not given are the scope's."""
     preset = _preset(scope)
     own = FULL_FRAME if preset is None else preset.field
     return ImageField(
@@ -466,12 +465,12 @@ def _field(scope: ScopePreset | str | None, outline: Outline | None, vignette: f
 
 
 def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> Picture:
-    """Return a copy of a picture with a cross-hair where a point appears; unmarked if it is out of the picture.
+    """Return a copy of a picture with a cross-hair at a point (LPS mm); unmarked if the point is outside the picture.
 
     Raises
     ------
     UsageError
-        If the picture does not know where its pixels are.
+        If the picture has no geometry of its pixels.
     """
     if picture.lps_from_pixel is None and picture.lps_from_camera is None:
         raise UsageError("this image has no pixel geometry, so no point can be marked in it")
@@ -489,7 +488,7 @@ def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, flo
                 top, left = max(row + rows[0], 0), max(column + columns[0], 0)
                 rgb[top : max(row + rows[1] + 1, 0), left : max(column + columns[1] + 1, 0)] = colour
 
-    # A dark rim first, so that the cross can be seen on white bone too.
+    # A dark rim is drawn first, so that the cross is visible on white bone.
     draw(arm + 1, 1, (0, 0, 0))
     draw(arm, 0, MARK_RGB)
     return dataclasses.replace(picture, rgb=rgb)

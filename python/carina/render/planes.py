@@ -1,4 +1,4 @@
-"""The views without a transfer function: slices, cut-plane, X-ray and tri-plane (paper 3.1)."""
+"""Casters of the views without a transfer function: slices, cut-plane, X-ray and tri-plane (paper 3.1)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from carina.volume.planes import PLANES
 
 __all__ = ["PlaneCaster"]
 
-# Brightness of the sagittal, coronal and axial plane of the tri-plane view, so that the eye finds their edges.
+# Brightness of the sagittal, coronal and axial plane of the tri-plane view; the difference makes their edges visible.
 PLANE_BRIGHTNESS = (0.8, 0.9, 1.0)
 BEHIND_PLANES = (16, 18, 21)
 Rows = tuple[int, int] | None
 
 
 class PlaneCaster:
-    """Renders planes and projections of one volume, in any thread; projections are made once."""
+    """Caster of planes and projections of one volume; any thread may use it. Projections are computed once."""
 
     def __init__(self, volume: Volume) -> None:
         self._volume = volume
@@ -30,7 +30,7 @@ class PlaneCaster:
         self._projections: dict[str, tuple[NDArray[np.int16], NDArray[np.float64]]] | None = None
 
     def render(self, view: CutPlaneView | SliceView | XrayView | TriPlaneView, *, rows: Rows = None) -> Picture:
-        """Any of them."""
+        """Return the picture of any of these views."""
         match view:
             case CutPlaneView():
                 return self.cut_plane(view, rows=rows)
@@ -42,7 +42,7 @@ class PlaneCaster:
                 return self.tri_plane(view, rows=rows)
 
     def cut_plane(self, view: CutPlaneView, *, rows: Rows = None) -> Picture:
-        """The plane through the tip."""
+        """Return the picture of the plane through the tip."""
         right, down, forward = view.pose.lps_from_camera[:3, :3].T
         middle = view.pose.position_lps
         if view.centre_lps is not None:
@@ -58,11 +58,11 @@ class PlaneCaster:
         return self._plane("cut-plane", matrix, view, rows)
 
     def slice(self, view: SliceView, *, rows: Rows = None) -> Picture:
-        """A slice along patient axes."""
+        """Return the picture of a slice along patient axes."""
         return self._plane(view.plane, self._slice_matrix(view), view, rows)
 
     def xray(self, view: XrayView, *, rows: Rows = None) -> Picture:
-        """A maximum intensity projection."""
+        """Return the picture of a maximum intensity projection."""
         with self._projecting:
             if self._projections is None:
                 self._projections = _project(self._volume)
@@ -75,7 +75,8 @@ class PlaneCaster:
         matrix = geometry.plane_matrix(flat.centre_lps, (right, down, depth), mm_per_px, view.width, view.height)
         window_hu = view.window_hu
         if window_hu is None:
-            # From the air beside the patient to dense bone; metal and contrast medium do not count.
+            # The window reaches from the air beside the patient to dense bone; the percentiles exclude metal and
+            # contrast medium.
             low, high = (float(v) for v in np.percentile(values, (2.0, 98.0)))
             window_hu = (max(high - low, 1.0), (low + high) / 2)
         grey, _ = _core.cut_plane(
@@ -90,12 +91,12 @@ class PlaneCaster:
         return _planar_picture(f"xray-{view.axis}", "projection", grey, matrix)
 
     def tri_plane(self, view: TriPlaneView, *, rows: Rows = None) -> Picture:
-        """Three planes from an orbit camera."""
+        """Return the picture of three planes from an orbit camera."""
         centre = np.asarray(view.centre_lps, dtype=np.float64)
         distance = view.distance_mm
         if distance is None:
             radius = geometry.bounding_radius_mm(geometry.box_corners_lps(self._volume), self._volume.centre_lps)
-            # Three planes fill a quarter less than the sphere round the box.
+            # Three planes fill a quarter less of the picture than the bounding sphere of the box.
             distance = 0.75 * radius / float(np.sin(np.deg2rad(view.fov_deg) / 2))
         aim = centre if view.look_at == "point" else self._volume.centre_lps
         pose = geometry.orbit_pose(aim, view.azimuth_deg, view.elevation_deg, distance)
@@ -168,7 +169,7 @@ def _planar_picture(name: str, method: str, grey: NDArray[np.uint8], matrix: NDA
 
 
 def _project(volume: Volume) -> dict[str, tuple[NDArray[np.int16], NDArray[np.float64]]]:
-    """The three projections in display order, each as a volume of one slice with its place."""
+    """Compute the three projections in display orientation, each as a volume of one slice with its ``lps_from_ijk``."""
     along = _core.project_maximum(volume.hu_zyx)
     # Axes of the projections' arrays (rows, columns) as grid axes: along i is [k, j], along j [k, i], along k [j, i].
     array_axes = ((2, 1), (2, 0), (1, 0))
@@ -184,8 +185,8 @@ def _project(volume: Volume) -> dict[str, tuple[NDArray[np.int16], NDArray[np.fl
         if array_axes[depth_axis] != (row_axis, column_axis):
             values = values.T
         values = values[:: int(row_sign), :: int(column_sign)]
-        # The first pixel is the first or the last voxel of each axis; the slice lies in the middle of the axis
-        # projected along.
+        # The first pixel is the first or the last voxel of each axis; the slice lies in the middle of the projected
+        # axis.
         first = np.zeros(3)
         first[column_axis] = 0 if column_sign > 0 else shape_ijk[column_axis] - 1
         first[row_axis] = 0 if row_sign > 0 else shape_ijk[row_axis] - 1

@@ -1,4 +1,4 @@
-"""Pictures as PNG with words inside: where their camera was (PNG specification, third edition: 9, 11.2, 11.3.3.2)."""
+"""Camera pose and notes as text chunks of PNG files (PNG specification, third edition: 9, 11.2, 11.3.3.2)."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ _MAX_TEXT = 1 << 16
 
 
 def read_png_pose(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Return the view and the pose that Carina stored in a saved picture; None where there is none.
+    """Return the view and the pose that Carina stored in a saved picture; None if the picture has none.
 
     Raises
     ------
     RenderError
-        ``render.png``: if it is no PNG.
+        ``render.png``: if the file is not a PNG.
     """
     found = _text(path, KEYWORD)
     return found if isinstance(found, dict) else None
 
 
 def read_png_badges(path: str | os.PathLike[str]) -> tuple[Note, ...]:
-    """Return the lasting notes that Carina stored in a saved picture; empty where there are none.
+    """Return the permanent notes that Carina stored in a saved picture; empty if the picture has none.
 
     Raises
     ------
     RenderError
-        ``render.png``: if it is no PNG.
+        ``render.png``: if the file is not a PNG.
     """
     found = _text(path, BADGES_KEYWORD)
     rows = found if isinstance(found, list) else []
@@ -46,7 +46,7 @@ def read_png_badges(path: str | os.PathLike[str]) -> tuple[Note, ...]:
 
 
 def _text(path: str | os.PathLike[str], wanted: str) -> Any:
-    """Return the JSON of a text chunk, or None."""
+    """Return the JSON of a text chunk; None if the file has no such chunk."""
     with open_regular(path) as file:
         data = file.read()
     if not data.startswith(SIGNATURE):

@@ -1,4 +1,4 @@
-"""Digitally reconstructed radiographs: the C-arm's geometry, attenuation from HU, and the tone of the picture."""
+"""Digitally reconstructed radiographs: geometry of the C-arm, attenuation from HU, and tone of the picture."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from carina.volume import Volume
 
 __all__ = ["cast_drr"]
 
-# Fluoroscopy of a chest at about 50 keV effective. Up to soft tissue the HU scale is attenuation itself; above it a CT
-# made at some 70 keV understates bone. Attenuation of cortical bone (1.92 g/cm3, about 1330 HU) and water at 50 keV:
-# Hubbell and Seltzer, NISTIR 5632 (1995), tables 3 and 4: 0.4242 * 1.92 = 0.8145 against 0.2269 per cm, 3.59 times.
+# Attenuation of water for fluoroscopy of a chest, about 50 keV effective. Up to soft tissue HU are proportional to
+# attenuation; above it a CT of some 70 keV understates bone. Attenuation of cortical bone (1.92 g/cm3, about 1330 HU)
+# and water at 50 keV: Hubbell and Seltzer, NISTIR 5632 (1995), tables 3 and 4: 0.4242 * 1.92 = 0.8145 against 0.2269
+# per cm, 3.59 times.
 WATER_PER_MM = 0.02269
 BONE_FROM_HU = 100.0
 BONE_GAIN = (3.59 - 1.1) / (1330.0 - BONE_FROM_HU) * 1000.0 - 1.0
-# The window: from what the lungs let through to the densest that is not metal. Percentiles of rays that meet tissue.
+# Percentiles of the rays that meet tissue: the window reaches from the lungs to the densest part that is not metal.
 DARKEST, BRIGHTEST = 2.0, 99.5
-# A ray through less than this much water has met air, clothes or the table's edge.
+# A ray through less than this much water has met only air, clothes or the edge of the table.
 TISSUE_MM = 8.0
 
 
 def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = None, simd: str | None = None) -> Picture:
-    """The radiograph of a volume, or rows of it.
+    """Return the radiograph of a volume, or a strip of its rows.
 
     Raises
     ------
     RenderError
-        If rows are asked for of a picture whose window is fitted to all of it.
+        If ``rows`` is given for a picture whose window is fitted to the whole picture.
     """
     if rows is not None and view.window_mm is None:
         msg = "fitting the window of a radiograph needs the whole image, not only some of its rows; pass window_mm"
@@ -52,7 +53,7 @@ def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = No
         height=view.height,
         rows=rows,
         source_lps=None if view.parallel else (float(source[0]), float(source[1]), float(source[2])),
-        # Numbers that are no HU say at least what is thin and what is dense.
+        # Uncalibrated values only order thin and dense material.
         air=-1000.0 if volume.is_hu else low,
         bone=BONE_FROM_HU if volume.is_hu else high,
         bone_gain=BONE_GAIN if volume.is_hu else 0.0,
@@ -71,9 +72,12 @@ def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = No
 
 
 def _fitting_mm_per_px(volume: Volume, view: DrrView) -> float:
-    """Shows the box at primary 0 and at 90, so that the size stays while the C-arm turns."""
+    """Return the pixel size at which the volume's box fits at primary angles 0 and 90, mm.
+
+    The size does not depend on the angle, so the picture keeps its scale while the C-arm turns.
+    """
     extent = np.ptp(geometry.box_corners_lps(volume), axis=0)
-    # Nearer to the source things are larger on the detector; the front of the box is half of it nearer.
+    # Parts nearer to the source appear larger on the detector; the front of the box is nearer by half its size.
     across, half = float(max(extent[0], extent[1])), float(max(extent[0], extent[1])) / 2
     nearer = 1.0 if view.parallel else view.sod_mm / max(view.sod_mm - half, view.sod_mm / 2)
     return max(across / view.width, float(extent[2]) / view.height) * nearer
@@ -91,6 +95,6 @@ def _toned(water_mm: NDArray[np.float32], view: DrrView) -> NDArray[np.uint8]:
         shade = (water_mm - low) / (high - low)
     else:
         thin, dense = np.exp(-WATER_PER_MM * low), np.exp(-WATER_PER_MM * high)
-        # Encoded for a screen, as every display of a linear detector does (gamma 2.2).
+        # Gamma 2.2 for the screen, as in displays of linear detectors.
         shade = np.clip((np.exp(-WATER_PER_MM * water_mm) - dense) / (thin - dense), 0.0, 1.0) ** (1 / 2.2)
     return np.asarray(np.clip(shade, 0.0, 1.0) * 255.0 + 0.5, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Pictures along a path: where their rows lie in the patient (Kanitsar et al., IEEE Visualization 2002)."""
+"""Geometry and pictures of the views along a path (Kanitsar et al., IEEE Visualization 2002)."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ __all__ = ["HALF_WIDTH_MM", "cast_path_view"]
 Points = NDArray[np.float64]
 
 HALF_WIDTH_MM = 40.0
-"""Half the width of a straightened airway: farther out the planes of a bend cross one another."""
-# Room beyond the ends of a path that is shown whole.
+"""Half the width of a straightened airway, mm: farther out, the planes of a bend would intersect."""
+# Margin in mm beyond the ends of a path that is shown completely.
 END_MM = 8.0
 
 
 def cast_path_view(volume: Volume, view: PathView, *, rows: tuple[int, int] | None = None) -> Picture:
-    """The picture of a straightened airway or of a curved reformation; ``lines`` are always those of all rows."""
+    """Return the picture of a straightened airway or a curved reformation.
+
+    Its ``lines`` cover all rows, also for a strip.
+    """
     lines, through = _straightened(view) if view.kind == "straightened" else _curved(view)
     table = np.hstack([lines.start_lps, lines.step_lps, through])
     table = np.ascontiguousarray(table if rows is None else table[slice(*rows)])
@@ -46,8 +49,8 @@ def _straightened(view: PathView) -> tuple[PictureLines, Points]:
     rows_mm = np.asarray(centre_mm + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px, dtype=np.float64)
     points, axes = path.at(rows_mm)
     turn = np.deg2rad(view.turn_deg)
-    # A camera that looks down the airway with anterior up has patient right on its right: mirrored, so that the picture
-    # begins as a coronal slice does at 0, and as a sagittal one at 90.
+    # A camera that looks down the airway with anterior up has patient right on its right. The picture is mirrored, so
+    # that it begins as a coronal slice does at 0 degrees, and as a sagittal one at 90.
     across = np.sin(turn) * axes[:, :, 1] - np.cos(turn) * axes[:, :, 0]
     through = np.cos(turn) * axes[:, :, 1] + np.sin(turn) * axes[:, :, 0]
     step = across * mm_per_px
@@ -69,8 +72,8 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
     points = path.points_lps
     steps = np.diff(points, axis=0)
     steps -= (steps @ across)[:, None] * across
-    # Length of the unrolled surface. Where the path runs along the sweeping line it does not grow; a hair of it keeps
-    # rows and places in one order.
+    # Length of the unrolled surface. It does not grow where the path runs along the sweeping line; the small increment
+    # keeps rows and positions in the same order.
     unrolled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
     unrolled += 1e-6 * (path.path_mm - path.path_mm[0])
     sideways = points @ across
@@ -85,7 +88,7 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
     rows = middle + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px
     inside = np.clip(rows, 0.0, unrolled[-1])
     at = np.stack([np.interp(inside, unrolled, points[:, axis]) for axis in range(3)], axis=1)
-    # Beyond an end the surface runs on at a right angle to the sweeping line.
+    # Beyond an end the surface continues at a right angle to the sweeping line.
     ways = [_way(steps, forward=forward) for forward in (True, False)]
     at += np.clip(rows, None, 0.0)[:, None] * ways[0] + (rows - np.clip(rows, None, unrolled[-1]))[:, None] * ways[1]
     here = at @ across
@@ -106,7 +109,7 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
 
 
 def _way(steps: Points, *, forward: bool) -> Points:
-    """The direction of the first (last) step that has one; caudal where the path runs along the sweeping line alone."""
+    """Return the direction (3,) of the first (last) step of non-zero length; caudal if all steps have length 0."""
     for step in steps if forward else steps[::-1]:
         length = float(np.linalg.norm(step))
         if length > 1e-9:

@@ -1,4 +1,4 @@
-"""The single-machine renderer: one volume, one transfer function, all views."""
+"""Single-machine renderer: one volume, one transfer function, all views."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ __all__ = ["Renderer", "can_cut"]
 
 
 def can_cut(view: View) -> bool:
-    """Whether rows of a view's picture can be rendered alone."""
+    """Return whether a strip of rows of a view's picture can be rendered without the other rows."""
     match view:
         case AirwayView():
             return view.depth_of_field is None
@@ -68,26 +68,26 @@ A_TREE = having("branches", "get one from carina.find_airways", optional=True)
 
 
 class Renderer:
-    """Renders all views of one volume.
+    """Renderer of all views of one volume.
 
-    Pictures can be rendered in one thread while another prepares maps or sets the lumen or the transfer function: a
-    picture sees the state before or after a change, never between.
+    Several threads may use a renderer: one thread can render while another prepares maps or sets the lumen or the
+    transfer function. A picture shows the state before or after such a change, never a mixture.
 
     Parameters
     ----------
     volume
         The volume; not copied.
     transfer
-        Transfer function of the airway view; the *endoscopic* preset, or one from the histogram where the volume is not
-        in HU.
+        Transfer function of the airway view. Default: the *endoscopic* preset, or a transfer function from the
+        histogram if the volume is not in HU.
     cache_dir
-        Folder for maps that were slow to build (docs/decisions/0104); None keeps none.
+        Folder for maps that were slow to build (docs/decisions/0104); None stores no maps.
     simd
-        Instruction set of the kernels (``portable``, ``avx2``, ``avx512``, ``neon``) for tests; unless told, what
-        ``CARINA_SIMD`` names, or the fastest of this machine. The pictures are the same.
+        Instruction set of the kernels (``portable``, ``avx2``, ``avx512``, ``neon``) for tests. Default: the value of
+        ``CARINA_SIMD``, or the fastest set of this machine. The pictures are the same.
     backend
-        Whether airway views may come from a graphics device; from the CPU unless told. Its pictures are the CPU's
-        within one grey level on 99.9 % of the pixels, and ``Picture.stats.method`` begins with ``gpu-``.
+        Processor of the airway views: CPU (default) or graphics device. Pictures of a graphics device equal the CPU's
+        within one grey level on 99.9 % of the pixels, and their ``Picture.stats.method`` begins with ``gpu-``.
 
     Examples
     --------
@@ -123,44 +123,48 @@ class Renderer:
         self._planes = PlaneCaster(volume)
 
     def __reduce__(self) -> NoReturn:
+        """Raise an error: the object is bound to its process and cannot be pickled."""
         refuse_pickle(self, "pickle its volume, and create a carina.Renderer of it in the other process")
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         ready = "prepared" if self.prepared else "not prepared"
         return f"Renderer({self._volume!r}, transfer={self.transfer.name!r}, {ready})"
 
     @property
     def volume(self) -> Volume:
-        """The volume."""
+        """Volume that is rendered."""
         return self._volume
 
     @property
     def transfer(self) -> TransferFunction:
-        """The transfer function of the airway view."""
+        """Transfer function of the airway view."""
         return self._scenes.scene.transfer
 
     @property
     def prepared(self) -> bool:
-        """True if ``leap`` leaps; else it renders the same picture by brute force."""
+        """Whether the maps exist that ``leap`` needs; without them the same picture is rendered by brute force."""
         scene = self._scenes.scene
         return scene.maps is not None or scene.class_maps is not None
 
     @check_arguments(transfer=instance(TransferFunction, "get one from carina.transfer_preset"))
     def set_transfer(self, transfer: TransferFunction) -> None:
-        """Show the volume with another transfer function; call ``prepare`` again, unless its map is still in memory."""
+        """Set the transfer function; call ``prepare`` afterwards, unless its map is still in memory."""
         self._scenes.set_transfer(transfer)
 
     @check_arguments(lumen_zyx=mask_array(optional=True), tree=A_TREE)
     def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
-        """Set the airway lumen ``(nz, ny, nx)`` on the volume's grid, for the wall and the tree view; None clears it.
+        """Set the airway lumen ``(nz, ny, nx)`` on the volume's grid, for the wall and the tree view.
 
-        With the lumen's ``tree`` (:class:`carina.track.AirwayTree`) the *endoscopic* look draws what is fixed to
-        anatomy: rings, the membranous wall, colour by region, ridges of forks.
+        None removes the lumen.
+
+        With the ``tree`` of the lumen (:class:`carina.track.AirwayTree`) the *endoscopic* look draws decoration that is
+        fixed to anatomy: rings, the membranous wall, colour by region, ridges of forks.
 
         Raises
         ------
         GeometryError
-            If the mask has another shape than the volume.
+            If the shape of the mask differs from the volume's.
         """
         self._scenes.set_lumen(lumen_zyx, tree)
 
@@ -169,39 +173,40 @@ class Renderer:
     def prepare(
         self, progress: ProgressChoice = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
-        """Build the IsoRegion map for the present transfer function and lumen, or take it from the cache.
+        """Build the IsoRegion map for the present transfer function and lumen, or read it from the cache.
 
         Parameters
         ----------
         progress
-            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
-            is None where it is unknown.
+            False, True or ``f(what, fraction)``. True and None show a bar in a terminal or a notebook. The fraction is
+            None where it is unknown.
         cancel
-            Asked every 50 ms. A change of transfer function or lumen while maps are built makes them stale: they are
-            built again for the newest.
+            Function that is called every 50 ms and returns True to stop. If the transfer function or the lumen changes
+            while maps are built, the maps are built again for the latest values.
         all_classes
-            Also build labels and radii of opaque classes, for leaps by the step table with shading off (paper 4.3).
-            Unless told, only for transfer functions of sampling ``nearest``, which are the paper's. Twice the memory.
+            Whether to build also labels and radii of opaque classes, for leaps by the step table with shading off
+            (paper 4.3), in twice the memory. Default: only for transfer functions of sampling ``nearest``, which are
+            the paper's.
 
         Raises
         ------
         CancelledError
-            If ``cancel`` said so; what was ready before stays in use.
+            If ``cancel`` returned True; maps that existed before stay in use.
         """
         self._scenes.prepare(progress_function(progress), cancel, all_classes=all_classes)
 
     def wait_stored(self) -> None:
-        """Wait until the maps that the cache keeps are on disk; storing goes on in the background otherwise."""
+        """Wait until the background thread has written the maps to the cache."""
         self._scenes.wait_stored()
 
     @property
     def scene(self) -> Scene:
-        """What pictures are made from now; it never changes, so a picture can be made from it later or elsewhere."""
+        """Present scene: the immutable input of pictures, which another thread or machine can render later."""
         return self._scenes.scene
 
     @check_arguments(scene=instance(Scene, "take one from Renderer.scene"))
     def adopt_scene(self, scene: Scene) -> None:
-        """Show a scene that another renderer of the same volume has made: its lumen, wall, transfer function and maps.
+        """Use a scene that another renderer of the same volume has built: its lumen, wall, transfer function and maps.
 
         Raises
         ------
@@ -229,15 +234,15 @@ class Renderer:
         Parameters
         ----------
         view
-            What to render.
+            View definition.
         rows
-            First row and the row after the last. Strips put together are the whole picture, bit for bit. Pictures with
-            depth of field, and radiographs whose window is fitted, exist only whole: see :func:`can_cut`.
+            First row and the row after the last. Assembled strips equal the whole picture, bit for bit. Pictures with
+            depth of field, and radiographs whose window is fitted, can only be rendered whole: see :func:`can_cut`.
         stop
-            Gives the picture up when another thread cancels it. The airway and the tree view look at it every few rows;
-            the others take milliseconds and do not.
+            Token by which another thread cancels the rendering. The airway and the tree view check the token every few
+            rows; the other views take milliseconds and do not check it.
         scene
-            In place of the present scene: one that :attr:`scene` gave earlier.
+            Scene to render, from an earlier read of :attr:`scene`. Default: the present scene.
 
         Raises
         ------
@@ -266,19 +271,21 @@ class Renderer:
             case _:
                 picture = self._planes.render(view, rows=rows)
         seconds = time.perf_counter() - started
-        # Of the other views, a part is made in the calling thread.
+        # Other views do a part of their work in the calling thread, which this time does not include.
         counts = picture.stats.method in {"leap", "leap-all", "brute"}
         rays_s = _between(counted_s, _core.picture_clock_s(), seconds) if counts else None
         return dataclasses.replace(picture, stats=dataclasses.replace(picture.stats, seconds=seconds, rays_s=rays_s))
 
     @check_arguments(view=AN_AIRWAY_VIEW, rows=ROWS)
     def surface(self, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
-        """Depth, position and normal of the first wall at every pixel of an airway view, from the rays of its picture.
+        """Return depth, position and normal of the first wall at every pixel of an airway view.
+
+        The rays are the same as those of the rendered picture.
 
         Parameters
         ----------
         view
-            What to look at; shading has no part in it.
+            Airway view; its shading has no effect.
         rows
             First row and the row after the last.
 
@@ -291,9 +298,9 @@ class Renderer:
 
     @check_arguments(view=AN_AIRWAY_VIEW, column=whole_from(0, 8191), row=whole_from(0, 8191))
     def pick(self, view: AirwayView, column: int, row: int) -> Hit | None:
-        """Return the first wall at one pixel of an airway view; None where the ray meets none.
+        """Return the first wall at one pixel of an airway view; None if the ray of the pixel meets no wall.
 
-        One ray is cast; the numbers are those of :meth:`surface`.
+        One ray is cast; the values equal those of :meth:`surface`.
 
         Raises
         ------
@@ -312,10 +319,10 @@ class Renderer:
 
 
 def _between(first_s: float | None, last_s: float | None, seconds: float) -> float | None:
-    """Return the processor time between two readings.
+    """Return the mean processor time per picture thread between two readings.
 
-    The result is None where a reading is missing, and where the readings cannot be of the same threads, because a force
-    device started or ended one in between.
+    The result is None if a reading is missing, or if the difference is negative or exceeds the wall time ``seconds``.
+    The readings then belong to different sets of threads, because a force device started or ended between them.
     """
     if first_s is None or last_s is None or not 0.0 <= last_s - first_s <= 1.1 * seconds:
         return None

@@ -1,4 +1,7 @@
-"""What pictures are made from: values, wall, radius maps. Replaced whole: a picture never sees half a change."""
+"""Scene of a renderer: values, wall and radius maps.
+
+A scene is replaced as a whole, so no picture sees half a change.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ Cancel = Callable[[], bool]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Maps(LeapedValues):
-    """What leaping needs for one set of values and one transfer function."""
+    """Values and radii for leaps over transparent classes, for one transfer function."""
 
     runs: tuple[tuple[int, int], ...]
 
@@ -44,7 +47,7 @@ class ClassMaps(LeapedValues):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What pictures are made from; never changed, only replaced."""
+    """Immutable input of pictures: transfer function, lumen, values and maps."""
 
     transfer: TransferFunction
     lumen: NDArray[np.uint8] | None
@@ -58,7 +61,7 @@ class Scene:
 
 
 class SceneKeeper:
-    """Holds the present scene of one volume and makes the next; :class:`carina.render.Renderer` has the contract."""
+    """Owner of the present scene of one volume, which builds its successors; see :class:`carina.render.Renderer`."""
 
     def __init__(self, volume: Volume, transfer: TransferFunction | None, cache_dir: Path | None) -> None:
         if transfer is None:
@@ -72,11 +75,11 @@ class SceneKeeper:
 
     @property
     def scene(self) -> Scene:
-        """The present scene."""
+        """Present scene."""
         return self._scene
 
     def adopt(self, scene: Scene) -> None:
-        """Take a scene that another keeper of the same volume has made."""
+        """Replace the scene by one that another keeper of the same volume has built."""
         if scene.values.shape != self._volume.shape_zyx:
             msg = (
                 f"the scene's values have shape {scene.values.shape}; expected that of the volume, "
@@ -87,12 +90,12 @@ class SceneKeeper:
             self._scene = scene
 
     def set_transfer(self, transfer: TransferFunction) -> None:
-        """Take another transfer function, with its map where that is still in memory."""
+        """Set the transfer function; the map stays if it fits the new transfer function."""
         with self._change:
             self._replace(transfer, self._scene.lumen, self._scene.tree, self._scene.decoration)
 
     def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: DecorationTree | None = None) -> None:
-        """Take another lumen, (nz, ny, nx), or none, and its tree; makes the wall and the field of the tree view."""
+        """Set the lumen (nz, ny, nx), or None, and its tree; build the wall and the field of the tree view."""
         if lumen_zyx is not None:
             lumen_zyx = np.ascontiguousarray(lumen_zyx, dtype=np.uint8)
             if lumen_zyx.shape != self._volume.shape_zyx:
@@ -128,7 +131,8 @@ class SceneKeeper:
             assert lumen is not None
             values = with_wall(self._volume.hu_zyx, lumen, levels)
             value_range = (self._range[0], max(self._range[1], _core.value_range(values)[1]))
-        # Another map is not kept: it is built in less time than it takes to miss it, and is half a volume.
+        # A map that no longer fits is dropped: building it again is fast, and a map takes half the memory of the
+        # volume.
         kept = old.maps is not None and old.maps.values is values and old.maps.runs == _runs(transfer)
         with self._swap:
             maps = old.maps if kept else None
@@ -137,7 +141,7 @@ class SceneKeeper:
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
     ) -> None:
-        """Build the maps that the present scene lacks, or take them from the cache."""
+        """Build the maps that the present scene lacks, or read them from the cache."""
 
         def step(what: str, fraction: float | None) -> None:
             if cancel is not None and cancel():
@@ -148,7 +152,7 @@ class SceneKeeper:
         what = "preparing fast rendering"
         while True:
             scene = self._scene
-            # The paper's transfer functions are never shaded, and then all classes are leaped.
+            # The paper's transfer functions are never shaded, so all classes are leaped.
             by_paper = scene.transfer.sampling == "nearest"
             wants_classes = by_paper if all_classes is None else all_classes
             step(what, 0.0)
@@ -161,7 +165,7 @@ class SceneKeeper:
                 class_maps = self._build_class_maps(scene, cancel)
             step(what, 1.0)
             with self._swap:
-                # The transfer function or the lumen may have changed meanwhile: then these maps are of the past.
+                # If the transfer function or the lumen changed meanwhile, the maps are stale and are built again.
                 if self._scene is scene:
                     self._scene = dataclasses.replace(scene, maps=maps, class_maps=class_maps)
                     return
@@ -197,7 +201,7 @@ class SceneKeeper:
         )
 
     def wait_stored(self) -> None:
-        """Wait until the cache has written what it keeps."""
+        """Wait until the cache has written its maps."""
         if self._cache is not None:
             self._cache.wait_stored()
 

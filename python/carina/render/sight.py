@@ -1,6 +1,6 @@
-"""How a case is looked at: the values that the window's views, a call's and the wire share.
+"""Display settings of a case, shared by the window, calls of the renderer and the wire.
 
-None of it is what a person made of the case, so none of it is a step of undo.
+These settings describe how the user looks at the case. They do not change the case, so undo does not cover them.
 """
 
 from __future__ import annotations
@@ -39,19 +39,23 @@ Method = Literal["leap", "brute"]
 
 
 class GreyWindow(FrozenValue, frozen=True):
-    """Grey window of all slice views; numbers of the file where the volume is not HU."""
+    """Grey window of all slice views; raw values where the volume is not in HU."""
 
     width_hu: Annotated[float, Meta(ge=1.0, le=65_536.0)]
     level_hu: Annotated[float, Meta(ge=-32_768.0, le=32_768.0)]
 
 
 class Slab(FrozenValue, frozen=True):
-    """A thick slice: the largest, smallest or mean value over its thickness; ``min`` shows airways, 0 mm are thin."""
+    """Thick slice that shows the largest, smallest or mean value over its thickness.
+
+    ``min`` shows airways; 0 mm is a thin slice.
+    """
 
     thickness_mm: Annotated[float, Meta(ge=0.0, le=100.0)]
     kind: SlabKind
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(self, RenderError, "render.setting", thickness_mm=any_number(), kind=text_of())
         if not 0.0 <= self.thickness_mm <= 100.0:
             raise RenderError(
@@ -62,7 +66,7 @@ class Slab(FrozenValue, frozen=True):
 
 
 class Orbit(FrozenValue, frozen=True):
-    """Camera of an outside view: azimuth 0 is from anterior, distance null fits."""
+    """Camera of an external view: azimuth 0 looks from anterior; null as distance fits the view to its content."""
 
     azimuth_deg: Angle
     elevation_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
@@ -70,16 +74,16 @@ class Orbit(FrozenValue, frozen=True):
 
 
 class FlatPlace(FrozenValue, frozen=True):
-    """Where a planar view was zoomed or panned to: scale of a slice, or width of the cut-plane; null fits."""
+    """Zoom and centre of a planar view: scale of a slice, or width of the cut-plane; null shows the whole area."""
 
     mm_per_px: MmPerPixel | None = None
     extent_mm: Annotated[float, Meta(ge=2.0, le=1000.0)] | None = None
     centre_lps: PointLps | None = None
-    """Middle of a zoomed picture until the tip moves; null is the point that is shown, and in the cut-plane the tip."""
+    """Centre of a zoomed picture until the tip moves; null is the displayed point, or the tip in the cut-plane."""
 
 
 class Carm(FrozenValue, frozen=True):
-    """Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits."""
+    """Angles of the radiograph's C-arm (LAO and cranial above 0), tone, and scale at the centre; null fits."""
 
     primary_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
     secondary_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
@@ -88,7 +92,7 @@ class Carm(FrozenValue, frozen=True):
 
 
 class Reformation(FrozenValue, frozen=True):
-    """Turn and scale of the views along the route: null fits the route, else the tip is in the middle."""
+    """Angle of the cutting plane and scale of the views along the route; null as scale fits the whole route."""
 
     turn_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
     mm_per_px: MmPerPixel | None
@@ -99,33 +103,39 @@ THIN = Slab(0.0, "min")
 
 
 class Sight(FrozenValue, frozen=True):
-    """How a case is looked at, which is no step of undo."""
+    """Display settings of a case, which are no step of undo."""
 
     crosshair_lps: PointLps | None = None
-    """The point that slices and tri-plane show; null follows the tip."""
+    """Point that slices and the tri-plane view show; null follows the tip."""
     window: GreyWindow | None = None
-    """Null is each view's own."""
+    """Grey window of all views; null is each view's default."""
     slab: Slab = THIN
-    """Thickness of slices and views along the route."""
+    """Slab thickness of slices and of views along the route."""
     zoom: dict[str, FlatPlace] = msgspec.field(default_factory=dict)
-    """By view; those that are not here fit."""
+    """Zoom and centre by view name; a view without an entry shows its whole area."""
     orbits: dict[str, Orbit] = msgspec.field(default_factory=dict)
-    """By view; those that are not here stand where they begin."""
+    """Orbit camera by view name; a view without an entry uses its initial camera."""
     carm: Carm = Carm(0.0, 0.0, None, "radiograph")
     reformation: Reformation = Reformation(0.0, None)
     shading: bool = True
-    """Light at the tip."""
+    """Whether the headlight at the tip shades the airway view."""
     texture: bool = True
-    """Mottling and micro relief laid on the mucosa, which are not the patient's."""
+    """Whether mottling and micro relief, which do not come from the CT, are drawn on the mucosa."""
     method: Method = "leap"
-    """Leaping, or the brute-force reference; the picture is the same."""
+    """Ray casting by leaping or by the brute-force reference; the pictures are the same."""
 
     def place(self, view: str) -> FlatPlace:
-        """Where a planar view was zoomed or panned to."""
+        """Return the zoom and the centre of a planar view."""
         return self.zoom.get(view, FITS)
 
     def centred(self, views: Collection[str]) -> Sight:
-        """Return a sight with these views centred on the shown point again, at their scales; itself if they are."""
+        """Return a copy in which these views are centred on the displayed point, with unchanged scales.
+
+        Returns
+        -------
+        Sight
+            ``self`` if no view is panned.
+        """
         panned = [view for view in views if self.place(view).centre_lps is not None]
         if not panned:
             return self

@@ -1,4 +1,4 @@
-"""What pictures are made from, for scripts: IsoRegion maps, projections, planes as plain arrays."""
+"""Data structures of the renderer as plain arrays, for scripts: IsoRegion maps, projections, planes."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> N
     volume
         The scan.
     transfer
-        Voxels are equal that this transfer function shows in the same colour and opacity, as where pictures leap. Where
-        there is none, those are equal whose values lie in the same 16 HU, as in the paper.
+        Voxels count as equal if this transfer function shows them in the same colour and opacity, as for leaps of
+        pictures. With None, voxels count as equal if their values lie in the same bin of 16 HU, as in the paper.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def isoregion_map(volume: Volume, transfer: TransferFunction | None = None) -> N
 
 
 def project_maximum(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
-    """Maximum intensity projections along the grid's axes, in one pass (paper 3.1).
+    """Compute the maximum intensity projections along the grid's axes, in one pass (paper 3.1).
 
     Returns
     -------
@@ -104,16 +104,16 @@ def project_maximum(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.int16
 def sample_plane(
     volume: Volume, lps_from_pixel: NDArray[np.float64], *, width: int, height: int, window_hu: tuple[float, float]
 ) -> NDArray[np.uint8]:
-    """Return a plane anywhere in the volume, trilinear, as grey levels.
+    """Return grey levels of any plane of the volume, trilinearly interpolated.
 
     Parameters
     ----------
     volume
         The volume.
     lps_from_pixel
-        4x4; maps (column, row, depth in mm, 1) to LPS mm, pixel (0, 0) being the *corner* of the first pixel.
+        4x4; maps (column, row, depth in mm, 1) to LPS mm; pixel (0, 0) is the *corner* of the first pixel.
     width, height
-        Pixels.
+        Size in pixels.
     window_hu
         Width and level.
 

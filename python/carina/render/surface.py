@@ -1,4 +1,4 @@
-"""The first wall that every pixel of the airway view shows: how far, where, and which way it faces."""
+"""First wall at every pixel of the airway view: depth, position and normal."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = ["Hit", "Surface"]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Hit:
-    """The wall at one pixel.
+    """First wall at one pixel.
 
-    ``depth_mm`` is the way along the ray from the camera's centre; ``position_lps`` and the unit vector ``normal_lps``
-    are (3,); the normal points into the lumen, to the camera's side.
+    ``depth_mm`` is the distance along the ray from the camera's centre. ``position_lps`` (3,) is in LPS mm;
+    ``normal_lps`` (3,) is a unit vector that points into the lumen, towards the camera.
     """
 
     depth_mm: float
@@ -37,11 +37,11 @@ class Hit:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """The first wall of every pixel of an airway view: where what shines through falls below one half.
+    """First wall of every pixel of an airway view: the point of a ray where the transparency falls below one half.
 
-    ``depth_mm`` (h, w) float32 is measured along the ray from the camera's centre, not along the camera's axis;
-    ``position_lps`` (h, w, 3) float64; ``normal_lps`` (h, w, 3) float32, unit length, on the camera's side, from a
-    gradient over 0.9 mm. All are NaN where a ray meets no wall. Row 0 is the first row asked for.
+    ``depth_mm`` (h, w) float32 is measured along the ray from the camera's centre, not along the camera's axis.
+    ``position_lps`` (h, w, 3) float64 is in LPS mm. ``normal_lps`` (h, w, 3) float32 is a unit vector towards the
+    camera, from a gradient over 0.9 mm. All are NaN where a ray meets no wall. Row 0 is the first rendered row.
     """
 
     depth_mm: NDArray[np.float32]
@@ -51,10 +51,10 @@ class Surface:
     fov_deg: float
 
     def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:
-        """Write a NumPy archive and return where; a file of the same name is replaced whole or not at all.
+        """Write a NumPy archive and return its path; an existing file is replaced completely or not at all.
 
-        It holds ``depth_mm``, ``position_lps``, ``normal_lps``, ``lps_from_camera`` (4, 4) and ``fov_deg``; where its
-        case is in doubt also ``badges`` (n,), a text each.
+        It contains ``depth_mm``, ``position_lps``, ``normal_lps``, ``lps_from_camera`` (4, 4) and ``fov_deg``; if the
+        case has notes of doubt, also ``badges`` (n,), one text each.
 
         Raises
         ------

@@ -23,7 +23,7 @@ def picture_threads() -> int:
 
 @contextmanager
 def reserved_thread() -> Iterator[None]:
-    """Keep one thread free of pictures in this context, for work with deadlines, such as a force loop.
+    """Reserve one thread for work with deadlines, such as a force loop, in this context.
 
     Pictures keep at least one thread. Nested contexts reserve only one thread together.
 

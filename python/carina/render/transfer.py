@@ -1,4 +1,4 @@
-"""Transfer functions: colour and opacity by HU, the presets, and one from a volume's own histogram."""
+"""Transfer functions: colour and opacity by HU, the presets, and a transfer function from a volume's histogram."""
 
 from __future__ import annotations
 
@@ -35,17 +35,18 @@ PAPER_BIN_HU = 16
 @one_line
 @dataclass(frozen=True, slots=True)
 class Light:
-    """The light at the scope's tip; shares of full brightness."""
+    """Light at the scope's tip, as fractions of full brightness."""
 
     ambient: float = 0.15
     diffuse: float = 0.85
     specular: float = 0.0
     shininess_log2: int = 4
-    """The highlight's exponent is ``2 ** shininess_log2``."""
+    """Base-2 logarithm of the highlight's exponent: the exponent is ``2 ** shininess_log2``."""
     reach_mm: float | None = None
-    """Distance at which half the light is left; None for none lost."""
+    """Distance at which half the light remains; None for light that does not decrease with distance."""
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,
@@ -66,7 +67,7 @@ class Light:
             raise RenderError(f"the reach of a light must be above 0 mm; found {self.reach_mm}")
 
     def as_core(self) -> tuple[float, float, float, int, float]:
-        """As the compiled module takes it."""
+        """Return the settings as the tuple that the compiled module expects."""
         reach = float("inf") if self.reach_mm is None else float(self.reach_mm)
         return self.ambient, self.diffuse, self.specular, self.shininess_log2, reach
 
@@ -74,27 +75,27 @@ class Light:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TransferFunction:
-    """Colour and opacity by value, linear between points, and how the airway view uses them.
+    """Colour and opacity by voxel value, linear between points, with the settings of the airway view.
 
     Parameters
     ----------
     points
-        ``(n, 5)``: value, red, green, blue, opacity; values in order, the rest 0..1. Two points at one value make a
-        step.
+        ``(n, 5)``: value, red, green, blue, opacity; values in increasing order, the rest 0..1. Two points at one value
+        make a step.
     reference_mm
-        Length that the opacities are given for.
+        Ray length for which the opacities are given, mm.
     unit
         ``HU``, or ``raw`` for volumes that are not calibrated.
     name
-        Shown to people; presets have theirs.
+        Name that users see; each preset has one.
     sampling
-        ``trilinear``, or ``nearest`` for the paper's: nearest voxel, step of one voxel, 16-HU bins, no shading.
+        ``trilinear``, or ``nearest`` as in the paper: nearest voxel, step of one voxel, 16-HU bins, no shading.
     wall
         True if the airway view closes the lumen's wall (docs/decisions/0105).
     light
-        The light of the shaded airway view, laid on every sample.
+        Light of the shaded airway view, applied to every sample.
     appearance
-        How the wall looks through a scope, laid on the first wall of each pixel in place of ``light``; None for none.
+        Light, gloss and texture that are applied to the first wall of each pixel instead of ``light``; None for none.
 
     Raises
     ------
@@ -119,6 +120,7 @@ class TransferFunction:
     appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,
@@ -175,11 +177,11 @@ class TransferFunction:
 
     @property
     def bin_hu(self) -> int:
-        """Width of the bins of equal colour; 1 for none."""
+        """Width in HU of the bins of equal colour; 1 if values are not binned."""
         return PAPER_BIN_HU if self.sampling == "nearest" else 1
 
     def to_json(self) -> dict[str, Any]:
-        """As a JSON object (format ``carina-transfer``, version 1)."""
+        """Return the transfer function as a JSON object (format ``carina-transfer``, version 1)."""
         light = {k: getattr(self.light, k) for k in ("ambient", "diffuse", "specular", "shininess_log2", "reach_mm")}
         return {
             "format": FORMAT,
@@ -197,12 +199,12 @@ class TransferFunction:
     @classmethod
     @check_arguments(document=instance(Mapping, "take one from TransferFunction.to_json"))
     def from_json(cls, document: Mapping[str, Any]) -> TransferFunction:
-        """From a JSON object; unknown keys are left alone, missing optional ones take their defaults.
+        """Create a transfer function from a JSON object; ignore unknown keys, use defaults for missing optional keys.
 
         Raises
         ------
         RenderError
-            If the object is of another format or version, or holds what a transfer function cannot.
+            If the object has another format or version, or contains invalid values.
         """
         if document.get("format") != FORMAT or document.get("version") != VERSION:
             msg = (
@@ -225,7 +227,7 @@ class TransferFunction:
                 appearance=None if appearance is None else Appearance.from_json(appearance),
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            # OverflowError: an integer of hundreds of digits has no float.
+            # OverflowError: an integer of hundreds of digits cannot be converted to float.
             if isinstance(error, RenderError):
                 raise
             raise RenderError(f"the transfer function cannot be read: {error}", code="render.transfer") from None
@@ -233,19 +235,19 @@ class TransferFunction:
     @classmethod
     @check_arguments(text=instance(str, "read the text of a JSON file"))
     def from_json_text(cls, text: str) -> TransferFunction:
-        """From the text of a JSON file."""
+        """Create a transfer function from the text of a JSON file."""
         try:
             document = json.loads(text)
         except (ValueError, RecursionError) as error:
-            # ValueError: bad JSON, and integers of more digits than Python converts.
+            # json raises ValueError for bad JSON and for integers with more digits than Python converts.
             raise RenderError(f"the transfer function is not JSON: {error}", code="render.transfer") from None
         if not isinstance(document, dict):
             raise RenderError("expected a transfer function as a JSON object", code="render.transfer")
         return cls.from_json(document)
 
 
-# The wall turns opaque round the half-maximum between air and tissue, where a lumen ends; the colours deepen from thin
-# mucosa over cartilage to what lies behind. A scope's exposure keeps some 3 cm of airway bright.
+# The wall becomes opaque around the half-maximum between air and tissue, where a lumen ends. The colours deepen from
+# thin mucosa over cartilage to the tissue behind. The exposure of a scope keeps about 3 cm of airway bright.
 ENDOSCOPIC = TransferFunction(
     points=np.array(
         [
@@ -274,7 +276,7 @@ CT_GREY = TransferFunction(
     light=Light(ambient=0.15, diffuse=0.85),
 )
 
-# Paper 4.3 gives no transfer function; this one is opaque tissue in 16-HU bins.
+# Paper 4.3 gives no transfer function; this one shows tissue as opaque, in 16-HU bins.
 PAPER = TransferFunction(
     points=np.array(
         [
@@ -314,7 +316,7 @@ def transfer_preset(name: str) -> TransferFunction:
     Raises
     ------
     UsageError
-        If there is none of this name.
+        If there is no preset of this name.
 
     Examples
     --------
@@ -329,15 +331,16 @@ def transfer_preset(name: str) -> TransferFunction:
 
 
 def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
-    """Return a transfer function for a volume that is not in HU, from its own histogram.
+    """Return a transfer function for a volume that is not in HU, from the volume's histogram.
 
-    Otsu's threshold parts dark (air) from bright (tissue); the ramp of the endoscopic preset is laid round it in
-    proportion to the distance between the means of the two parts, as it lies round the half-maximum in HU.
+    Otsu's threshold separates dark voxels (air) from bright voxels (tissue). The opacity ramp of the endoscopic preset
+    is placed around the threshold, as it is placed around the half-maximum in HU, and scaled by the difference between
+    the means of the two classes.
 
     Parameters
     ----------
     volume
-        Any volume; its values are used as they are.
+        Any volume; its values are used without calibration.
 
     Returns
     -------
@@ -360,12 +363,12 @@ def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
     mean_below = sums / np.maximum(below, 1)
     mean_above = ((counts * values).sum() - sums) / np.maximum(above, 1)
     between = below * above * (mean_above - mean_below) ** 2
-    # A gap between two peaks gives a plateau of equal maxima: its middle is the threshold.
+    # A gap between two peaks gives a plateau of equal maxima; the threshold is the middle of the plateau.
     best = np.flatnonzero(between >= between.max() * (1 - 1e-12))
     at = int(best[len(best) // 2])
     dark, bright = float(mean_below[at]), float(mean_above[at])
     threshold = float(values[at]) + 0.5
-    # In HU: dark -950, bright 50, half-maximum -450; the ramp runs from a quarter below it to a twentieth above.
+    # In HU: dark -950, bright 50, half-maximum -450; the ramp runs from 1/4 of the contrast below it to 1/20 above.
     contrast = bright - dark
     start, full = threshold - 0.25 * contrast, threshold + 0.05 * contrast
     colours = ENDOSCOPIC.points[:, 1:]

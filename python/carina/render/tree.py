@@ -1,4 +1,4 @@
-"""The external view of the lumen: a smooth field from its mask, cast like any volume."""
+"""External view of the lumen: a smooth field from its mask, cast like any volume."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from carina.render.wall import bounding_box
 
 __all__ = ["LeapedValues", "TreeField", "build_tree_field", "cast_tree"]
 
-# The field is 1024 deep inside. A surface at 512 would be the mask's own but lose branches one voxel thick, which keep
-# 256.
+# The field is 1024 deep inside. A threshold of 512 would give the mask's surface but lose branches one voxel thick,
+# whose field is only 256.
 SURFACE = np.array([[110.0, 0.86, 0.80, 0.72, 0.0], [190.0, 0.86, 0.80, 0.72, 0.999]])
 LIGHT = Light(ambient=0.18, diffuse=0.82, specular=0.15, shininess_log2=4)
 BACKGROUND = (0.055, 0.06, 0.07)
@@ -24,16 +24,16 @@ BACKGROUND = (0.055, 0.06, 0.07)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LeapedValues:
-    """Values, and how far a ray may leap at each voxel."""
+    """Values of a volume, and the number of voxels that a ray may leap at each voxel."""
 
     values: NDArray[np.int16]
     radius: NDArray[np.uint8]
-    """Of the IsoRegion round each voxel, chessboard distance."""
+    """Radius of the IsoRegion around each voxel, chessboard distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TreeField(LeapedValues):
-    """The smooth field of a lumen, cut to its box, and the map of what is empty."""
+    """Smooth field of a lumen, cropped to its box, and the map of its empty regions."""
 
     lps_from_ijk: NDArray[np.float64]
     centre_lps: NDArray[np.float64]
@@ -42,12 +42,11 @@ class TreeField(LeapedValues):
 
 
 def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.float64]) -> TreeField | None:
-    """The field of a mask; None where the mask is empty."""
+    """Build the smooth field of a mask; return None for an empty mask."""
     box = bounding_box(lumen_zyx, 0)
     if box is None:
         return None
-    # Two empty voxels all round, also beyond the volume's edge: a trachea that is cut off by the scan gets a closed
-    # end.
+    # Two empty voxels on every side, also beyond the volume's edge, close the end of a trachea that the scan cuts off.
     part = np.ascontiguousarray(np.pad(lumen_zyx[box], 2))
     values = _core.smooth_mask(part)
     place = np.array(lps_from_ijk, dtype=np.float64)
@@ -74,7 +73,7 @@ def cast_tree(
     simd: str | None = None,
     stop: _core.CancelToken | None = None,
 ) -> Picture:
-    """The tree from outside."""
+    """Return the picture of the tree from outside."""
     distance = view.distance_mm
     if distance is None:
         distance = tree.radius_mm / float(np.sin(np.deg2rad(view.fov_deg) / 2))

@@ -1,4 +1,4 @@
-"""What a view is asked for with: one value for all views, of which each takes what it needs."""
+"""Settings from which every view definition is made; each view reads the settings that it needs."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["ViewSettings"]
 @one_line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewSettings:
-    """What one view of a scene, or of a call, is rendered with."""
+    """Settings of one picture of a case's window or of one call."""
 
     pose: Pose
-    """The tip."""
+    """Pose of the tip."""
     point_lps: PointLps
-    """Where slices and the tri-plane meet."""
+    """Point where the slices and the tri-plane meet, LPS mm."""
     sight: Sight = Sight()
     width: int = 512
     height: int = 512
     full_width: int | None = None
-    """Of the picture that the scales of the sight are of: a smaller one shows as much."""
+    """Width of the picture to which the scales of ``sight`` apply; a smaller picture shows the same area."""
     pose_id: int = 0
-    """Known by its number, so that equal poses need no comparison."""
-    # What the scope sees.
+    """Number that identifies the pose, so that poses need no comparison."""
+    # Settings of the airway view.
     scope: ScopePreset | None = None
     picture_turned: bool = False
     fov_deg: float | None = None
@@ -37,26 +37,26 @@ class ViewSettings:
     field: ImageField = FULL_FRAME
     depth_of_field: DepthOfField | None = None
     step_vox: float = 0.5
-    # From outside.
+    # Setting of the tri-plane view.
     look_at: Literal["point", "volume"] = "point"
-    # Along the route.
+    # Settings of the views along the route.
     path: PathFrames | None = None
     path_mm: float = 0.0
-    """The place on the path that is in the middle of a zoomed view."""
+    """Position on the path at the centre of a zoomed view, mm."""
 
     @property
     def window_hu(self) -> tuple[float, float] | None:
-        """Width and level; None is the view's own: that of the lung, or one fitted to the values."""
+        """Width and level; None is the view's default: the lung window, or a window fitted to the values."""
         window = self.sight.window
         return None if window is None else (window.width_hu, window.level_hu)
 
     @property
     def slab(self) -> Slab | None:
-        """None for thin slices."""
+        """Slab; None for thin slices."""
         return self.sight.slab if self.sight.slab.thickness_mm > 0.0 else None
 
     def pixel_mm(self, mm_per_px: float | None) -> float | None:
-        """A scale of the sight, in this picture's pixels."""
+        """Return a scale of the sight, in mm per pixel of this picture."""
         if mm_per_px is None or self.full_width is None:
             return mm_per_px
         return mm_per_px * self.full_width / self.width

@@ -1,7 +1,7 @@
-"""The table of views: one row for each, with all that the rest of Carina asks about it.
+"""Table of the views: one row for each view, read by the renderer, the command line and the web client.
 
-A new view is a row here and whatever renders it. Layout, key card, overlays, gestures, pacing, command line and the web
-client (``web/src/wire/views.ts`` is generated from this) take it from there; see
+To add a view, add a row to this table and the code that renders the view. Window layout, key card, overlays, gestures,
+frame rates, command line and web client (``web/src/wire/views.ts`` is generated from this table) read the row; see
 docs/decisions/0102.
 """
 
@@ -62,13 +62,13 @@ ViewName = Literal[
     "tree",
 ]
 FlatViewName = Literal[Plane, "cut-plane"]
-"""Views that are zoomed and panned in their own plane."""
+"""Names of the views that are zoomed and panned in their own plane."""
 OrbitViewName = Literal["tree", "tri-plane"]
-"""Views whose camera goes round what they show."""
+"""Names of the views whose camera orbits the displayed object."""
 LEAD_VIEW: Literal["airway"] = "airway"
-"""What the scope sees: it keeps its rate, and the others share what time is left."""
+"""Name of the view from the scope's tip, which keeps its frame rate; other views share the remaining time."""
 FINDER_VIEW: Literal["cut-plane"] = "cut-plane"
-"""Stands in for :data:`LEAD_VIEW` where that cannot follow."""
+"""Name of the view that replaces :data:`LEAD_VIEW` where the airway view cannot be rendered in time."""
 CellName = Literal["airway", Plane, "cut-plane", "xray", "outside"]
 Need = Literal["airways", "route"]
 ON_ITS_WAY = "Rendering this view…"
@@ -77,13 +77,13 @@ ON_ITS_WAY = "Rendering this view…"
 @one_line
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A place of the window. Its views are those of the table that name it, in the table's order."""
+    """A cell of the window's layout; it shows one of the views whose row names this cell, in the table's order."""
 
     name: CellName
     chosen_by: Literal["none", "step", "list"] = "none"
-    """How another of its views is brought here: a button for the next one, or one button each."""
+    """Control that chooses the cell's view: none, a button for the next view, or one button for each view."""
     next_action: str = ""
-    """The action of the keys' table that brings the next one."""
+    """Keyboard action that switches the cell to its next view."""
     list_name: str = ""
 
 
@@ -104,60 +104,66 @@ CELLS: Mapping[CellName, Cell] = MappingProxyType(
 @one_line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewRow:
-    """One view."""
+    """Properties of one view."""
 
     name: ViewName
     title: str
-    """Over its picture."""
+    """Title above the picture."""
     short: str = ""
-    """On the button of a cell that lists its views."""
+    """Label of the view's button in a cell that lists its views."""
     words: str
-    """What is shown, in the middle of a sentence."""
+    """Short description of the view, worded for use in the middle of a sentence."""
     empty: str = ON_ITS_WAY
-    """Said in its place while there is no picture; once what it needs is there, that the picture is on its way."""
+    """Text that the cell shows instead of a picture: what the view needs, or that the picture is being rendered."""
     cell: CellName
     spec: Callable[[ViewSettings], View]
-    """What the renderer takes."""
+    """Function that returns the view definition for the renderer."""
     depends_on: Callable[[ViewSettings], tuple[Hashable, ...]]
-    """What of the settings its picture depends on: equal values mean equal pictures."""
+    """Function that returns the settings on which the picture depends; equal values give equal pictures."""
     needs: frozenset[Need] = frozenset()
-    """Without these there is nothing to show."""
+    """Data without which the view cannot be rendered."""
     overlay: Literal["airway", "flat", "seen", "lines"]
-    """How things are drawn over it: by the lens, in a plane, by a camera from outside, along a path."""
+    """Projection of overlays: through the lens, in a plane, through an orbit camera, or along a path."""
     pick: Literal["wall", "plane", "planes", "branch", "path"] | None = None
-    """What a click means: the wall, a point of the plane, of the plane under the cursor, of a branch, of the surface
-    through the path; None where the picture knows no depth. A brush needs a plane."""
+    """Object that a click selects, or None for a view whose picture has no depth.
+
+    It is a point of the wall, of the plane, of the plane under the cursor, of a branch, or of the surface through the
+    path. The brush works only in a plane.
+    """
     zoom: Literal["tip", "slice", "extent", "path", "carm", "orbit"] | None = None
-    """What wheel, drag and keys move: the tip; the stack, with the scale in mm per pixel; the plane's extent; the
-    reformation; the C-arm; an outside camera."""
+    """Object that the wheel, dragging and the keys move.
+
+    It is the tip, the slice stack (with its scale in mm per pixel), the extent of the plane, the reformation, the C-arm
+    or the orbit camera.
+    """
     plane: Plane | None = None
-    """The anatomical plane that it lies in."""
+    """Anatomical plane of the view, or None."""
     slab: Literal["window", "call"] | None = None
-    """Whether it can be thick: with the window's setting, or only where a call asks for it."""
+    """Source of the slab thickness: the window's setting, or only a call's argument; None for views without a slab."""
     windowed: bool = False
-    """It is seen through the window of the slices."""
+    """Whether the grey window of the slices applies to the view."""
     outlined: bool = False
-    """It carries the outline of the lumen."""
+    """Whether the outline of the lumen is drawn over the view."""
     by_transfer: bool = False
-    """It shows the transfer function and the lumen that the renderer has."""
+    """Whether the picture shows the renderer's transfer function and lumen."""
     costly: bool = False
-    """Cast with perspective rays: the first picture is coarse. The others cost milliseconds."""
+    """Whether the view casts perspective rays (first picture coarse); other views take milliseconds."""
     at_tip: bool = False
-    """It goes where the tip goes, also while the crosshair stays."""
+    """Whether the view follows the tip even while the crosshair stays."""
     inside: bool = False
-    """A plane through the tip: outside the volume it would be a picture of nothing."""
+    """Whether the view is a plane through the tip, which has no content outside the volume."""
     wants_tip: bool = True
-    """Without a place it is seen from the top of the trachea; else it shows the whole volume, or the path."""
+    """Whether the view needs a pose (default: the top of the trachea) or shows the whole volume or path."""
     marks_tip: bool = False
-    """Pictures of the command line have the tip marked in them."""
+    """Whether the command line marks the tip in pictures of this view."""
     lettered: bool = False
-    """Pictures of the command line have letters at their edges."""
+    """Whether the command line writes orientation letters at the edges of pictures of this view."""
     straight: bool = False
-    """The path is a straight line down, with the radius of the lumen to either side."""
+    """Whether the path is a straight vertical line, with the radius of the lumen marked on both sides."""
     orbit: Orbit | None = None
-    """Where its outside camera begins."""
+    """Initial position of the orbit camera."""
     max_px: int = 768
-    """Longer side of a picture in the window: beyond it a picture costs more to render than the eye gains."""
+    """Longest side of a picture in the window; a larger picture takes more time without a visible gain."""
 
 
 def _grey(s: ViewSettings) -> tuple[float, float]:
@@ -165,11 +171,11 @@ def _grey(s: ViewSettings) -> tuple[float, float]:
 
 
 def _hundredths(point: tuple[float, float, float]) -> tuple[float, ...]:
-    # Far below a pixel: turning on the spot asks for no new slices.
+    # The rounding is far below a pixel, so a rotation of the scope alone does not render new slices.
     return tuple(round(v, 2) for v in point)
 
 
-# ------------------------------------------------------------------ what the scope sees
+# ------------------------------------------------------------------ airway view
 
 
 def _airway(s: ViewSettings) -> View:
@@ -215,7 +221,7 @@ def _slice_row(plane: Plane) -> ViewRow:
     axis = PLANES[plane].normal_axis
 
     def centre(s: ViewSettings) -> tuple[float, float, float]:
-        """Where it was zoomed to, at the depth that is shown."""
+        """Return the centre of the zoomed slice, moved to the depth of the displayed point."""
         place = s.sight.place(plane)
         if place.mm_per_px is None or place.centre_lps is None:
             return s.point_lps
@@ -257,7 +263,7 @@ def _slice_row(plane: Plane) -> ViewRow:
     )
 
 
-# ------------------------------------------------------------------ through the whole chest
+# ------------------------------------------------------------------ X-ray projections and radiographs
 
 
 def _xray_row(name: ViewName, axis: Plane, short: str, words: str) -> ViewRow:
@@ -283,7 +289,7 @@ def _drr(s: ViewSettings) -> View:
     return DrrView(arm.primary_deg, arm.secondary_deg, *size, mm_per_px=scale, tone=arm.tone, window_mm=s.window_hu)
 
 
-# ------------------------------------------------------------------ along the route, and from outside
+# ------------------------------------------------------------------ views along the route, and external views
 
 
 def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *, straight: bool) -> ViewRow:
@@ -303,7 +309,8 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
         )
 
     def depends(s: ViewSettings) -> tuple[Hashable, ...]:
-        # The frames themselves: a route is known by its identity, and this keeps it from being another's.
+        # The frames themselves are part of the key: the reference keeps them alive, so no other route can have their
+        # identity.
         reformation = s.sight.reformation
         place = None if reformation.mm_per_px is None else round(s.path_mm, 2)
         return (s.path, reformation, place, s.window_hu, s.slab)
@@ -387,7 +394,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 empty="The simulated X-ray with the scope tip appears here when a CT is open.",
                 cell="xray",
                 spec=_drr,
-                # Like the other X-rays: the tip is only marked in it.
+                # The tip is only marked in the picture, so the picture does not depend on it.
                 depends_on=lambda s: (s.sight.carm,),
                 overlay="seen",
                 zoom="carm",
@@ -437,7 +444,7 @@ VIEW_NAMES: tuple[ViewName, ...] = tuple(row.name for row in VIEWS.values())
 
 
 def view_row(name: str) -> ViewRow:
-    """The row of a view.
+    """Return the row of a view.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What can be rendered, and what comes back."""
+"""View definitions that the renderer accepts, and the picture that it returns."""
 
 from __future__ import annotations
 
@@ -109,18 +109,37 @@ def _check_plane(name: str) -> None:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class AirwayView:
-    """What the scope's tip sees: direct volume rendering (paper 3.1).
+    """View from the scope's tip by direct volume rendering (paper 3.1).
 
-    ``pose`` is the camera's. ``fov_deg`` is the full angle across the shorter side; None is 90, or a calibration's own.
-    ``field`` is the outline of the picture and its vignette. With ``depth_of_field`` what is nearer or farther is
-    blurred; that needs the whole picture and about twice the time. ``step_vox`` is the ray step in units of the
-    smallest spacing. ``leap`` and ``brute`` give the same picture; ``leap`` leaps where a few rays show that it pays,
-    ``leap-always`` also elsewhere, for measurements. ``guides_mm`` are the ends of the scope's light
-    guides in place of those of the transfer function's appearance; ``texture`` off leaves out all decoration, which is
-    not the patient's: mottling, micro relief and vessels, rings, membranous wall, colour by region, pale ridges. With a
-    transfer function of sampling ``nearest`` (paper) shading is off and the step is one voxel. Rays stop when less than
-    ``stop_transparency`` shines through; another than the usual one serves comparisons with renderers that stop
-    elsewhere.
+    Parameters
+    ----------
+    pose
+        Pose of the camera.
+    fov_deg
+        Full angle across the shorter side, in degrees; None uses the angle of the lens calibration, else 90.
+    width, height
+        Size of the picture in pixels, 1 to 8192.
+    step_vox
+        Ray step in units of the smallest spacing. With a transfer function of sampling ``nearest`` (paper) the step is
+        one voxel and shading is off.
+    shading
+        Whether light and gloss are computed.
+    method
+        ``leap`` leaps if a few trial rays show that leaping is faster; ``leap-always`` leaps in every picture, for
+        measurements; ``brute`` reads every sample. The pictures are the same.
+    lens
+        Lens model.
+    field
+        Outline of the picture and its vignette.
+    depth_of_field
+        Sharp range; nearer and farther walls are blurred. It needs the whole picture and about twice the time.
+    stop_transparency
+        Transparency below which a ray ends. Change it only for comparisons with renderers that end rays elsewhere.
+    guides_mm
+        Ends of the scope's light guides in camera space, mm; they replace those of the transfer function's appearance.
+    texture
+        Whether decoration is drawn, which does not come from the CT: mottling, micro relief and vessels, rings,
+        membranous wall, colour by region, pale ridges.
     """
 
     pose: Pose
@@ -138,6 +157,7 @@ class AirwayView:
     texture: bool = True
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         _check(self.width, self.height, fov_deg=self.fov_deg)
         check_fields(
             self,
@@ -154,7 +174,7 @@ class AirwayView:
             guides_mm=each(lps_point(), least=1, most=16, optional=True),
             texture=flag,
         )
-        # Made here and kept for the picture: a lens that does not fit is refused before anything is cast.
+        # A lens that does not fit the picture is rejected before any ray is cast; the picture uses the same optics.
         _ = self.optics
         if not 0.01 <= self.step_vox <= 100:
             raise RenderError(
@@ -171,7 +191,7 @@ class AirwayView:
 
     @property
     def optics(self) -> Optics:
-        """The lens in front of this picture."""
+        """Lens of the view, fitted to the size of its picture."""
         return self.lens.optics(self.width, self.height, self.fov_deg)
 
     @classmethod
@@ -186,8 +206,8 @@ class AirwayView:
     ) -> AirwayView:
         """Return the view of an instrument whose shaft ends at ``tip``: its lens, field of view, outline and direction.
 
-        Any of them can be overridden, and all other settings given, by name. Depth of field stays off unless told.
-        ``picture_turned`` is as in `ScopePreset.camera_pose`.
+        Every other setting can be given by name and replaces the instrument's. Depth of field is off by default. For
+        ``picture_turned`` see `ScopePreset.camera_pose`.
         """
         seen = {"lens": scope.lens, "field": scope.field, "guides_mm": scope.guides_mm, **settings}
         if fov_deg is None and seen["lens"].calibration is None:
@@ -198,7 +218,7 @@ class AirwayView:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GreyView:
-    """What pictures of the CT's own values have, one plane or surface of them: size, window, thickness."""
+    """Common settings of the pictures that show the CT's values in a plane or surface: size, window and slab."""
 
     width: int = 512
     height: int = 512
@@ -214,10 +234,10 @@ class GreyView:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OrbitView:
-    """What pictures from a camera have that orbits what it looks at.
+    """Common settings of the pictures from a camera that orbits its target.
 
-    Azimuth 0 looks from anterior, 90 from the patient's left; positive elevation from above. ``distance_mm`` is that of
-    the camera from what it looks at; None fits what is shown.
+    Azimuth 0 looks from anterior, 90 from the patient's left; a positive elevation looks from above. ``distance_mm`` is
+    the distance between camera and target; with None the whole target fits the picture.
     """
 
     azimuth_deg: float = 0.0
@@ -237,9 +257,10 @@ class OrbitView:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class CutPlaneView(GreyView):
-    """The plane through the tip, spanned by the camera's right and down; ``extent_mm`` wide (paper 3.1).
+    """Cut-plane through the tip, spanned by the camera's right and down axes (paper 3.1).
 
-    The tip is in the middle, or the point of the plane nearest to ``centre_lps``.
+    The plane is ``extent_mm`` wide. The centre of the picture is the tip or, with ``centre_lps``, the point of the
+    plane nearest to that point (LPS mm).
     """
 
     pose: Pose
@@ -248,6 +269,7 @@ class CutPlaneView(GreyView):
     centre_lps: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         GreyView.__post_init__(self)
         check_fields(self, RenderError, "render.setting", pose=A_POSE, extent_mm=any_number())
         _check_mm("the extent of a cut-plane", self.extent_mm)
@@ -258,12 +280,12 @@ class CutPlaneView(GreyView):
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TriPlaneView(OrbitView):
-    """Sagittal, coronal and axial plane through a point, in occlusion order, from an orbit camera (paper 3.1).
+    """Sagittal, coronal and axial plane through a point, drawn in occlusion order from an orbit camera (paper 3.1).
 
-    Without a distance the whole volume is in the picture. Values below ``clear_below`` are seen through.
+    Without a distance the whole volume fits the picture. Values below ``clear_below`` are transparent.
 
-    The camera looks at the point where the planes meet, or with ``look_at`` ``volume`` at the middle of the volume:
-    then it stays where it is while a plane is moved.
+    The camera looks at the point where the planes meet. With ``look_at="volume"`` it looks at the centre of the volume,
+    so it does not move while the user moves a plane.
     """
 
     centre_lps: tuple[float, float, float]
@@ -275,6 +297,7 @@ class TriPlaneView(OrbitView):
     look_at: Literal["point", "volume"] = "point"
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         OrbitView.__post_init__(self)
         _check(self.width, self.height, window_hu=self.window_hu)
         clear = number_from(-40_000.0, 40_000.0, optional=True)
@@ -289,9 +312,9 @@ class TriPlaneView(OrbitView):
 class XrayView:
     """Maximum intensity projection along the grid axis nearest to a patient axis (paper 3.1).
 
-    Displayed like the slices: ``coronal`` is the view from the front, ``sagittal`` from the patient's left, ``axial``
-    from the feet. The whole volume is shown, in true proportions. Largest values are mostly bone, far above the window
-    of the slices: with ``window_hu`` None the window is laid round the projection's own values.
+    The orientation is that of the slices: ``coronal`` is the view from the front, ``sagittal`` from the patient's left,
+    ``axial`` from the feet. The picture shows the whole volume in true proportions. With ``window_hu`` None the window
+    is fitted to the projected values: the largest values are mostly bone, far above the window of the slices.
     """
 
     axis: Plane
@@ -300,6 +323,7 @@ class XrayView:
     window_hu: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         _check(self.width, self.height, window_hu=self.window_hu)
         _check_plane(self.axis)
 
@@ -307,18 +331,30 @@ class XrayView:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class DrrView:
-    """A digitally reconstructed radiograph: X-rays from a C-arm, attenuated by the volume.
+    """Digitally reconstructed radiograph: X-rays from a C-arm, attenuated by the volume.
 
-    Angles are those of DICOM PS3.3 C.8.7.5 (Positioner Primary and Secondary Angle), for a supine patient:
-    ``primary_deg`` turns the detector from anterior (0) towards the patient's left (LAO, above 0) or right (RAO, below
-    0), ``secondary_deg`` towards the head (cranial, above 0) or the feet (caudal, below 0). The picture is seen from
-    the detector, as fluoroscopy shows it: at 0, 0 patient right is on screen left. The C-arm turns about the volume's
-    centre.
+    Angles are those of DICOM PS3.3 C.8.7.5 (Positioner Primary and Secondary Angle), for a supine patient. The picture
+    is seen from the detector, as fluoroscopy shows it: at angles 0, 0 patient right is on screen left. The C-arm turns
+    about the centre of the volume.
 
-    ``sid_mm`` is the distance from source to detector, ``sod_mm`` that from the source to the centre; ``parallel``
-    takes parallel rays. ``mm_per_px`` counts at the centre; None shows the box as it is seen at primary 0 and 90. Tone:
-    ``radiograph`` is the logarithm, bone white; ``fluoroscopy`` the intensity itself, bone dark. ``window_mm`` are
-    width and level in mm of water; None fits them to the picture.
+    Parameters
+    ----------
+    primary_deg
+        Rotation of the detector from anterior (0) towards the patient's left (LAO, above 0) or right (RAO, below 0).
+    secondary_deg
+        Rotation of the detector towards the head (cranial, above 0) or the feet (caudal, below 0).
+    width, height
+        Size of the picture in pixels, 1 to 8192.
+    parallel
+        Whether the rays are parallel.
+    sid_mm, sod_mm
+        Distances from the source to the detector and from the source to the centre.
+    mm_per_px
+        Size of a pixel at the centre; None fits the bounding box of the volume at primary angles 0 and 90.
+    tone
+        ``radiograph`` shows the logarithm of the intensity (bone white), ``fluoroscopy`` the intensity (bone dark).
+    window_mm
+        Width and level in mm of water; None fits the window to the picture.
     """
 
     primary_deg: float = 0.0
@@ -333,6 +369,7 @@ class DrrView:
     window_mm: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         _check(self.width, self.height, window_hu=self.window_mm)
         check_fields(
             self,
@@ -371,15 +408,16 @@ class DrrView:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PathView(GreyView):
-    """The airway along a path, root at the top, in one picture; mm are equal across and down.
+    """Airway along a path, with the root at the top; the scale in mm is equal across and down.
 
-    ``straightened`` lays the planes across the path below one another: the path is a straight line, places on it lie at
-    their mm along the route. It is shown 40 mm to either side; ``turn_deg`` turns the cutting plane about the path.
-    ``curved`` is the stretched curved planar reformation: the surface that a line sweeps along the path, unrolled, so
-    that lengths on it are true. The line runs from patient right to left at ``turn_deg`` 0, as in a coronal slice, and
-    from anterior to posterior at 90, as in a sagittal one.
+    ``straightened`` stacks the planes perpendicular to the path: the path becomes a straight line, and a row's height
+    in the picture is its distance along the route in mm. The picture covers 40 mm on each side; ``turn_deg`` rotates
+    the cutting plane about the path. ``curved`` is the stretched curved planar reformation: a straight line sweeps
+    along the path, and its surface is unrolled, so lengths on it are true. The line runs from patient right to left at
+    ``turn_deg`` 0, as in a coronal slice, and from anterior to posterior at 90, as in a sagittal slice.
 
-    With ``mm_per_px`` the picture is centred on the place ``centre_mm``; without, the whole path fits.
+    With ``mm_per_px`` the picture is centred on the position ``centre_mm`` along the path; without it, the whole path
+    fits.
 
     References
     ----------
@@ -394,6 +432,7 @@ class PathView(GreyView):
     centre_mm: float = 0.0
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         GreyView.__post_init__(self)
         check_fields(
             self,
@@ -416,12 +455,12 @@ class PathView(GreyView):
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class SliceView(GreyView):
-    """A slice along patient axes, in radiological display.
+    """Slice along patient axes, in radiological display.
 
     The patient's right is on the left of the screen; a sagittal slice has anterior on the left.
 
-    The plane passes through ``centre_lps``. With ``mm_per_px`` the picture is centred on that point; without, the whole
-    volume fits.
+    The plane passes through ``centre_lps`` (LPS mm). With ``mm_per_px`` the picture is centred on that point; without
+    it, the whole volume fits.
     """
 
     plane: Plane
@@ -430,6 +469,7 @@ class SliceView(GreyView):
     mm_per_px: float | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         GreyView.__post_init__(self)
         _check_plane(self.plane)
         _check_mm("the size of a pixel", self.mm_per_px)
@@ -439,7 +479,7 @@ class SliceView(GreyView):
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeView(OrbitView):
-    """The lumen's surface from outside. The camera orbits the lumen's centre."""
+    """View of the lumen's surface from outside, from a camera that orbits the centre of the lumen."""
 
 
 View = AirwayView | CutPlaneView | TriPlaneView | XrayView | SliceView | TreeView | DrrView | PathView
@@ -448,14 +488,17 @@ View = AirwayView | CutPlaneView | TriPlaneView | XrayView | SliceView | TreeVie
 @one_line
 @dataclass(frozen=True, slots=True)
 class RenderStats:
-    """What a picture took.
+    """Render method, ray counts and time of a picture.
 
     ``method`` is the caster that ran: ``leap``, ``leap-all``, ``brute``, ``plane``, ``projection``, ``radiograph`` or
-    ``lines``; ``gpu-leap`` and ``gpu-brute`` where a graphics device made the picture. ``num_loads`` counts the reads
-    of volume and maps: four rows of two voxels for each sample (one voxel where sampling is ``nearest``), eight more
-    for the gradient of each shaded one, one radius for each look-up, one label for each leap over all classes; 0 for
-    planes. ``rays_s`` is what the rays take while no other program wants a core: processor time of the picture threads
-    over their number. None where it is not counted: for planes, on a device, by a cluster, elsewhere than on Linux.
+    ``lines``; ``gpu-leap`` and ``gpu-brute`` if a graphics device rendered the picture.
+
+    ``num_loads`` counts the reads of volume and maps: four rows of two voxels for each sample (one voxel where sampling
+    is ``nearest``), eight more rows for the gradient of each shaded sample, one radius for each look-up, and one label
+    for each leap over all classes. It is 0 for planes.
+
+    ``rays_s`` is the processor time of the picture threads divided by their number: the time of the rays if no other
+    program uses a core. It is None for planes, on a graphics device, in a cluster, and on systems other than Linux.
     """
 
     method: str
@@ -475,11 +518,11 @@ class RenderStats:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLines:
-    """Where the rows of a picture lie whose surface is curved.
+    """Positions of the rows of a picture whose surface is curved.
 
-    Pixel corner (column, row) is at ``start_lps + column * step_lps`` of the row's middle; all are (height, 3) mm LPS.
-    ``path_mm`` (height,) is each row's place along the path, NaN beyond its ends; ``path_column`` (height,) where the
-    path crosses the row.
+    Column ``column`` of a row is at ``start_lps + column * step_lps``, measured at the row's middle; both arrays are
+    (height, 3), LPS mm. ``path_mm`` (height,) is the position of each row along the path, NaN beyond the ends of the
+    path. ``path_column`` (height,) is the column at which the path crosses the row.
     """
 
     start_lps: NDArray[np.float64]
@@ -489,7 +532,7 @@ class PictureLines:
     mm_per_px: float
 
     def lps_of(self, column: float, row: float) -> NDArray[np.float64]:
-        """Return the point at a place of the picture, rows clamped to it."""
+        """Return the point (3,), LPS mm, at a position of the picture; rows outside the picture are clamped to it."""
         middles = np.arange(len(self.start_lps)) + 0.5
         start, step = (
             np.array([np.interp(row, middles, values[:, axis]) for axis in range(3)])
@@ -498,13 +541,13 @@ class PictureLines:
         return np.asarray(start + column * step)
 
     def pixel_of(self, point_lps: NDArray[np.float64]) -> tuple[float, float]:
-        """Return the place (column, row) whose point is nearest."""
+        """Return the position (column, row) in the picture whose point is nearest to ``point_lps``."""
         offset = point_lps - self.start_lps
         columns = np.einsum("ij,ij->i", offset, self.step_lps) / np.einsum("ij,ij->i", self.step_lps, self.step_lps)
         columns = np.clip(columns, 0.0, None)
         away = np.linalg.norm(offset - columns[:, None] * self.step_lps, axis=1)
         row = int(np.argmin(away))
-        # Between two rows: where the distances to both fall in proportion.
+        # The position between two rows divides their distances to the point in proportion.
         sides = [n for n in (row - 1, row + 1) if 0 <= n < len(away)]
         beside = min(sides, key=lambda n: float(away[n]), default=row)
         total = float(away[row] + away[beside])
@@ -517,15 +560,31 @@ class PictureLines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """A rendered view.
+    """Rendered view with its geometry.
 
-    ``rgb`` is (height, width, 3) uint8. Planar views have ``lps_from_pixel`` (4x4): it maps (column, row, depth in mm,
-    1) to LPS, pixel (0, 0) being the top-left *corner* of the top-left pixel; its third column is the direction of
-    projection or the plane's normal. Perspective views have ``lps_from_camera`` (4x4) and ``fov_deg``; that of a
-    radiograph is the X-ray source, with +x mirrored, since the picture is seen from the other side. Views along a path
-    have ``lines``; an airway view through another lens than a pinhole has ``optics``. ``decorated`` names what in it is
-    decoration and not the patient's, as fields of :class:`carina.render.Appearance`. ``numpy.asarray`` returns
-    ``rgb``.
+    ``numpy.asarray`` returns ``rgb``.
+
+    Parameters
+    ----------
+    rgb
+        Pixels, (height, width, 3) uint8.
+    view
+        Name of the view.
+    stats
+        Render method, counts and time.
+    lps_from_pixel
+        Matrix (4, 4) of planar views, which maps (column, row, depth in mm, 1) to LPS mm; pixel (0, 0) is the top-left
+        *corner* of the top-left pixel. The third column is the direction of projection or the plane's normal.
+    lps_from_camera, fov_deg
+        Camera (4, 4) and field of view of perspective views. The camera of a radiograph is the X-ray source, with +x
+        mirrored, since the picture is seen from the detector.
+    lines
+        Positions of the rows, for views along a path.
+    optics
+        Lens of an airway view that is not a pinhole.
+    decorated
+        Decoration in the picture that does not come from the CT, as names of fields of
+        :class:`carina.render.Appearance`.
 
     Examples
     --------
@@ -549,6 +608,7 @@ class Picture:
     decorated: tuple[DecorationName, ...] = ()
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         height, width = self.rgb.shape[:2]
         return f"Picture({self.view!r}, {width}x{height}, {self.stats.method}, {self.stats.seconds:.3g} s)"
 
@@ -557,13 +617,13 @@ class Picture:
         return np.array(self.rgb, dtype=dtype, copy=copy)
 
     def _repr_png_(self) -> bytes:
-        """Return the picture for a notebook."""
+        """Return the pixel data as PNG, for a notebook."""
         return png_bytes(np.ascontiguousarray(self.rgb))
 
     def pixel_of(self, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> tuple[float, float] | None:
-        """Where a point appears, as (column, row) in corner coordinates; None if the camera cannot see it.
+        """Return where a point appears, as (column, row) in corner coordinates; None if the camera cannot see it.
 
-        It may lie outside the picture or its outline.
+        The position can be outside the picture or its outline.
         """
         point = np.asarray(point_lps, dtype=np.float64)
         if self.lines is not None:
@@ -585,7 +645,10 @@ class Picture:
         return float(width / 2 + focal_px * x / z), float(height / 2 + focal_px * y / z)
 
     def place(self) -> dict[str, Any]:
-        """View, pose and field of view as a ``carina-pose`` document, LPS mm; None for what this view has not."""
+        """Return view, pose and field of view as a ``carina-pose`` document, LPS mm.
+
+        Fields that the view lacks are None.
+        """
 
         def rows(matrix: NDArray[np.float64] | None) -> list[list[float]] | None:
             return None if matrix is None else matrix.tolist()
@@ -603,10 +666,10 @@ class Picture:
         }
 
     def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:
-        """Write the picture as PNG and return where; a picture of the same name is replaced whole or not at all.
+        """Write the picture as PNG and return the path; an existing file is replaced completely or not at all.
 
-        Its text chunk ``carina-pose`` holds :meth:`place`; :func:`carina.render.read_png_pose` reads it. The lasting
-        notes of its case are in ``carina-badges``, for :func:`carina.render.read_png_badges`.
+        The text chunk ``carina-pose`` holds :meth:`place`; :func:`carina.render.read_png_pose` reads it. The chunk
+        ``carina-badges`` holds the permanent notes of the case; :func:`carina.render.read_png_badges` reads it.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The wall of the lumen, written into a copy of the volume (docs/decisions/0105)."""
+"""Wall of the lumen, written into a copy of the volume (docs/decisions/0105)."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from carina.render.transfer import TransferFunction
 
 __all__ = ["bounding_box", "grow_one_voxel", "wall_levels", "with_wall"]
 
-# Height of the cap over the smoothed lumen (1 deep inside, 0 outside), in units of the ramp from clear (0) to opaque
-# (1). The flat side of a lumen has 3/4 in its last voxel and 1/4 in the first outside, so the cap turns opaque about
-# one voxel outside.
+# Height of the cap as a function of the smoothed lumen (1 deep inside, 0 outside), in units of the ramp from clear (0)
+# to opaque (1). The flat side of a lumen has 3/4 in its last voxel and 1/4 in the first outside, so the cap becomes
+# opaque about one voxel outside.
 CAP_LUMEN = (0.0, 0.3, 0.6, 1.0)
 CAP_HEIGHT = (7 / 6, 1.0, -1 / 3, -1.0)
-# The shell is at least this high, also in a corner where most of its neighbours are lumen.
+# Lowest height of the shell, for corners where most neighbours are lumen.
 LOWEST_SHELL = 2 / 3
 
 
 def grow_one_voxel(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask and all 26 neighbours of its voxels."""
+    """Return the mask with all 26 neighbours of its voxels added."""
     grown = mask.copy()
     for axis in range(3):
         before = grown.copy()
@@ -33,7 +33,7 @@ def grow_one_voxel(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def bounding_box(mask: NDArray[np.bool_] | NDArray[np.uint8], margin: int) -> tuple[slice, slice, slice] | None:
-    """The box of the true voxels and ``margin`` more on each side, or None for an empty mask."""
+    """Return the box of the true voxels, extended by ``margin`` on each side; None for an empty mask."""
     slices = []
     for axis in range(3):
         others = tuple(a for a in range(3) if a != axis)
@@ -46,7 +46,7 @@ def bounding_box(mask: NDArray[np.bool_] | NDArray[np.uint8], margin: int) -> tu
 
 
 def wall_levels(transfer: TransferFunction) -> tuple[int, int]:
-    """The last value before the wall that is clear, and the first that is as good as opaque."""
+    """Return the highest clear value below the wall's ramp, and the lowest value that is nearly opaque."""
     alphas = transfer.points[:, 4]
     opaque = int(np.flatnonzero(alphas >= 0.9 * alphas.max())[0])
     clear = max(opaque - 1, 0)
@@ -55,16 +55,16 @@ def wall_levels(transfer: TransferFunction) -> tuple[int, int]:
 
 
 def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], levels: tuple[int, int]) -> NDArray[np.int16]:
-    """A copy in which nothing shines through the wall of the lumen, and the lumen is as open as it was.
+    """Return a copy of the volume whose lumen has a closed opaque wall and an unchanged open inside.
 
-    Values are only raised. Where the scan shows the wall, it is higher than what would be written, and stays.
+    Values are only raised. Where the scan shows the wall, its values are higher than the written ones and stay.
 
     Parameters
     ----------
     hu_zyx
         (nz, ny, nx) int16. Not modified.
     lumen_zyx
-        The lumen on the same grid, not 0 inside.
+        The lumen on the same grid, non-zero inside.
     levels
         The highest value of the airway that the transfer function shows as clear, and the lowest that it shows as
         opaque.
@@ -75,8 +75,9 @@ def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], levels: t
         return out
     clear, opaque = levels
     ramp = opaque - clear
-    # The cap by the smoothed lumen, 0 to 1024. The lumen itself stays clear, however narrow: a branch of one voxel is
-    # no plug. A second voxel behind the shell: one alone would let a third of the light through where voxels are small.
+    # Heights by the smoothed lumen, 0 to 1024, for lumen, shell and the voxels behind the shell. The lumen stays clear
+    # even in a branch of one voxel. The shell has a second voxel behind it: one voxel of a small size would let a third
+    # of the light through.
     cap = np.interp(np.arange(1025) / 1024, CAP_LUMEN, [clear + h * ramp for h in CAP_HEIGHT])
     caps = (
         np.minimum(cap, clear),
@@ -84,8 +85,8 @@ def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], levels: t
         np.full(1025, opaque + 0.5 * ramp),
     )
     heights = [np.clip(np.rint(c), -32768, 32767).astype(np.int16).tolist() for c in caps]
-    # A lumen that was found by a low threshold ends inside the blurred edge. Its wall starts where that edge is half
-    # way up, or the steps of the mask would show in place of the smooth edge.
+    # A lumen that was found with a low threshold ends inside the blurred edge. Its wall starts at the half height of
+    # that edge; otherwise the steps of the mask would be visible.
     part = [(s.start, min(s.stop, n)) for s, n in zip(box, out.shape, strict=True)]
     _core.raise_wall(out, lumen_zyx, part, clear + ramp // 2, heights)
     return out

@@ -1,5 +1,4 @@
-"""The bronchoscope: where its tip is (pose), how it sees (lens), which instruments there are
-(library), and how one moves in the airways (drive)."""
+"""Bronchoscopes: pose of the tip, lens, library of instruments, and movement in the airways."""
 
 from carina.scopes.calibration import lens_from_file, lens_from_text
 from carina.scopes.drive import Contact, ContactRecord, ScopeDrive, ScopeHold, ScopeLimit, ScopeState, lever_flexion

@@ -1,8 +1,8 @@
-"""Camera calibrations as OpenCV writes them: YAML, XML or JSON, of ``cv2.calibrateCamera`` or ``cv2.fisheye``.
+"""Readers of OpenCV camera calibrations: YAML, XML or JSON, from ``cv2.calibrateCamera`` or ``cv2.fisheye``.
 
-The readers take what `cv::FileStorage` writes and ROS's ``camera_info`` files, and nothing more: no tags that make
-objects, no entities, no anchors. Names of the entries differ between OpenCV's own samples; those are known, in upper or
-lower case.
+The readers accept the output of `cv::FileStorage` and ROS's ``camera_info`` files only: no tags that create objects, no
+entities, no anchors. The names of the entries differ between OpenCV's own samples; all of these names are accepted, in
+upper or lower case.
 """
 
 from __future__ import annotations
@@ -46,26 +46,26 @@ def lens_from_file(path: str | os.PathLike[str]) -> Lens:
     Parameters
     ----------
     path
-        ``.yml``, ``.yaml``, ``.xml`` or ``.json``, as ``cv2.FileStorage`` writes them, with ``camera_matrix``,
-        ``distortion_coefficients``, ``image_width`` and ``image_height`` (other common names are known). The model is
-        OpenCV's default with 4, 5 or 8 coefficients, or that of ``cv2.fisheye`` where ``fisheye_model: 1`` or
-        ``distortion_model: fisheye`` says so.
+        ``.yml``, ``.yaml``, ``.xml`` or ``.json`` as ``cv2.FileStorage`` writes them, with ``camera_matrix``,
+        ``distortion_coefficients``, ``image_width`` and ``image_height`` (other common names are accepted). The model
+        is OpenCV's default with 4, 5 or 8 coefficients, or that of ``cv2.fisheye`` if the file contains
+        ``fisheye_model: 1`` or ``distortion_model: fisheye``.
 
     Returns
     -------
     Lens
-        With its own field of view, for pictures of the calibration's proportions.
+        Lens with its own field of view, for pictures of the calibration's proportions.
 
     Raises
     ------
     VolumeImportError
-        If the file cannot be read, or is no such calibration; the message says what is missing.
+        If the file cannot be read or is not such a calibration; the message names the missing part.
     """
     try:
         with open_regular(path) as file:
             data = file.read(MAX_BYTES + 1)
     except VolumeImportError:
-        raise  # not a regular file
+        raise  # Not a regular file.
     except OSError as error:
         raise VolumeImportError(f"{path}: cannot be read: {error.strerror}", code="render.lens") from error
     if len(data) > MAX_BYTES:
@@ -79,12 +79,12 @@ def lens_from_file(path: str | os.PathLike[str]) -> Lens:
     try:
         return lens_from_text(text)
     except CarinaError as error:
-        # In a file it is the file that is refused, not an argument.
+        # The error belongs to the file, not to an argument.
         raise VolumeImportError(f"{path}: {error}", code="render.lens") from error
 
 
 def lens_from_text(text: str) -> Lens:
-    """Return the lens in a calibration's text; see :func:`lens_from_file`."""
+    """Return the lens of a calibration's text; see :func:`lens_from_file`."""
     start = text.lstrip()[:1]
     try:
         if start == "<":
@@ -102,7 +102,7 @@ def _refused(words: str) -> VolumeImportError:
     return VolumeImportError(f"reading a camera calibration: {words}", code="render.lens")
 
 
-# ------------------------------------------------------------ the three forms
+# ------------------------------------------------------------ the three file formats
 
 
 def _read_json(text: str) -> Entries:
@@ -116,10 +116,10 @@ def _read_json(text: str) -> Entries:
 
 
 def _read_xml(text: str) -> Entries:
-    # Entities can blow a small file up; OpenCV writes none.
+    # Entities can expand a small file without limit; OpenCV writes none.
     if "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL):
         raise _refused("expected OpenCV's XML, found a document type declaration or entities")
-    import xml.etree.ElementTree as ET  # slow to load, and few calibrations are XML
+    import xml.etree.ElementTree as ET  # Imported here because the module is slow to load and few calibrations are XML.
 
     try:
         root = ET.fromstring(text)
@@ -135,7 +135,7 @@ def _xml_value(node: Element) -> Any:
 
 
 def _read_yaml(text: str) -> Entries:
-    """Top-level entries of OpenCV's YAML: scalars, lists, and matrices as maps of scalars and one list."""
+    """Read the top-level entries of OpenCV's YAML: scalars, lists, and matrices as maps of scalars and one list."""
     entries: Entries = {}
     inner: Entries | None = None
     lines = text.splitlines()
@@ -150,7 +150,7 @@ def _read_yaml(text: str) -> Entries:
             raise _refused(f"expected OpenCV's YAML, found {line.strip()[:60]!r} on line {n}")
         indent, key, value = match.groups()
         if value.startswith("["):
-            # A list runs over as many lines as it needs.
+            # A list may continue over several lines.
             depth = value.count("[") - value.count("]")
             while depth > 0 and n < len(lines):
                 part = lines[n].strip()
@@ -172,7 +172,7 @@ def _read_yaml(text: str) -> Entries:
 
 
 def _numbers(what: str, value: Any) -> list[float]:
-    """Return the numbers of a matrix entry in any of the three forms, row by row."""
+    """Return the numbers of a matrix entry in any of the three formats, row by row."""
     if isinstance(value, dict):
         data = {key.lower(): entry for key, entry in value.items()}
         if "data" not in data:
@@ -247,7 +247,7 @@ def _lens(entries: Entries) -> Lens:
         if len(d) != 4:
             raise _refused(f"distortion_coefficients: expected k1 to k4 of a fisheye lens, found {len(d)} numbers")
         return _usable(Lens("fisheye", tuple(d), known))
-    # 12 and 14 are thin prisms and tilted sensors: nothing that a scope has; refused unless they say nothing.
+    # 12 and 14 coefficients describe thin prisms and tilted sensors, which scopes lack: only zeros are accepted.
     if len(d) in {12, 14} and not any(d[8:]):
         d = d[:8]
     if len(d) not in {4, 5, 8}:
@@ -256,7 +256,7 @@ def _lens(entries: Entries) -> Lens:
 
 
 def _usable(lens: Lens) -> Lens:
-    """Refuse what no picture could be made with: a model that folds back inside the image circle."""
+    """Reject a lens that cannot render a picture because its model folds back inside the image circle."""
     assert lens.calibration is not None
     width, height = lens.calibration.size_px
     scale = max(1.0, max(width, height) / 4096)

@@ -1,4 +1,4 @@
-"""The bronchoscope in the lumen: insertion, roll and flexion move it, and the wall holds it."""
+"""Movement of a bronchoscope in the lumen by insertion, roll and flexion, constrained by the wall."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ScopeLimit = Literal["none", "entry", "wall", "narrow", "length", "flexion"]
 OperatorPosition = Literal["head", "facing"]
 Point = tuple[float, float, float]
 
-# What a scope has whose maker states nothing: the generic class (library), and no lever is pulled farther.
+# Defaults for a scope without maker's data: those of the generic class (library), and the largest flexion.
 _RIGID_MM = 10.0
 _BENDING_MM = (30.0, 50.0)
 _FLEXION_DEG = (180.0, 130.0)
@@ -44,108 +44,113 @@ _LENGTH_MM = 600.0
 @one_line
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Where the tip touches the wall."""
+    """Contact of the tip with the wall."""
 
     point_lps: Point
-    """The place of the wall, LPS mm."""
+    """Point of the wall, LPS mm."""
     normal_lps: Point
-    """Away from the wall, unit length."""
+    """Unit vector away from the wall, LPS."""
     depth_mm: float
-    """How much farther the hand has pushed or bent the tip than the wall lets it."""
+    """Distance in mm by which the commanded tip exceeds the position that the wall permits."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ContactRecord:
-    """All that touched since the scope was placed."""
+    """Summary of all contacts since the scope was placed."""
 
     count: int = 0
-    """How often the tip began to touch."""
+    """Number of contacts of the tip."""
     time_s: float = 0.0
-    """How long it touched in all."""
+    """Total time of contact, s."""
     max_depth_mm: float = 0.0
-    """The deepest `Contact.depth_mm`."""
+    """Largest `Contact.depth_mm`."""
 
 
 class ScopeHold(FrozenValue, frozen=True):
-    """How an operator holds a scope."""
+    """Controls of a scope as the operator holds it."""
 
     insertion_mm: float
-    """From the start of the path that the scope enters along (the trachea's start)."""
+    """Insertion in mm from the start of the path along which the scope enters (the trachea's start)."""
     roll_rad: float
-    """Clockwise as the operator sees it."""
+    """Roll, clockwise as the operator sees it."""
     flexion_rad: float
-    """Above 0 the instrument's up, below 0 down."""
+    """Flexion; above 0 towards the instrument's up, below 0 down."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ScopeState:
-    """The scope after a sample."""
+    """State of the scope after a sample."""
 
     pose: Pose
-    """The tip's face, turned by 180 degrees about its axis for an operator who faces the patient
-    (`ScopeDrive.operator`); `ScopePreset.camera_pose` gives the camera of a forward-oblique scope from it."""
+    """Pose of the tip's face, turned by 180 degrees about its axis for an operator who faces the patient.
+
+    For the operator see `ScopeDrive.operator`; `ScopePreset.camera_pose` returns the camera of a forward-oblique scope
+    for this pose.
+    """
     hold: ScopeHold
-    """Insertion, roll and flexion that it has reached."""
+    """Insertion, roll and flexion that the scope has reached."""
     contact: Contact | None
-    """Where the tip touches, or None."""
+    """Contact of the tip, or None."""
     red_out: float
-    """0 for a clear view to 1 where the lens lies on the wall and all is red."""
+    """Loss of the view by contact: 0 for a clear view to 1 where the lens lies on the wall and the picture is red."""
     limit: ScopeLimit
-    """Why the scope did not go as far as asked: ``none``; ``entry`` (drawn back to where it enters); ``wall`` (the tip
-    is pressed against it); ``narrow`` (it does not fit: see `passable_mm`); ``length`` (of the scope); ``flexion``
-    (the lever's stop)."""
+    """Reason why the scope did not reach the commanded position.
+
+    ``none``; ``entry`` (drawn back to the entry); ``wall`` (the tip is pressed against the wall); ``narrow`` (the lumen
+    is too narrow: see `passable_mm`); ``length`` (end of the scope's length); ``flexion`` (the lever's stop).
+    """
     passable_mm: float | None
-    """The largest diameter that would pass on, where the limit is ``narrow``."""
+    """Largest diameter that would pass, if the limit is ``narrow``, else None."""
     record: ContactRecord
-    """All that touched since the scope was placed."""
+    """All contacts since the scope was placed."""
 
     @property
     def insertion_mm(self) -> float:
-        """See `ScopeHold`."""
+        """Insertion, mm; see `ScopeHold`."""
         return self.hold.insertion_mm
 
     @property
     def roll_rad(self) -> float:
-        """See `ScopeHold`."""
+        """Roll; see `ScopeHold`."""
         return self.hold.roll_rad
 
     @property
     def flexion_rad(self) -> float:
-        """See `ScopeHold`."""
+        """Flexion; see `ScopeHold`."""
         return self.hold.flexion_rad
 
 
 class ScopeDrive:
-    """A bronchoscope in a lumen.
+    """Simulated bronchoscope in a lumen.
 
-    The scope is an elastic axis, stiff against twist: a rigid tip, a bending section that wants the lever's curvature,
-    and a shaft that wants to be straight and follows the airway behind the tip. Tip and shaft cannot leave the lumen.
-    The same samples give the same states, bit for bit, on one build.
+    The scope is modelled as an elastic axis, stiff against twist: a rigid tip, a bending section whose rest shape has
+    the lever's curvature, and a shaft whose rest shape is straight and which follows the airway behind the tip. Tip and
+    shaft cannot leave the lumen. On one build, the same samples give the same states, bit for bit.
 
     Parameters
     ----------
     field
         Signed distance to the wall.
     scope
-        The instrument or its name in the library. Where nothing is known of it, the generic scope's figure is taken.
-        Diameters are as stated (`FIT_MARGIN_MM` is for plans).
+        The instrument or its name in the library. The generic scope's values replace unknown values. Diameters are the
+        stated ones (`FIT_MARGIN_MM` is for plans).
     start_path
-        (n, 3) LPS mm, from where the scope enters: the trachea's centreline, or a route from the tree's root. It enters
-        at the first place with room for it.
+        (n, 3) LPS mm, path of the scope's entry: the trachea's centreline, or a route from the tree's root. The scope
+        enters at the first position that is wide enough.
     up_lps
-        Where flexion up leads to at roll 0, which the picture of an operator at the head has up; anterior unless told.
+        Direction of upward flexion at roll 0, which is up in the picture of an operator at the head; default anterior.
     operator
-        ``head`` (stands at the patient's head) or ``facing``, whose picture is turned by 180 degrees. Only the picture
-        is: the scope lies the same, and insertion, roll and flexion stay the instrument's own.
+        ``head`` (at the patient's head) or ``facing``, whose picture is turned by 180 degrees. Only the picture is
+        turned: the position of the scope, and insertion, roll and flexion of the instrument, are the same.
     cords_mm
-        Where the vocal cords are, in mm of the start path; below 0 where they lie above it. None: not known.
+        Position of the vocal cords in mm of the start path, below 0 if they lie above it; None if unknown.
 
     Raises
     ------
     UsageError
-        If the path has no room for the scope, or no direction (code ``scope.drive``).
+        If the path is too narrow for the scope, or has no direction (code ``scope.drive``).
 
     Examples
     --------
@@ -205,41 +210,45 @@ class ScopeDrive:
         self._state = self._seen(self._core.state)
 
     def __copy__(self) -> ScopeDrive:
+        """Return an independent copy."""
         return self.copy()
 
     def __deepcopy__(self, _memo: object) -> ScopeDrive:
-        # The wall, which both have, never changes.
+        # Both copies share the wall, which never changes.
+        """Return an independent copy."""
         return self.copy()
 
     def __reduce__(self) -> NoReturn:
+        """Raise an error: the object is bound to its process and cannot be pickled."""
         refuse_pickle(self, "create a carina.ScopeDrive in the other process, and drive it to the same place")
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"ScopeDrive({self._scope.name!r}, insertion_mm={self._state.insertion_mm:.1f})"
 
     @property
     def scope(self) -> ScopePreset:
-        """The instrument."""
+        """Instrument."""
         return self._scope
 
     @property
     def field(self) -> WallField:
-        """The wall that holds it."""
+        """Wall that constrains the scope."""
         return self._field
 
     @property
     def state(self) -> ScopeState:
-        """The scope now."""
+        """Present state of the scope."""
         return self._state
 
     @property
     def operator(self) -> OperatorPosition:
-        """Where the operator stands."""
+        """Position of the operator."""
         return self._operator
 
     @check_arguments(operator=choice("head", "facing"))
     def set_operator(self, operator: OperatorPosition) -> ScopeState:
-        """Turn the picture for an operator who stands elsewhere; the scope stays as it lies, to the last bit.
+        """Turn the picture for another position of the operator; the scope does not move.
 
         Raises
         ------
@@ -258,17 +267,17 @@ class ScopeDrive:
 
     @property
     def entry_mm(self) -> float:
-        """Where the scope enters, in mm of the start path: the least insertion."""
+        """Position of the scope's entry in mm of the start path: the least insertion."""
         return self._core.entry_mm
 
     @property
     def depth_from_cords_mm(self) -> float | None:
-        """Insertion from the vocal cords; None where it is not known where they are."""
+        """Insertion from the vocal cords in mm; None if their position is unknown."""
         return None if self._cords_mm is None else self._state.insertion_mm - self._cords_mm
 
     @property
     def flexion_range_rad(self) -> tuple[float, float]:
-        """The lever's stops: the greatest flexion down (below 0) and up."""
+        """Flexion limits of the lever, down (below 0) and up."""
         return -self._flexion_rad[0], self._flexion_rad[1]
 
     @check_arguments(
@@ -278,29 +287,31 @@ class ScopeDrive:
         dt_s=bounded(86_400.0, unit="s"),
     )
     def drive(self, insertion_mm: float, roll_rad: float, flexion_rad: float, dt_s: float) -> ScopeState:
-        """Set the three controls; the scope moves towards them from where it is and stops where it cannot go on.
+        """Set the three controls; the scope moves towards them from its present position until the wall stops it.
 
-        Roll and flexion always arrive, for a lever can be pressed against a wall; insertion may not. Add to
-        ``state.insertion_mm``, not to what was asked for, or a hand that pushes at a wall will have to draw back first.
+        Roll and flexion always reach their values, since a lever can be pressed against a wall; insertion may not. Add
+        increments to ``state.insertion_mm`` instead of the last commanded value: otherwise a hand that pushed against a
+        wall first has to draw back.
 
         Parameters
         ----------
         insertion_mm
-            From the start of the path.
+            Insertion from the start of the path.
         roll_rad, flexion_rad
-            Clockwise as the operator sees it; up, as the instrument is held (the picture's down where it is turned).
+            Roll, clockwise as the operator sees it; flexion, positive towards the instrument's up (which is down in a
+            turned picture).
         dt_s
-            Time since the sample before, for the time of contact.
+            Time since the last sample, which counts as time of contact.
 
         Returns
         -------
         ScopeState
-            What became of it.
+            State that the scope has reached.
 
         Raises
         ------
         UsageError
-            If a number is not finite or time runs backwards; nothing is changed.
+            If a number is not finite or ``dt_s`` is negative; nothing is changed.
         """
         found = self._core.drive(float(insertion_mm), float(roll_rad), float(flexion_rad), float(dt_s))
         self._state = self._seen(found)
@@ -308,28 +319,28 @@ class ScopeDrive:
 
     @check_arguments(path=numbers_within(), insertion_mm=bounded(COORDINATE_MM, unit="mm"))
     def place(self, path: ArrayLike, insertion_mm: float) -> ScopeState:
-        """Lay the scope along a path, roll and flexion 0, with a new record of contact.
+        """Place the scope along a path, with roll and flexion 0 and a new record of contact.
 
         Parameters
         ----------
         path
-            (n, 3) LPS mm; it starts where the scope's own path does and may lead into any branch.
+            (n, 3) LPS mm; it starts where the scope's own path starts and may lead into any branch.
         insertion_mm
-            Where the tip should be, in mm of the start path. Where the airway is too narrow it lies before that place,
-            and the state's limit says so.
+            Requested position of the tip, in mm of the start path. If the airway is too narrow, the tip is placed
+            before that position, and the state's limit is set.
 
         Raises
         ------
         UsageError
-            If the path passes far from where the scope enters (code ``scope.drive``).
+            If the path passes far from the scope's entry (code ``scope.drive``).
         """
         self._state = self._seen(self._core.place(_points(path), float(insertion_mm)))
         return self._state
 
     def copy(self) -> ScopeDrive:
-        """Another scope that lies as this one does; what is done with one does not move the other.
+        """Return an independent copy of the scope in the same position.
 
-        Both answer the same samples with the same states, bit for bit.
+        The copy and the original respond to the same samples with the same states, bit for bit.
         """
         other = ScopeDrive.__new__(ScopeDrive)
         vars(other).update(vars(self))
@@ -337,11 +348,11 @@ class ScopeDrive:
         return other
 
     def shaft_lps(self) -> NDArray[np.float64]:
-        """Return the scope's axis from the entry to the tip's face, (n, 3) LPS mm, a point every 2 mm."""
+        """Return the scope's axis from the entry to the tip's face, (n, 3) LPS mm, one point every 2 mm."""
         return self._core.shaft_lps()
 
     def wall_depths_mm(self) -> tuple[float, float]:
-        """How far tip and shaft are in the wall, by the field that they are held in; 0 where they are not."""
+        """Return the depth of tip and shaft in the wall, mm, by the wall field of the scope; 0 outside the wall."""
         return self._core.wall_depths_mm()
 
 
@@ -353,9 +364,9 @@ def lever_flexion(lever: float, flexion_range_rad: tuple[float, float], *, inver
     lever
         -1 (lever up) to 1 (lever down), 0 at rest. As on a real scope, lever down moves the tip up.
     flexion_range_rad
-        The stops of `ScopeDrive.flexion_range_rad`.
+        The limits of `ScopeDrive.flexion_range_rad`.
     invert
-        Lever down moves the tip down.
+        Whether lever down moves the tip down.
 
     Returns
     -------
@@ -380,7 +391,7 @@ def _check_operator(operator: OperatorPosition) -> None:
 
 
 def _turned(pose: Pose) -> Pose:
-    """Seen upside down: signs alone change, so that nothing is rounded."""
+    """Return the pose turned by 180 degrees about its axis; only signs change, so nothing is rounded."""
     matrix = pose.lps_from_camera.copy()
     matrix[:3, :2] *= -1.0
     return Pose(matrix)

@@ -1,8 +1,8 @@
-"""The generic scope's optics, fitted to published measurements of one bronchoscope (docs/decisions/0106).
+"""Optics of the generic scope, fitted to published measurements of one bronchoscope (docs/decisions/0106).
 
-The figures (Masters 2005, a bronchoscope over test charts): linear magnification, relative to 100 mm from the tip, of
-9.55 at 10 mm and of 40 at 3 mm; at 15 mm the middle is enlarged 39 % more than the edge; at 3 mm the distortion reaches
-30 %. They come from one scope and do not agree with each other exactly; the residuals say by how much.
+The measurements (Masters 2005, a bronchoscope in front of test charts): linear magnification, relative to 100 mm from
+the tip, of 9.55 at 10 mm and of 40 at 3 mm; at 15 mm the middle is enlarged 39 % more than the edge; at 3 mm the
+distortion reaches 30 %. They come from one scope and are not fully consistent; the residuals quantify this.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from carina.display import one_line
 __all__ = ["FOV_DEG", "FittedOptics", "Residual", "fit_generic_optics"]
 
 FOV_DEG = 120.0
-"""Not published for that scope; the usual one of adult scopes today (basis k)."""
+"""Usual field of view of adult scopes today (common knowledge); that of the measured scope is not published."""
 REFERENCE_MM = 100.0
 MAGNIFICATION_AT = ((10.0, 9.55), (3.0, 40.0))
 CENTRE_TO_EDGE = 1.39
@@ -25,7 +25,7 @@ DISTORTION = -0.30
 @one_line
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """One published figure, what the fitted optics gives, and the difference as a part of the figure."""
+    """Published value, value of the fitted optics, and their relative difference."""
 
     what: str
     published: float
@@ -33,17 +33,17 @@ class Residual:
 
     @property
     def relative(self) -> float:
-        """(fitted - published) / published."""
+        """Relative difference: (fitted - published) / published."""
         return self.fitted / self.published - 1.0
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class FittedOptics:
-    """The two parameters of the model and how well they do.
+    """The two parameters of the optical model, and their residuals.
 
-    ``k1`` is that of :meth:`carina.scopes.Lens.fisheye`. ``face_mm`` is how far the tip's front face lies before the
-    camera's centre (the entrance pupil); below 0, behind it.
+    ``k1`` is that of :meth:`carina.scopes.Lens.fisheye`. ``face_mm`` is the distance of the tip's front face in front
+    of the camera's centre (the entrance pupil); below 0 the face is behind it.
     """
 
     k1: float
@@ -77,7 +77,7 @@ def fit_generic_optics(fov_deg: float = FOV_DEG) -> FittedOptics:
     Masters 2005, after features.md 5.1 "Optics". Kannala and Brandt 2006 for the polynomial.
     """
     half = math.radians(fov_deg) / 2
-    # One unknown, two figures: least squares of the logarithms is their geometric mean.
+    # One unknown, two figures: the least-squares solution of the logarithms is their geometric mean.
     edge = math.sqrt((1.0 / CENTRE_TO_EDGE) * (1.0 + DISTORTION))
     k1 = (edge * math.tan(half) / half - 1.0) / half**2
     face_mm = _fit_face()
@@ -100,7 +100,7 @@ def _magnification(distance_mm: float, face_mm: float) -> float:
 
 
 def _fit_face() -> float:
-    """Gauss-Newton on the logarithms, from a pupil in the face."""
+    """Fit ``face_mm`` by Gauss-Newton on the logarithms; the initial pupil is in the face."""
     face = 0.0
     for _ in range(50):
         top = bottom = 0.0

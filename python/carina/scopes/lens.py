@@ -1,4 +1,4 @@
-"""How the scope sees: the lens, the outline of its picture, and both in front of a picture of a size.
+"""Lens of the scope, outline of its picture, and the optics of both for a picture of a given size.
 
 Camera axes: +x right, +y down, +z forward. Points of a picture are in corner coordinates: pixel (0, 0) is the corner of
 the top-left pixel, its centre is (0.5, 0.5).
@@ -47,16 +47,17 @@ Outline = Literal["none", "round", "octagon"]
 Model = Literal["pinhole", "equidistant", "brown", "fisheye"]
 OUTLINES: tuple[Outline, ...] = ("none", "round", "octagon")
 DEFAULT_FOV_DEG = 90.0
-# Rays kept, in pixels of 14 bytes: a flight needs those of its still size and of several smaller ones.
+# Limit of cached rays, in pixels of 14 bytes: a flight needs the rays of its still size and of several smaller ones.
 RAYS_IN_MEMORY_PX = 4_000_000
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Where a calibration puts the picture: focal lengths and principal point in pixels of pictures of ``size_px``.
+    """Focal lengths and principal point of a calibration, in pixels of pictures of ``size_px``.
 
-    ``centre_px`` is in corner coordinates: OpenCV's value plus 1/2, since its pixel (0, 0) is the centre of the first.
+    ``centre_px`` is in corner coordinates: OpenCV's value plus 1/2, since OpenCV's pixel (0, 0) is the centre of the
+    first pixel.
     """
 
     focal_px: tuple[float, float]
@@ -67,10 +68,10 @@ class Calibration:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A lens, apart from the size of the picture.
+    """Lens model, independent of the size of the picture; create one with the class methods.
 
-    ``brown`` is OpenCV's default model with k1 k2 p1 p2 k3 k4 k5 k6, ``fisheye`` that of ``cv2.fisheye`` with k1 to k4:
-    the distance from the middle is f (a + k1 a^3 + k2 a^5 + ...) at the angle a. Use the class methods.
+    ``brown`` is OpenCV's default model with k1 k2 p1 p2 k3 k4 k5 k6. ``fisheye`` is that of ``cv2.fisheye`` with k1 to
+    k4: the distance from the centre of the picture is f (a + k1 a^3 + k2 a^5 + ...) at the angle a.
 
     Raises
     ------
@@ -83,6 +84,7 @@ class Lens:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,
@@ -105,18 +107,18 @@ class Lens:
 
     @classmethod
     def pinhole(cls) -> Lens:
-        """Straight lines stay straight."""
+        """Return a lens without distortion: straight lines stay straight."""
         return cls("pinhole")
 
     @classmethod
     def equidistant(cls) -> Lens:
-        """Return a lens whose distance from the middle of the picture grows with the angle."""
+        """Return a lens whose distance from the centre of the picture is proportional to the angle."""
         return cls("equidistant")
 
     @classmethod
     @check_arguments(**dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), number_from(-1e6, 1e6)))
     def brown(cls, k1: float, k2: float = 0.0, *, k3: float = 0.0, p1: float = 0.0, p2: float = 0.0) -> Lens:
-        """Brown's radial and tangential distortion; k1 below 0 is a barrel."""
+        """Return a lens with Brown's radial and tangential distortion; k1 below 0 gives barrel distortion."""
         return cls("brown", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
 
     @classmethod
@@ -132,16 +134,16 @@ class Lens:
         Parameters
         ----------
         width, height
-            Pixels, 1 to 8192.
+            Size of the picture in pixels, 1 to 8192.
         fov_deg
-            Full angle across the shorter side, 1 to 170 degrees; 90 unless told. A calibration has its own, and refuses
-            another.
+            Full angle across the shorter side, 1 to 170 degrees; default 90. A calibrated lens has its own, and accepts
+            no other.
 
         Raises
         ------
         RenderError
-            If a value is out of range, the model folds back on itself inside the image circle, or a calibration's
-            pictures have other proportions.
+            If a value is out of range, the model folds back on itself inside the image circle, or the picture does not
+            have the proportions of the calibration's pictures.
         """
         return _optics(self, width, height, None if fov_deg is None else float(fov_deg))
 
@@ -152,10 +154,11 @@ PINHOLE = Lens.pinhole()
 @one_line
 @dataclass(frozen=True, slots=True)
 class ImageField:
-    """The outline of the picture on the monitor, over the shorter side, and how it darkens towards the edge.
+    """Outline of the picture on the monitor, over the shorter side, and its darkening towards the edge.
 
-    Pixels outside have no ray and are black. ``edge_px`` is the width of the soft edge inside the outline; ``vignette``
-    is 0 for an even picture, 1 for the lens's natural fall-off of light (cos^4 for a pinhole), or a part of it.
+    Pixels outside the outline have no ray and are black. ``edge_px`` is the width of the soft edge inside the outline.
+    ``vignette`` is 0 for even brightness, 1 for the lens's natural fall-off of light (cos^4 for a pinhole), or a
+    fraction.
 
     Raises
     ------
@@ -168,6 +171,7 @@ class ImageField:
     vignette: float = 0.0
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(self, RenderError, "render.camera", outline=text_of(), edge_px=any_number(), vignette=any_number())
         if self.outline not in OUTLINES:
             raise RenderError(
@@ -188,7 +192,7 @@ FULL_FRAME = ImageField()
 @one_line
 @dataclass(frozen=True, slots=True)
 class DepthOfField:
-    """The range that a scope of fixed focus shows sharp, mm from the tip.
+    """Range of distances from the tip that a scope of fixed focus shows sharp, mm.
 
     Raises
     ------
@@ -200,6 +204,7 @@ class DepthOfField:
     far_mm: float
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(
             self,
             RenderError,
@@ -216,7 +221,7 @@ class DepthOfField:
 
 
 class Optics:
-    """A lens in front of a picture of a size: where directions fall, and what lies behind pixels. See `Lens.optics`."""
+    """Lens in front of a picture of a given size: maps directions to pixels and back. See `Lens.optics`."""
 
     __slots__ = ("_core", "fov_deg", "lens", "size_px")
 
@@ -224,50 +229,57 @@ class Optics:
         self.lens = lens
         self.size_px = size_px
         self.fov_deg = math.degrees(core.fov_rad) if fov_deg is None else fov_deg
-        """Full angle across the shorter side: as asked for, or a calibration's."""
+        """Full angle across the shorter side in degrees: the given one, or that of the calibration."""
         self._core = core
 
     @property
     def limit_deg(self) -> float:
-        """Directions farther from the axis have no place in the picture."""
+        """Largest angle from the axis that the picture can show, degrees."""
         return math.degrees(self._core.limit_rad)
 
     @property
     def limit_rad(self) -> float:
-        """The same in radians."""
+        """Largest angle from the axis that the picture can show, radians."""
         return self._core.limit_rad
 
     @property
     def formula(self) -> tuple[Literal["brown", "fisheye"], tuple[float, ...]]:
-        """The lens as one of OpenCV's two models: its name and 8 or 4 coefficients."""
+        """Lens as one of OpenCV's two models: its name and 8 or 4 coefficients."""
         return _formula(self.lens)
 
     @property
     def focal_px(self) -> tuple[float, float]:
-        """Focal lengths across and down."""
+        """Focal lengths across and down, pixels."""
         return self._core.focal_px
 
     @property
     def centre_px(self) -> tuple[float, float]:
-        """Where the axis falls, in corner coordinates."""
+        """Position of the axis in the picture, in corner coordinates."""
         return self._core.centre_px
 
     def directions_of(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return unit directions (n, 3) in camera space of picture points (n, 2); NaN where the lens has none."""
+        """Return unit directions (n, 3) in camera space of picture points (n, 2).
+
+        The directions of points outside the lens model are NaN.
+        """
         return self._core.directions(np.ascontiguousarray(pixels, dtype=np.float64))
 
     def pixels_of(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of the picture (n, 2) of directions (n, 3) in camera space, of any length; NaN where unseen."""
+        """Return the picture points (n, 2) of directions (n, 3) of any length in camera space.
+
+        The points of invisible directions are NaN.
+        """
         return self._core.pixels(np.ascontiguousarray(directions, dtype=np.float64))
 
     def rays(self, field: ImageField) -> _core.LensRays:
-        """Return the rays of all pixels, for the ray casters; the last used ones are cached."""
+        """Return the rays of all pixels, for the ray casters; the most recently used rays are cached."""
         return _RAYS.of(self, field)
 
     def _build_rays(self, field: ImageField) -> _core.LensRays:
         return self._core.rays(shape=field.outline, edge_px=field.edge_px, vignette=field.vignette)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"Optics({self.lens.model}, fov_deg={self.fov_deg:.1f})"
 
 
@@ -297,7 +309,7 @@ def _optics(lens: Lens, width: int, height: int, fov_deg: float | None) -> Optic
 
 
 class _RaysInMemory:
-    """The rays of the pictures rendered last, for any thread."""
+    """Cache of the rays of recent pictures; any thread may use it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -1,7 +1,7 @@
-"""The library of bronchoscopes: what is known of each instrument, and on what basis.
+"""Library of bronchoscopes: properties of each instrument, and the basis of each value.
 
-Basis of a figure: ``s`` was read in a source, ``k`` is common knowledge that was not checked against the maker's data.
-Unknown is None, never a guess. Sizes are nominal: measured diameters exceed them (`FIT_MARGIN_MM`).
+Basis of a value: ``s`` was read in a source; ``k`` is common knowledge that was not checked against the maker's data.
+Unknown values are None. Sizes are nominal: measured diameters exceed them (`FIT_MARGIN_MM`).
 """
 
 from __future__ import annotations
@@ -21,96 +21,102 @@ from carina.scopes.pose import Pose
 __all__ = ["DEFAULT_SCOPE", "FIT_MARGIN_MM", "ScopePreset", "scope_preset", "scope_presets"]
 
 FIT_MARGIN_MM = 0.4
-"""Measured maximum diameters exceed the stated tip by 0.19 to 0.66 mm, mean 0.41 (10 scopes of 2.2 to 4.9 mm; s)."""
+"""Margin for measured diameters, which exceed the stated tip by 0.19 to 0.66 mm.
+
+Mean 0.41 mm (10 scopes of 2.2 to 4.9 mm; basis s).
+"""
 DEFAULT_SCOPE = "generic"
 ScopeClass = Literal["diagnostic", "therapeutic", "thin", "ultrathin", "paediatric", "ebus", "single-use", "robotic"]
 Point = tuple[float, float, float]
 
 _FIT = fit_generic_optics()
 _LENS = Lens.fisheye(_FIT.k1)
-# What the lens loses towards the edge by nature, and cameras put half of it right (k).
+# Share of the lens's natural fall-off of light that remains after the camera's correction (basis k).
 _VIGNETTE = 0.5
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ScopePreset:
-    """One instrument. Lengths in mm, angles in degrees; None where nothing is known."""
+    """One instrument; lengths in mm, angles in degrees, None for unknown values."""
 
     name: str
     title: str
     scope_class: ScopeClass
     tip_mm: float
-    """Outer diameter of the distal end, as stated."""
+    """Outer diameter of the distal end, as stated by the maker."""
     tube_mm: float | None
-    """Outer diameter of the insertion tube where it differs."""
+    """Outer diameter of the insertion tube if it differs."""
     channel_mm: float | None
     """Inner diameter of the working channel."""
     fov_deg: float | None
     focus_mm: tuple[float, float] | None
-    """Depth of field, near and far."""
+    """Depth of field: nearest and farthest sharp distance."""
     flexion_deg: tuple[float, float] | None
-    """Greatest flexion up and down."""
+    """Largest flexion up and down."""
     length_mm: float | None
     """Working length."""
     basis: str
-    """``s`` or ``k`` (see above), or which figure is which."""
+    """Basis of the values: ``s`` or ``k`` (see the module), or a list of the values of each basis."""
     view_up_deg: float = 0.0
-    """How far the direction of view looks up from the shaft's axis; 35 for a forward-oblique EBUS scope."""
+    """Angle between the direction of view and the shaft's axis, upwards; 35 for a forward-oblique EBUS scope."""
     outline: Outline = "round"
-    """Outline of the picture (k)."""
+    """Outline of the picture (basis k)."""
     lens: Lens = _LENS
-    """The generic lens: no maker publishes one."""
+    """Lens; the generic lens, since no maker publishes one."""
     rigid_tip_mm: float | None = 10.0
-    """Longest rigid part of the tip ("< 10 mm", a specification of the 1960s; s)."""
+    """Longest rigid part of the tip ("< 10 mm", a specification of the 1960s; basis s)."""
     bending_mm: tuple[float, float] | None = (30.0, 50.0)
-    """Length of the bending section, shortest and longest of the class (k)."""
+    """Length of the bending section, shortest and longest of the class (basis k)."""
     bend_radius_mm: tuple[float, float] | None = (10.0, 15.0)
-    """Radius at full flexion, tightest and widest of the class (k)."""
+    """Radius at full flexion, smallest and largest of the class (basis k)."""
 
     @property
     def fit_mm(self) -> float:
-        """The lumen that it needs: tip with the margin for true sizes, or the tube where that is larger."""
+        """Diameter of the lumen that the scope needs: the tip plus `FIT_MARGIN_MM`, or the tube if that is larger."""
         return max(self.tip_mm + FIT_MARGIN_MM, self.tube_mm or 0.0)
 
     @property
     def face_mm(self) -> float:
-        """How far the tip's face lies before the camera's centre; fitted, below 0 behind it."""
+        """Distance of the tip's face in front of the camera's centre, fitted; below 0 the face is behind it."""
         return _FIT.face_mm
 
     @property
     def guides_mm(self) -> tuple[Point, ...]:
-        """Light guides in camera coordinates: two on the face, left and right of the lens and a little above it (k)."""
+        """Ends of the light guides in camera space, mm: two on the face, left and right of the lens (basis k).
+
+        They are a little above the lens.
+        """
         across, up = 0.28 * self.tip_mm, 0.1 * self.tip_mm
         return ((-across, -up, self.face_mm), (across, -up, self.face_mm))
 
     @property
     def usual_fov_deg(self) -> float:
-        """The field of view, or the generic scope's where none is known."""
+        """Field of view, or the generic scope's if it is unknown."""
         return FOV_DEG if self.fov_deg is None else self.fov_deg
 
     @property
     def field(self) -> ImageField:
-        """Outline and vignette of its picture."""
+        """Outline and vignette of the scope's picture."""
         return ImageField(self.outline, vignette=_VIGNETTE)
 
     @property
     def depth_of_field(self) -> DepthOfField | None:
-        """The range that it shows sharp."""
+        """Range of sharp distances, or None if unknown."""
         return None if self.focus_mm is None else DepthOfField(*self.focus_mm)
 
     def camera_pose(self, tip: Pose, *, picture_turned: bool = False) -> Pose:
-        """The pose of its camera when the shaft ends at ``tip``: looking up by `view_up_deg`.
+        """Return the pose of the camera when the shaft ends at ``tip``: rotated upwards by `view_up_deg`.
 
-        ``picture_turned``: the tip is seen turned by 180 degrees (`ScopeDrive.operator`), so that the instrument's up
-        is the picture's down.
+        ``picture_turned``: ``tip`` is turned by 180 degrees (`ScopeDrive.operator`), so that the instrument's up is the
+        picture's down.
         """
         if self.view_up_deg == 0.0:
             return tip
         up_rad = math.radians(-self.view_up_deg if picture_turned else self.view_up_deg)
         c, s = math.cos(up_rad), math.sin(up_rad)
         turn = np.eye(4)
-        # About +x, right: forward goes towards -y, up.
+        # A rotation about +x (right) moves the forward axis towards -y (up).
         turn[1:3, 1:3] = [[c, -s], [s, c]]
         return Pose(tip.lps_from_camera @ turn)
 
@@ -349,17 +355,17 @@ _BY_NAME = {preset.name: preset for preset in _PRESETS}
 
 
 def scope_presets() -> tuple[ScopePreset, ...]:
-    """All instruments of the library, the generic one first."""
+    """Return all instruments of the library, the generic one first."""
     return _PRESETS
 
 
 def scope_preset(name: str) -> ScopePreset:
-    """The instrument of a name.
+    """Return the instrument of a name.
 
     Raises
     ------
     UsageError
-        If there is none; the message lists the names.
+        If there is no such instrument; the message lists the names.
     """
     found = _BY_NAME.get(name)
     if found is None:

@@ -1,4 +1,4 @@
-"""A path as places with frames: what a curved picture of an airway is laid along."""
+"""Frames along a path, from which curved pictures of an airway are made."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ __all__ = ["PathFrames"]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PathFrames:
-    """Places along a path and the plane across it at each.
+    """Positions along a path, with the plane perpendicular to the path at each.
 
     Parameters
     ----------
     path_mm
-        (n,) mm along the route, strictly increasing; two places at least.
+        (n,) mm along the route, strictly increasing; at least two.
     lps_from_frame
-        (n, 4, 4), rigid: +z runs along the path, +x and +y span the plane across it, the origin lies on the path (LPS
-        mm). Neighbours should turn about +z as little as can be.
+        (n, 4, 4), rigid: +z is the tangent of the path, +x and +y span the plane perpendicular to the path, the origin
+        lies on the path (LPS mm). Neighbouring frames should rotate about +z as little as possible.
 
     Raises
     ------
@@ -37,6 +37,7 @@ class PathFrames:
     lps_from_frame: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        """Convert the fields to float64 arrays and check them."""
         check_fields(self, path_mm=array_of(None), lps_from_frame=array_of(None, 4, 4))
         object.__setattr__(self, "path_mm", np.asarray(self.path_mm, dtype=np.float64))
         object.__setattr__(self, "lps_from_frame", np.asarray(self.lps_from_frame, dtype=np.float64))
@@ -51,23 +52,23 @@ class PathFrames:
 
     @property
     def length_mm(self) -> float:
-        """From the first place to the last."""
+        """Length from the first position to the last, mm."""
         return float(self.path_mm[-1] - self.path_mm[0])
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
-        """(n, 3), the path."""
+        """Points of the path, (n, 3), LPS mm."""
         return self.lps_from_frame[:, :3, 3]
 
     @check_arguments(path_mm=array_of(None))
     def at(self, path_mm: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points (m, 3) and axes (m, 3, 3; columns right, down, along) at places; straight on beyond an end."""
+        """Return points (m, 3) and axes (m, 3, 3; columns right, down, along) at positions; straight beyond an end."""
         inside = np.clip(path_mm, self.path_mm[0], self.path_mm[-1])
         place = np.interp(inside, self.path_mm, np.arange(len(self.path_mm), dtype=np.float64))
         first = np.minimum(place.astype(np.int64), len(self.path_mm) - 2)
         t = (place - first)[:, None, None]
         mixed = (1.0 - t) * self.lps_from_frame[first] + t * self.lps_from_frame[first + 1]
-        # Neighbouring frames differ by little: mixing and squaring is a rotation between them.
+        # Neighbouring frames differ by little, so orthonormalized interpolation is a rotation between them.
         along = _unit(mixed[:, :3, 2])
         down = mixed[:, :3, 1]
         down = _unit(down - np.einsum("ij,ij->i", down, along)[:, None] * along)

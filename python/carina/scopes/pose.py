@@ -1,4 +1,4 @@
-"""The pose of the scope's tip, which is the pose of the camera."""
+"""Pose of the scope's tip, which is the pose of the camera."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FAR_MM = 1e40
 
 
 def upright(forward_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the up direction for an operator at the patient's head: anterior, or superior in an AP view.
+    """Return the up direction for an operator at the patient's head: anterior, or superior in an antero-posterior view.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ def upright(forward_lps: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns
     -------
     numpy.ndarray
-        Unit vector at a right angle to ``forward_lps``.
+        Unit vector perpendicular to ``forward_lps``.
     """
-    # Within 8 degrees of the anterior axis "anterior up" is meaningless.
+    # Within 8 degrees of the anterior axis, "anterior up" is not well defined.
     up = ANTERIOR_LPS if abs(float(forward_lps @ ANTERIOR_LPS)) < 0.99 else SUPERIOR_LPS
     across = up - float(up @ forward_lps) * forward_lps
     return np.asarray(across / np.linalg.norm(across), dtype=np.float64)
@@ -52,6 +52,7 @@ class Pose:
     lps_from_camera: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        """Check the matrix and store a copy as float64."""
         check_fields(self, lps_from_camera=numbers_within(FAR_MM))
         m = np.array(self.lps_from_camera, dtype=np.float64)
         if m.shape != (4, 4) or not np.isfinite(m).all():
@@ -60,7 +61,7 @@ class Pose:
         if not np.array_equal(m[3], [0.0, 0.0, 0.0, 1.0]):
             raise UsageError(f"the last row of a pose must be 0, 0, 0, 1; found {m[3].tolist()}")
         r = m[:3, :3]
-        # 1e-6: poses pass through JSON and many small rotations; anything worse is a different matrix, not rounding.
+        # Tolerance 1e-6: rounding in JSON and many small rotations stays below it.
         if np.abs(r.T @ r - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
             lengths = ", ".join(f"{v:g}" for v in np.linalg.norm(r, axis=0))
             raise UsageError(
@@ -71,6 +72,7 @@ class Pose:
         object.__setattr__(self, "lps_from_camera", m)
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         at, look = (as_words(tuple(np.round(self.lps_from_camera[:3, n], 3).tolist())) for n in (3, 2))
         return f"Pose(position_lps={at}, forward_lps={look})"
 
@@ -88,13 +90,13 @@ class Pose:
         look_lps
             Viewing direction (any length above 0).
         up_lps
-            Direction that should appear up; anterior unless told (head-end position of the operator), or superior where
-            the view is along the anterior-posterior axis.
+            Direction that should appear up. Default: anterior (operator at the head end), or superior if the view is
+            along the antero-posterior axis.
 
         Raises
         ------
         UsageError
-            If a direction has no length, or ``up`` is parallel to ``look``.
+            If a direction has length 0, or ``up`` is parallel to ``look``.
         """
         at = np.asarray(at_lps, dtype=np.float64)
         look = np.asarray(look_lps, dtype=np.float64)
@@ -125,20 +127,20 @@ class Pose:
 
     @property
     def position_lps(self) -> NDArray[np.float64]:
-        """Tip position, LPS mm."""
+        """Tip position (3,), LPS mm."""
         return self.lps_from_camera[:3, 3]
 
     @property
     def forward_lps(self) -> NDArray[np.float64]:
-        """Viewing direction, unit length."""
+        """Viewing direction (3,), LPS, unit length."""
         return self.lps_from_camera[:3, 2]
 
     @property
     def right_lps(self) -> NDArray[np.float64]:
-        """Direction that appears to the right."""
+        """Direction (3,) that appears to the right, LPS."""
         return self.lps_from_camera[:3, 0]
 
     @property
     def down_lps(self) -> NDArray[np.float64]:
-        """Direction that appears down."""
+        """Direction (3,) that appears down, LPS."""
         return self.lps_from_camera[:3, 1]

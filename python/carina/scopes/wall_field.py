@@ -1,4 +1,4 @@
-"""The lumen's wall as a signed distance: what the scope is held in."""
+"""Signed distance to the lumen's wall, which constrains the scope."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from carina.errors import refuse_pickle
 __all__ = ["WallField"]
 
 STEP_MM = 0.6
-"""From a point to those round it: farther than the diagonal of a square of samples, which the ridge lies in."""
+"""Distance in mm from a point to its probes: above the diagonal of a square of samples, which contains the ridge."""
 BEYOND_MM = 0.3
-"""No farther than this is looked at behind a wall, where the next lumen may be near."""
+"""Largest distance in mm behind a wall at which a probe may lie, since another lumen may be near."""
 INSIDE_MM = 4.5
 AT_ONCE = 4096
 
@@ -38,9 +38,9 @@ AT_ONCE = 4096
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class WallField:
-    """Signed distance to the wall in mm, positive in the lumen; `carina.track.wall_field` makes it from airways.
+    """Signed distance to the wall in mm, positive in the lumen; `carina.track.wall_field` computes it from airways.
 
-    Distances end at -2.5 mm outside (also where nothing is known) and at 4.5 mm inside.
+    Distances are limited to -2.5 mm outside (also where nothing is known) and 4.5 mm inside.
 
     Examples
     --------
@@ -56,24 +56,25 @@ class WallField:
     core: _core.WallField
 
     def __post_init__(self) -> None:
+        """Check the values of the fields."""
         check_fields(self, core=instance(_core.WallField, "make one with carina.wall_field"))
 
     @classmethod
     @check_arguments(distance_mm_zyx=array_of(None, None, None), lps_from_ijk=array_of(4, 4))
     def from_distances(cls, distance_mm_zyx: NDArray[np.float32], lps_from_ijk: NDArray[np.float64]) -> WallField:
-        """From signed distances on a grid.
+        """Create a wall field from signed distances on a grid.
 
         Parameters
         ----------
         distance_mm_zyx
             (nz, ny, nx) mm, positive in the lumen, at voxel centres.
         lps_from_ijk
-            (4, 4), the grid's place.
+            (4, 4), geometry of the grid.
 
         Raises
         ------
         UsageError
-            If a value is NaN or no wall lies in it (code ``scope.wall``).
+            If a value is NaN or the distances contain no wall (code ``scope.wall``).
         """
         values = np.ascontiguousarray(distance_mm_zyx, dtype=np.float32)
         return cls(_core.WallField.from_distances(values, np.asarray(lps_from_ijk, dtype=np.float64)))
@@ -95,7 +96,7 @@ class WallField:
         progress: ProgressChoice = None,
         cancel: Callable[[], bool] | None = None,
     ) -> WallField:
-        """From a closed mesh of the wall, exact at samples that are read trilinearly.
+        """Create a wall field from a closed mesh of the wall, with exact values at the samples.
 
         Parameters
         ----------
@@ -104,20 +105,21 @@ class WallField:
         triangles
             (m, 3), counterclockwise from outside the lumen.
         spacing_mm
-            Distance of the samples. Between them a wall with a radius of curvature r is off by up to
-            ``spacing_mm**2 / (8 r)``: 0.013 mm at 0.4 mm in an airway of 3 mm. 0.1 to 0.6.
+            Spacing of the samples, 0.1 to 0.6. Between samples, values are interpolated trilinearly: a wall with a
+            radius of curvature r has an error of up to ``spacing_mm**2 / (8 r)``, 0.013 mm at 0.4 mm in an airway of 3
+            mm.
         progress
-            False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
-            is None where it is unknown.
+            False, True or ``f(what, fraction)``. True and None show a bar in a terminal or a notebook. The fraction is
+            None where it is unknown.
         cancel
-            Called often; the work stops when it returns True.
+            Function that is called often; the work stops when it returns True.
 
         Raises
         ------
         UsageError
             If the mesh is empty or broken (code ``scope.wall``).
         CancelledError
-            If ``cancel()`` said so.
+            If ``cancel()`` returned True.
         """
         made = _core.WallField.from_mesh(
             np.ascontiguousarray(vertices_lps, dtype=np.float64),
@@ -129,45 +131,51 @@ class WallField:
         return cls(made)
 
     def __copy__(self) -> WallField:
+        """Return an independent copy."""
         return self
 
     def __deepcopy__(self, _memo: object) -> WallField:
+        """Return an independent copy."""
         return self
 
     def __reduce__(self) -> NoReturn:
+        """Raise an error: the object is bound to its process and cannot be pickled."""
         refuse_pickle(
             self, "pickle the airways, and make the wall from them with carina.wall_field in the other process"
         )
 
     @property
     def num_bytes(self) -> int:
-        """Memory of the samples."""
+        """Memory of the samples, bytes."""
         return self.core.num_bytes
 
     def to_bytes(self) -> bytes:
-        """Return lattice and samples as bytes (a copy), for compiled modules of other packages.
+        """Return grid and samples as bytes (a copy), for compiled modules of other packages.
 
         The bytes are not a file format: only a package of the same version reads them.
         """
         return self.core.to_bytes()
 
     def digest(self) -> str:
-        """Return what identifies a field: equal for equal samples, to the last bit."""
+        """Identification of the field: equal for fields with equal samples, bit for bit."""
         return self.core.digest()
 
     @check_arguments(points_lps=coordinates(COORDINATE_MM))
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
-        """Distances (n,) of points (n, 3), LPS mm."""
+        """Return the distances (n,) of points (n, 3), LPS mm."""
         return self.core.distance_mm(np.atleast_2d(np.asarray(points_lps, dtype=np.float64)))
 
     @check_arguments(points_lps=coordinates(COORDINATE_MM))
     def ball_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
-        """Radius of the largest ball round points that touches no wall, for measuring; what `distance_mm` says outside.
+        """Return the radius of the largest ball around each point that touches no wall, for measurements.
 
-        Along the middle of a lumen the distance has a ridge, which a reading between samples cuts off: by `distance_mm`
-        a tube is 0.4 mm too narrow there, up to 0.56 mm, whatever its width. Beside the ridge it is right, and a point
-        is as far from the wall as the nearest of the points round it, and the way to that one. Tubes of 1 to 6 mm come
-        out 0.06 mm too narrow, 0.1 mm at most (docs/decisions/0125). It takes 65 times as long.
+        Outside the lumen the result equals `distance_mm`.
+
+        The distance has a ridge along the middle of a lumen, which interpolation between samples cuts off: by
+        `distance_mm` a tube is 0.4 mm too narrow there, up to 0.56 mm, at any width. Beside the ridge the interpolated
+        distance is right. Therefore this method probes points around each point, and adds the way to them to the
+        smallest distance found. Tubes of 1 to 6 mm are then 0.06 mm too narrow, 0.1 mm at most (docs/decisions/0125).
+        The method takes 65 times as long.
 
         Parameters
         ----------
@@ -191,7 +199,7 @@ class WallField:
 
 
 def _spread(num: int) -> NDArray[np.float64]:
-    """Directions spread evenly over the sphere, (num, 3)."""
+    """Return evenly distributed directions on the sphere, (num, 3)."""
     n = np.arange(num)
     z = 1.0 - (2.0 * n + 1.0) / num
     turn = np.pi * (3.0 - np.sqrt(5.0)) * n

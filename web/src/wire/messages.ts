@@ -33,55 +33,55 @@ export interface OpenDemoMessage {
   readonly name: "patient" | "phantom";
 }
 
-/** Open a case of `start.recent`; its path never travels. */
+/** Open a case of `start.recent`, by its ID; the path of the case is never sent. */
 export interface OpenRecentMessage {
   readonly type: "open_recent";
   readonly recent_id: string;
 }
 
-/** Begin another case of the open CT; the one that was continued stays in the list. */
+/** Start a new case of the open CT; the present case stays in the list. */
 export interface BeginAnewMessage {
   readonly type: "begin_anew";
 }
 
-/** Call a case of the list by a name of one's own; null is what the scan calls itself.
+/** Give a case in the list a name; null restores the name from the scan.
 
-    The name stays on this machine: no file that is saved or exported holds it. */
+    The name stays on this machine: no saved or exported file contains it. */
 export interface RenameCaseMessage {
   readonly type: "rename_case";
   readonly recent_id: string;
   readonly title: string | null;
 }
 
-/** Take a case out of the list, and what is kept of its CT; for a day it can be brought back. */
+/** Delete a case from the list, and its cached CT; the case can be restored for a day. */
 export interface ForgetCaseMessage {
   readonly type: "forget_case";
   readonly recent_id: string;
 }
 
-/** Bring a forgotten case back. */
+/** Restore a deleted case. */
 export interface RestoreCaseMessage {
   readonly type: "restore_case";
   readonly recent_id: string;
 }
 
-/** Remove all forgotten cases from the disk, for good. */
+/** Delete all deleted cases from the disk permanently. */
 export interface EmptyForgottenMessage {
   readonly type: "empty_forgotten";
 }
 
-/** Remove the CTs that are kept to open faster; they are read from their files again. */
+/** Delete the cached CTs; Carina then reads them from their files again. */
 export interface EmptyCtCacheMessage {
   readonly type: "empty_ct_cache";
 }
 
-/** Whether CTs that are opened are kept to open faster; without, those kept are removed. */
+/** Set whether opened CTs are cached for faster opening; off deletes the cached CTs. */
 export interface KeepCtsMessage {
   readonly type: "keep_cts";
   readonly on: boolean;
 }
 
-/** Back to the start page. */
+/** Close the case and return to the start page. */
 export interface CloseCaseMessage {
   readonly type: "close_case";
 }
@@ -92,44 +92,44 @@ export interface CancelMessage {
   readonly job_id: string;
 }
 
-/** Take back the last change. */
+/** Undo the last change. */
 export interface UndoMessage {
   readonly type: "undo";
 }
 
-/** Do it again. */
+/** Redo the last undone change. */
 export interface RedoMessage {
   readonly type: "redo";
 }
 
-/** Write the case as one whole file, which is kept up to date while the case is open.
+/** Write the whole case to one file, which is then updated while the case is open.
 
-    Nothing needs it against loss: what is done is always kept on this machine. */
+    The file is not needed against loss: Carina always saves the case on this machine. */
 export interface SaveCaseMessage {
   readonly type: "save_case";
   readonly path?: string | null;
   readonly replace?: boolean;
 }
 
-/** Have so many steps of the history hold, from 0: others are taken back, or done again. */
+/** Undo or redo changes until this number of steps of the history is in effect, counted from 0. */
 export interface GoToStepMessage {
   readonly type: "go_to_step";
   readonly step: number;
 }
 
-/** Find the airways again from this point. */
+/** Find the airways again from this root. */
 export interface SetRootMessage {
   readonly type: "set_root";
   readonly lps: readonly [number, number, number];
 }
 
-/** Find the airways again with this threshold; null lets Carina choose. */
+/** Find the airways again with this threshold; null uses Carina's own. */
 export interface SetLumenThresholdMessage {
   readonly type: "set_lumen_threshold";
   readonly value: number | null;
 }
 
-/** A target, with the path that leads there. */
+/** Add a target, with the path to it. */
 export interface AddTargetMessage {
   readonly type: "add_target";
   readonly lps: readonly [number, number, number];
@@ -137,53 +137,53 @@ export interface AddTargetMessage {
   readonly root_lps?: readonly [number, number, number] | null;
 }
 
-/** Take a target away. */
+/** Delete a target. */
 export interface RemoveTargetMessage {
   readonly type: "remove_target";
   readonly target_id: string;
 }
 
-/** Route to a target or to the end of a branch; exactly one of both is set, or none for no route. */
+/** Set the route to a target or to the end of a branch; at most one of both, neither for no route. */
 export interface ChooseRouteMessage {
   readonly type: "choose_route";
   readonly target_id?: string | null;
   readonly branch_id?: number | null;
 }
 
-/** A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it. */
+/** Add a branch to a point, by the least-cost path through the lumen or, beyond it, by the best evidence. */
 export interface EditAddBranch {
   readonly kind: "add-branch";
   readonly lps: readonly [number, number, number];
   readonly even_without_evidence?: boolean;
 }
 
-/** Take a branch away with all that hangs on it, from a place along it. */
+/** Delete a branch with all its descendants, from a position along it. */
 export interface EditCutBranch {
   readonly kind: "cut-branch";
   readonly branch_id: number;
   readonly at_mm?: number;
 }
 
-/** Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air. */
+/** Continue the airways from the nearest tree point through mucus or tumour to a point in air beyond it. */
 export interface EditBridge {
   readonly kind: "bridge";
   readonly lps: readonly [number, number, number];
 }
 
-/** Begin all paths elsewhere; branches that are then flown the other way are turned round. */
+/** Set another root of all paths; branches whose direction changes are reversed. */
 export interface EditMoveRoot {
   readonly kind: "move-root";
   readonly lps: readonly [number, number, number];
 }
 
-/** Move the point where a branch ends and its children begin; the adjoining centrelines follow. */
+/** Move the point where a branch ends and its children start; the adjoining centrelines follow. */
 export interface EditMoveFork {
   readonly kind: "move-fork";
   readonly branch_id: number;
   readonly lps: readonly [number, number, number];
 }
 
-/** A stroke of a brush that makes voxels lumen, or takes lumen away. */
+/** Add voxels to the lumen, or remove them, by a stroke of a brush. */
 export interface EditPaintLumen {
   readonly kind: "paint-lumen";
   readonly points_lps: readonly (readonly [number, number, number])[];
@@ -192,44 +192,44 @@ export interface EditPaintLumen {
   readonly erase?: boolean;
 }
 
-/** Make a branch's centreline smoother; its ends stay. */
+/** Smooth a branch's centreline; its ends stay. */
 export interface EditSmoothBranch {
   readonly kind: "smooth-branch";
   readonly branch_id: number;
 }
 
-/** Give a branch a name of one's own, or the automatic one back. */
+/** Rename a branch, or restore its automatic name. */
 export interface EditRenameBranch {
   readonly kind: "rename-branch";
   readonly branch_id: number;
   readonly name: string | null;
 }
 
-/** One edit of the airway tree: a job, and one step of undo. */
+/** Edit the airway tree: a job, and one step of undo. */
 export interface EditTreeMessage {
   readonly type: "edit_tree";
   readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
 }
 
-/** A device was unplugged. */
+/** Remove a disconnected device. */
 export interface DeviceGoneMessage {
   readonly type: "device_gone";
   readonly device: string;
 }
 
-/** This device moves the tip from now on. */
+/** Let a device move the tip from now on. */
 export interface TakeDeviceMessage {
   readonly type: "take_device";
   readonly device: string;
 }
 
-/** How a device moves the tip: its place (registered), what the hand does, or along the path. */
+/** Set how a device moves the tip: absolute (registered position), relative (hand movement), or along the path. */
 export interface SetControlMessage {
   readonly type: "set_control";
   readonly control: "absolute" | "path" | "relative";
 }
 
-/** How a device's movement becomes that of the tip.
+/** Mapping from the movement of a device to the movement of the tip.
 
     Examples
     --------
@@ -250,13 +250,13 @@ export interface DeviceControls {
   readonly derivative_cutoff_hz?: number;
 }
 
-/** Gains, clutch, speeds and filter of devices. */
+/** Set gains, clutch, speeds and filter of devices. */
 export interface SetControlsMessage {
   readonly type: "set_controls";
   readonly controls: DeviceControls;
 }
 
-/** Register a tracker to the patient by pairs of points (3 or more); no pairs forget it. */
+/** Register a tracker to the patient by pairs of points (3 or more); no pairs remove the registration. */
 export interface CalibrateMessage {
   readonly type: "calibrate";
   readonly device: string;
@@ -264,9 +264,9 @@ export interface CalibrateMessage {
   readonly patient_lps: readonly (readonly [number, number, number])[];
 }
 
-/** What the pen's first button sets, at the pen's own tip (`pen`); null lets it change the way to move.
+/** Set which kind of point the pen's first button marks at the pen's tip (`pen`); null lets it cycle the control.
 
-    `start` is where paths of the costs `walls` and `paper` begin: windows are told (`start_marked`). */
+    `start` is the start of paths of the costs `walls` and `paper`: windows receive the message `start_marked`. */
 export interface ArmPenMessage {
   readonly type: "arm_pen";
   readonly tool: "root" | "start" | "target" | null;
@@ -274,38 +274,40 @@ export interface ArmPenMessage {
   readonly root_lps?: readonly [number, number, number] | null;
 }
 
-/** In absolute movement the tip comes to the registered pen at once, instead of easing over. */
+/** Move the tip to the registered pen at once in absolute control, instead of gradually. */
 export interface JoinPenMessage {
   readonly type: "join_pen";
 }
 
-/** End the recording. */
+/** End the recording of the flight. */
 export interface StopRecordingMessage {
   readonly type: "stop_recording";
 }
 
-/** Call a recorded flight by another name. */
+/** Rename a recorded flight. */
 export interface RenameFlightMessage {
   readonly type: "rename_flight";
   readonly number: number;
   readonly name: string;
 }
 
-/** Say something about a recorded flight; no words take the description away. */
+/** Set the description of a recorded flight; an empty text removes it. */
 export interface DescribeFlightMessage {
   readonly type: "describe_flight";
   readonly number: number;
   readonly words: string;
 }
 
-/** Earlier (below 0) or later in the list of recorded flights. */
+/** Move a recorded flight earlier (below 0) or later in the list. */
 export interface MoveFlightMessage {
   readonly type: "move_flight";
   readonly number: number;
   readonly by: number;
 }
 
-/** Tip to where it was at a time of a recorded flight; free mode afterwards. A job where it is read first. */
+/** Set the tip to its pose at a time of a recorded flight and enter free mode.
+
+    The command is a job if the flight must be read first. */
 export interface FlyFlightMessage {
   readonly type: "fly_flight";
   readonly number: number;
@@ -313,13 +315,13 @@ export interface FlyFlightMessage {
   readonly goes_on?: boolean;
 }
 
-/** Delete a recorded flight. It is no step of the history: undo does not bring it back. */
+/** Delete a recorded flight. The deletion is no step of the history, so undo does not restore the flight. */
 export interface RemoveFlightMessage {
   readonly type: "remove_flight";
   readonly number: number;
 }
 
-/** Movement since the last one, in the camera's axes: forward, to the right, up, clockwise as seen by the camera. */
+/** Move the tip in the camera's axes: forward, yaw right, pitch up, roll clockwise as the camera sees it. */
 export interface SteerMessage {
   readonly type: "steer";
   readonly advance_mm: number;
@@ -328,49 +330,49 @@ export interface SteerMessage {
   readonly roll_rad: number;
 }
 
-/** Free movement, or along the path. */
+/** Set the mode: free movement, or movement along the path. */
 export interface SetModeMessage {
   readonly type: "set_mode";
   readonly mode: "free" | "path" | "scope";
 }
 
-/** The other mode, without a jump. */
+/** Change to the other mode, without a jump of the picture. */
 export interface ToggleModeMessage {
   readonly type: "toggle_mode";
 }
 
-/** To a place on the path; path mode only. */
+/** Go to a position on the path and enter path mode. */
 export interface GoToMessage {
   readonly type: "go_to";
   readonly path_mm: number;
 }
 
-/** To the next fork along the path. */
+/** Go to the next fork along the path. */
 export interface NextForkMessage {
   readonly type: "next_fork";
 }
 
-/** To the fork before. */
+/** Go back to the previous fork along the path. */
 export interface PreviousForkMessage {
   readonly type: "previous_fork";
 }
 
-/** Tip to this point, keeping the look; free mode afterwards. */
+/** Move the tip to a point, keep the direction of view, and enter free mode. */
 export interface PlaceMessage {
   readonly type: "place";
   readonly lps: readonly [number, number, number];
 }
 
-/** Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards.
+/** Move the tip in front of a point of the airways, look at it, set the crosshair to it, and enter free mode.
 
-    Without a branch the nearest counts. */
+    Without a branch the nearest branch is used. */
 export interface ShowPlaceMessage {
   readonly type: "show_place";
   readonly lps: readonly [number, number, number];
   readonly branch_id: number | null;
 }
 
-/** Roll so that the operator's up is up. */
+/** Roll the picture so that the operator's up direction is up. */
 export interface LevelHorizonMessage {
   readonly type: "level_horizon";
 }
@@ -380,122 +382,122 @@ export interface ResetLookMessage {
   readonly type: "reset_look";
 }
 
-/** Where the operator stands. */
+/** Set the position of the operator. */
 export interface SetOperatorMessage {
   readonly type: "set_operator";
   readonly position: "facing" | "head";
 }
 
-/** The present pose becomes the last key frame. */
+/** Append the present pose as the last key frame. */
 export interface KeyFrameAdd {
   readonly kind: "add";
 }
 
-/** The present pose takes a key frame's place. */
+/** Replace the pose of a key frame by the present pose. */
 export interface KeyFrameUpdate {
   readonly kind: "update";
   readonly key_id: string;
 }
 
-/** Earlier (below 0) or later in the order. */
+/** Move a key frame earlier (below 0) or later in the order. */
 export interface KeyFrameMove {
   readonly kind: "move";
   readonly key_id: string;
   readonly by: number;
 }
 
-/** A name of one's own; null calls it by its branch. */
+/** Rename a key frame; null uses the name of its branch. */
 export interface KeyFrameRename {
   readonly kind: "rename";
   readonly key_id: string;
   readonly name: string | null;
 }
 
-/** The speed on the way to a key frame; null takes that of all. */
+/** Set the speed of the leg to a key frame; null uses the speed of the flight. */
 export interface KeyFrameSpeed {
   readonly kind: "speed";
   readonly key_id: string;
   readonly speed_mm_s: number | null;
 }
 
-/** Take a key frame away. */
+/** Delete a key frame. */
 export interface KeyFrameRemove {
   readonly kind: "remove";
   readonly key_id: string;
 }
 
-/** One change to the list of key frames, and one step of undo. */
+/** Change the list of key frames; each command is one step of undo. */
 export interface EditKeyFramesMessage {
   readonly type: "edit_key_frames";
   readonly edit: KeyFrameAdd | KeyFrameUpdate | KeyFrameMove | KeyFrameRename | KeyFrameSpeed | KeyFrameRemove;
 }
 
-/** How the key frames are flown through; null keeps what there is. Undoable. */
+/** Set how the flight passes through the key frames; null keeps a setting. Undoable. */
 export interface SetKeyFrameFlightMessage {
   readonly type: "set_key_frame_flight";
   readonly speed_mm_s?: number | null;
   readonly through?: "airways" | "space" | null;
 }
 
-/** Tip to a key frame; free mode afterwards. */
+/** Set the tip to the pose of a key frame and enter free mode. */
 export interface ShowKeyFrameMessage {
   readonly type: "show_key_frame";
   readonly key_id: string;
 }
 
-/** Tip to a time of the flight through the key frames; free mode afterwards. */
+/** Set the tip to its pose at a time of the flight through the key frames and enter free mode. */
 export interface FlyKeyFramesMessage {
   readonly type: "fly_key_frames";
   readonly time_s: number;
   readonly goes_on?: boolean;
 }
 
-/** Full angle of the airway view over the shorter side. */
+/** Set the full angle of the airway view across the shorter side. */
 export interface SetFovMessage {
   readonly type: "set_fov";
   readonly fov_deg: number;
 }
 
-/** Outline of the airway picture: round, octagonal or the full frame. */
+/** Set the outline of the airway picture: round, octagonal or the full frame. */
 export interface SetOutlineMessage {
   readonly type: "set_outline";
   readonly outline: "none" | "octagon" | "round";
 }
 
-/** Look through an instrument of the library, with its field of view and outline; null is a pinhole. */
+/** Use an instrument of the library, with its field of view and outline, for the airway view; null is a pinhole. */
 export interface SetScopeMessage {
   readonly type: "set_scope";
   readonly scope: string | null;
 }
 
-/** A preset by name, or a `carina-transfer` document; exactly one. */
+/** Set the transfer function: exactly one of a preset's name and a `carina-transfer` document. */
 export interface SetTransferMessage {
   readonly type: "set_transfer";
   readonly preset?: string | null;
   readonly document?: Readonly<Record<string, unknown>> | null;
 }
 
-/** The point that slices and tri-plane show; null follows the tip. */
+/** Set the point that slices and the tri-plane view show; null follows the tip. */
 export interface SetCrosshairMessage {
   readonly type: "set_crosshair";
   readonly lps: readonly [number, number, number] | null;
 }
 
-/** Grey window of all slice views; numbers of the file where the volume is not HU. */
+/** Set the grey window of all slice views; raw values where the volume is not in HU. */
 export interface SetWindowMessage {
   readonly type: "set_window";
   readonly width_hu: number;
   readonly level_hu: number;
 }
 
-/** Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices. */
+/** Set thickness and kind of the slab of slices and views along the route; 0 mm are thin slices. */
 export interface SetSlabMessage {
   readonly type: "set_slab";
   readonly thickness_mm: number;
   readonly kind: "max" | "mean" | "min";
 }
 
-/** Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits. */
+/** Set the scale of a slice (mm_per_px) or the width of the cut-plane (extent_mm); null shows the whole area. */
 export interface SetZoomMessage {
   readonly type: "set_zoom";
   readonly mm_per_px?: number | null;
@@ -504,7 +506,7 @@ export interface SetZoomMessage {
   readonly view: "axial" | "coronal" | "cut-plane" | "sagittal";
 }
 
-/** Where an outside view is seen from; distance null fits. */
+/** Set the camera of an external view; null as distance fits the view to its content. */
 export interface SetOrbitMessage {
   readonly type: "set_orbit";
   readonly azimuth_deg: number;
@@ -513,7 +515,7 @@ export interface SetOrbitMessage {
   readonly view: "tree" | "tri-plane";
 }
 
-/** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
+/** Set the angles of the radiograph's C-arm (LAO and cranial above 0) and the scale at its centre; null fits. */
 export interface SetCarmMessage {
   readonly type: "set_carm";
   readonly primary_deg: number;
@@ -522,44 +524,44 @@ export interface SetCarmMessage {
   readonly tone: "fluoroscopy" | "radiograph";
 }
 
-/** Turn of the cutting plane of the views along the route, and their scale; null fits the route. */
+/** Set the angle of the cutting plane of the views along the route, and their scale; null fits the whole route. */
 export interface SetReformationMessage {
   readonly type: "set_reformation";
   readonly turn_deg: number;
   readonly mm_per_px: number | null;
 }
 
-/** Light at the tip on or off. */
+/** Switch the light at the tip on or off. */
 export interface SetShadingMessage {
   readonly type: "set_shading";
   readonly on: boolean;
 }
 
-/** Decoration of the wall, which is not the patient's: texture, vessels, rings and the like, on or off. */
+/** Switch the decoration of the wall on or off: texture, vessels, rings and others, which no CT shows. */
 export interface SetTextureMessage {
   readonly type: "set_texture";
   readonly on: boolean;
 }
 
-/** Leaping, or the brute-force reference; the picture is the same. */
+/** Set the casting method, leaping or the brute-force reference; the pictures are the same. */
 export interface SetMethodMessage {
   readonly type: "set_method";
   readonly method: "brute" | "leap";
 }
 
-/** Answer `state.mask_question`: which label is the airway; whether to resample. */
+/** Answer `state.mask_question`: the label of the airways, and whether to resample. */
 export interface AnswerMaskMessage {
   readonly type: "answer_mask";
   readonly label?: number | null;
   readonly resample?: boolean;
 }
 
-/** Forget the mask that `state.mask_question` asks about. */
+/** Discard the mask of `state.mask_question`. */
 export interface DismissMaskMessage {
   readonly type: "dismiss_mask";
 }
 
-/** Plan the way to a target anew. */
+/** Plan the routes to a target again with other options. */
 export interface SetPlanOptionsMessage {
   readonly type: "set_plan_options";
   readonly scope?: string;
@@ -570,7 +572,7 @@ export interface SetPlanOptionsMessage {
   readonly target_id: string;
 }
 
-/** Name a target, and say something about it. */
+/** Set name, description and rank of a target. */
 export interface DescribeTargetMessage {
   readonly type: "describe_target";
   readonly target_id: string;
@@ -579,26 +581,26 @@ export interface DescribeTargetMessage {
   readonly rank?: number;
 }
 
-/** Take one of the routes that were planned to a target: the flight leads to where the scope stands there. */
+/** Choose one of the routes planned to a target; the flight then leads to the scope's standing point. */
 export interface ChoosePlannedRouteMessage {
   readonly type: "choose_planned_route";
   readonly target_id: string;
   readonly number?: number;
 }
 
-/** Put the tip where a turn of the chosen route is seen from, as the list of turns tells its hour. */
+/** Put the tip at the viewpoint of a turn of the chosen route, as in the list of turns with clock positions. */
 export interface SeeTurnMessage {
   readonly type: "see_turn";
   readonly number: number;
 }
 
-/** Keep the simulated drive of an instrument, on the route that is taken, as a flight of the case. */
+/** Store the simulated drive of an instrument on the chosen route as a flight of the case. */
 export interface KeepDriveMessage {
   readonly type: "keep_drive";
   readonly scope: string;
 }
 
-/** What was clicked beside an airway is a nodule, not a place in the airway. */
+/** Convert a target beside an airway into a nodule that is segmented from its point. */
 export interface GrowTargetMessage {
   readonly type: "grow_target";
   readonly target_id: string;
@@ -611,7 +613,7 @@ export interface ResizeTargetMessage {
   readonly diameter_mm: number;
 }
 
-/** A stroke of a ball-shaped brush that adds to a target, or takes from it. */
+/** Add to a target, or remove from it, by a stroke of a ball-shaped brush. */
 export interface BrushTargetMessage {
   readonly type: "brush_target";
   readonly target_id: string;
@@ -620,26 +622,26 @@ export interface BrushTargetMessage {
   readonly takes_away?: boolean;
 }
 
-/** What the needle is meant for: the middle of a target, or its middle and its periphery. */
+/** Set the aim of the needle: the centre of a target, or its centre and its periphery. */
 export interface AimTargetMessage {
   readonly type: "aim_target";
   readonly target_id: string;
   readonly periphery: boolean;
 }
 
-/** A ball as a target, where the CT shows no boundary. */
+/** Mark a ball as a target, where the CT shows no boundary. */
 export interface MarkSphereMessage {
   readonly type: "mark_sphere";
   readonly lps: readonly [number, number, number];
   readonly diameter_mm: number;
 }
 
-/** Look for what lies round the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS. */
+/** Map the anatomy around the targets: vessels, fissures and lobes of both lungs, and the stations for EBUS. */
 export interface MapLungsMessage {
   readonly type: "map_lungs";
 }
 
-/** Map where in the lungs an instrument's tip and tool get to. */
+/** Map the parts of the lungs that an instrument's tip and tool can reach. */
 export interface MapReachMessage {
   readonly type: "map_reach";
   readonly scope?: string;
@@ -1030,7 +1032,7 @@ export interface CaseInfo {
   readonly ct_name: string | null;
 }
 
-/** What the airway view is seen through, and from where: chosen by a person, and undone. */
+/** Settings of the airway view that the user chose and that undo restores: instrument, outline and field of view. */
 export interface Look {
   readonly scope: string | null;
   readonly outline: "none" | "octagon" | "round";
@@ -1038,33 +1040,35 @@ export interface Look {
   readonly operator: "facing" | "head";
 }
 
-/** Grey window of all slice views; numbers of the file where the volume is not HU. */
+/** Grey window of all slice views; raw values where the volume is not in HU. */
 export interface GreyWindow {
   readonly width_hu: number;
   readonly level_hu: number;
 }
 
-/** A thick slice: the largest, smallest or mean value over its thickness; `min` shows airways, 0 mm are thin. */
+/** Thick slice that shows the largest, smallest or mean value over its thickness.
+
+    `min` shows airways; 0 mm is a thin slice. */
 export interface Slab {
   readonly thickness_mm: number;
   readonly kind: "max" | "mean" | "min";
 }
 
-/** Where a planar view was zoomed or panned to: scale of a slice, or width of the cut-plane; null fits. */
+/** Zoom and centre of a planar view: scale of a slice, or width of the cut-plane; null shows the whole area. */
 export interface FlatPlace {
   readonly mm_per_px: number | null;
   readonly extent_mm: number | null;
   readonly centre_lps: readonly [number, number, number] | null;
 }
 
-/** Camera of an outside view: azimuth 0 is from anterior, distance null fits. */
+/** Camera of an external view: azimuth 0 looks from anterior; null as distance fits the view to its content. */
 export interface Orbit {
   readonly azimuth_deg: number;
   readonly elevation_deg: number;
   readonly distance_mm: number | null;
 }
 
-/** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
+/** Angles of the radiograph's C-arm (LAO and cranial above 0), tone, and scale at the centre; null fits. */
 export interface Carm {
   readonly primary_deg: number;
   readonly secondary_deg: number;
@@ -1072,13 +1076,13 @@ export interface Carm {
   readonly tone: "fluoroscopy" | "radiograph";
 }
 
-/** Turn and scale of the views along the route: null fits the route, else the tip is in the middle. */
+/** Angle of the cutting plane and scale of the views along the route; null as scale fits the whole route. */
 export interface Reformation {
   readonly turn_deg: number;
   readonly mm_per_px: number | null;
 }
 
-/** How a case is looked at, which is no step of undo. */
+/** Display settings of a case, which are no step of undo. */
 export interface Sight {
   readonly crosshair_lps: readonly [number, number, number] | null;
   readonly window: GreyWindow | null;
@@ -1356,7 +1360,7 @@ export interface StatusMessage {
   readonly method: string;
 }
 
-/** One machine that renders with others. */
+/** State of one machine that renders pictures together with others. */
 export interface MemberStatus {
   readonly threads: number;
   readonly simd: string;
@@ -1480,7 +1484,7 @@ export interface TargetSurface {
   readonly triangles: readonly number[];
 }
 
-/** With what a target is to be reached, and what counts against a route. */
+/** Instruments that shall reach a target, and conditions that reduce the score of a route. */
 export interface PlanOptions {
   readonly scope: string;
   readonly tool: string;

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 @final
 class ForceLoop:
-    """The force law 1,000 times a second."""
+    """Loop that evaluates the force law 1,000 times a second on its own thread."""
 
     def __new__(
         cls,
@@ -21,11 +21,11 @@ class ForceLoop:
     @property
     def port(self) -> int | None: ...
     def put(self, at_lps: Sequence[float], velocity_mm_s: Sequence[float], forward_lps: Sequence[float]) -> bool:
-        """Pass a sample; False if refused."""
+        """Pass a sample; return False if it is rejected."""
     def felt(self) -> dict[str, Any]:
-        """Latest force."""
+        """Return the latest force."""
     def figures(self) -> dict[str, Any]:
-        """Timing statistics."""
+        """Return the timing statistics."""
     def stop(self) -> None:
         """Stop the loop."""
 
@@ -34,7 +34,7 @@ def forces_along(
     numbers: tuple[float, float, float, float, float, float, float],
     samples: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Samples (n, 9) to forces (n, 3), a millisecond each."""
+    """Return forces (n, 3) of samples (n, 9), one per millisecond."""
 
 def force_limits() -> tuple[float, float, float]:
-    """Limits of the law: N, N per ms, N per mm."""
+    """Return the limits of the force law: N, N per ms, N per mm."""

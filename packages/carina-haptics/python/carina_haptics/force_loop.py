@@ -178,14 +178,17 @@ class ForceLoop:
         self._thread.enter_context(reserved_thread())
 
     def __repr__(self) -> str:
+        """Return a short description for the interpreter."""
         return f"ForceLoop({self._law!r}, port={self.port})"
 
     def __enter__(self) -> Self:
+        """Return the object itself; the loop already runs."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Stop the loop."""
         self.stop()
 
     @property

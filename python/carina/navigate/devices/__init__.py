@@ -1,4 +1,4 @@
-"""Devices that this machine talks to itself: trackers over TCP, pens and handles at serial ports."""
+"""Devices that are connected to this machine: trackers over TCP, pens and handles at serial ports."""
 
 from carina.navigate.devices.addresses import KINDS, open_source
 from carina.navigate.devices.igtl_peers import IgtlClient, IgtlServer

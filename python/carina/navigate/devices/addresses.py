@@ -1,6 +1,6 @@
-"""Devices by name: ``fastrak:/dev/ttyUSB0``, ``handle:COM3``, ``openigtlink:localhost:18944``.
+"""Addresses of devices: ``fastrak:/dev/ttyUSB0``, ``handle:COM3``, ``openigtlink:localhost:18944``.
 
-``openigtlink:localhost:18944?silence=5`` opens the connection again when nothing came for 5 s.
+``openigtlink:localhost:18944?silence=5`` opens the connection again after 5 s without data.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ KINDS = ("fastrak:PORT", "fastrak-binary:PORT", "handle:PORT", "openigtlink:HOST
 
 
 def open_source(address: str, listener: Listener, *, clock: Callable[[], float] = time.monotonic) -> Source:
-    """A connection to a device, not started yet.
+    """Return a connection to a device, not started yet.
 
     Raises
     ------
     UsageError
-        ``devices.address``: if the name is none.
+        ``devices.address``: if the address is invalid.
     """
     kind, _, place = address.partition(":")
     if place and kind in {"fastrak", "fastrak-binary"}:
@@ -42,7 +42,7 @@ def open_source(address: str, listener: Listener, *, clock: Callable[[], float] 
 
 
 def _silence_s(option: str) -> float | None:
-    """Seconds from 0.1 to 3,600 of ``silence=S``; None for anything else."""
+    """Return the seconds of ``silence=S``, 0.1 to 3,600; None for anything else."""
     name, _, text = option.partition("=")
     try:
         seconds = float(text)

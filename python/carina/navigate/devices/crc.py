@@ -1,4 +1,4 @@
-"""The checksums of device protocols."""
+"""Checksums of device protocols."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 __all__ = ["crc8", "crc64", "crc64_bitwise"]
 
-# ECMA-182, as OpenIGTLink takes it: nothing reflected, begins at 0, nothing added at the end.
+# ECMA-182 as in OpenIGTLink: no bit reflection, initial value 0, no final XOR.
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
 _MASK = (1 << 64) - 1
-# Below this many bytes lanes cost more than they save.
+# Below this number of bytes the parallel lanes are slower than the plain loop.
 _LANES_FROM = 8192
 _NUM_LANES = 512
 
 
 def crc64_bitwise(data: bytes) -> int:
-    """The reference: bit by bit, as the polynomial is written."""
+    """Compute the CRC-64 bit by bit; the reference for `crc64`."""
     value = 0
     for byte in data:
         value ^= byte << 56
@@ -30,9 +30,10 @@ _TABLE_ARRAY = np.array(_TABLE, dtype=np.uint64)
 
 
 def crc64(data: bytes) -> int:
-    """The CRC-64 (ECMA-182) of a message's body.
+    """Compute the CRC-64 (ECMA-182) of a message's body.
 
-    A picture is cut into lanes that run side by side; the checksum is linear, so theirs add up to that of the whole.
+    A long message is divided into lanes that are computed in parallel. The checksum is linear, so the checksum of the
+    whole follows from those of the lanes.
     """
     if len(data) >= _LANES_FROM:
         return _crc64_in_lanes(data)
@@ -44,12 +45,12 @@ def crc64(data: bytes) -> int:
 
 def _crc64_in_lanes(data: bytes) -> int:
     length = -(-len(data) // _NUM_LANES)
-    # Zeros in front change nothing: it begins at 0.
+    # Leading zeros change nothing, because the initial value is 0.
     padded = np.zeros(length * _NUM_LANES, dtype=np.uint8)
     padded[len(padded) - len(data) :] = np.frombuffer(data, dtype=np.uint8)
     lanes = padded.reshape(_NUM_LANES, length).T
     values = _run(np.zeros(_NUM_LANES, dtype=np.uint64), lanes)
-    # What `length` zero bytes do to each bit of what came before.
+    # Effect of `length` zero bytes on each bit of the checksum of the preceding bytes.
     bits = np.left_shift(np.uint64(1), np.arange(64, dtype=np.uint64))
     shifted = [int(v) for v in _run(bits, np.zeros((length, 64), dtype=np.uint8))]
     total = 0
@@ -71,7 +72,7 @@ def _run(values: NDArray[np.uint64], columns: NDArray[np.uint8]) -> NDArray[np.u
 
 
 def crc8(data: bytes) -> int:
-    """CRC-8 with polynomial 0x07, begun at 0: a line of the scope handle."""
+    """Compute the CRC-8 with polynomial 0x07 and initial value 0, for a line of the scope handle."""
     value = 0
     for byte in data:
         value ^= byte

@@ -1,7 +1,7 @@
-"""Polhemus FASTRAK, the paper's 3D pen (3.2): its records as bytes, and the commands that set it up.
+"""Polhemus FASTRAK, the 3D pen of the paper (3.2): its records as bytes, and its setup commands.
 
-Record (manual OPM00PI002, "Data record contents"): ``0``, station ``1`` to ``4``, an error character (a blank is good),
-then the items that were chosen. Carina asks for position, quaternion, stylus switch, CR LF: ``O1,2,11,16,1``.
+Record (manual OPM00PI002, "Data record contents"): ``0``, station ``1`` to ``4``, an error character (blank: no error),
+then the requested items. Carina requests position, quaternion, stylus switch, CR LF: ``O1,2,11,16,1``.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ CM = 10.0
 MAX_WAITING = 4096
 _ASCII = re.compile(rb"0([1-4])([ -~])((?:[ +-]*\d+\.\d+){3})((?:[ +-]*\d+\.\d+){4})\s*([01])")
 _NUMBER = re.compile(rb"[+-]?\s*\d+\.\d+")
-# Header, 7 floats; then the switch and CR LF.
+# Header and 7 floats; the switch and CR LF follow.
 _BINARY = struct.Struct("<7f")
 _BINARY_BYTES = 3 + _BINARY.size
 _TAIL = re.compile(rb" ?([01])\r\n")
-# The receiver's x runs along the stylus, y to the right, z down (the tracker's own frame is turned the same way);
-# the pen's are right, down, forward.
+# The receiver's x runs along the stylus, y to the right, z down (the tracker's own frame is turned the same way); the
+# axes of the pen are right, down, forward.
 _RECEIVER_FROM_PEN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True, slots=True)
 class FastrakRecord:
-    """One measurement: mm and ``transmitter_from_pen`` (wxyz)."""
+    """One measurement: position in mm, and ``transmitter_from_pen`` (wxyz)."""
 
     station: int
     position_mm: tuple[float, float, float]
@@ -43,20 +43,21 @@ class FastrakRecord:
 
 
 def setup_commands(*, station: int = 1, binary: bool = False) -> bytes:
-    """Stop, centimetres, the items, ASCII or binary, go on continuously.
+    """Return the setup commands: stop, centimetres, items, ASCII or binary, continuous output.
 
-    Position and orientation filters are left to Carina's own, whose delay is shown.
+    The tracker's own position and orientation filters are not set up: Carina filters, and shows the delay of its
+    filter.
     """
     return b"c" + b"u" + b"O%d,2,11,16,1\r" % station + (b"f" if binary else b"F") + b"C"
 
 
 class FastrakStream:
-    """Bytes in, records out. Half records wait for their rest; noise is passed over and counted.
+    """Parser that turns received bytes into records; incomplete records wait, noise is skipped and counted.
 
     Parameters
     ----------
     binary
-        Which of both forms was asked for.
+        Whether binary records were requested.
     """
 
     def __init__(self, *, binary: bool = False) -> None:
@@ -65,7 +66,7 @@ class FastrakStream:
         self.num_bad: Counter[str] = Counter()
 
     def feed(self, data: bytes) -> list[FastrakRecord]:
-        """The records that are complete now; those with an error character are counted and left out."""
+        """Return the records that are complete after these bytes, without those that have an error character."""
         self._buffer += data
         found = self._feed_binary() if self._binary else self._feed_ascii()
         if len(self._buffer) > MAX_WAITING:
@@ -80,7 +81,7 @@ class FastrakStream:
             del self._buffer[: end + 1]
             if not line:
                 continue
-            # A line may begin with the rest of another one, or noise.
+            # A line may start with the rest of another line, or with noise.
             match = _ASCII.search(line)
             if match is None or match.end() != len(line):
                 self.num_bad["bytes outside any record"] += len(line) + 1
@@ -115,12 +116,13 @@ class FastrakStream:
 
     def _take(self, found: list[FastrakRecord], station: int, error: bytes, numbers: list[float], button: bool) -> None:
         if error != b" ":
-            # Out of the transmitter's range, or another trouble: the record is whole, its place is not to be trusted.
+            # Out of the transmitter's range, or another error: the record is complete, but its position is unreliable.
             self.num_bad["measurements outside the tracker's range"] += 1
             return
         length = math.sqrt(sum(v * v for v in numbers[3:])) if all(map(math.isfinite, numbers)) else 0.0
         if not 0.9 < length < 1.1:
-            # Four decimals of a unit quaternion; anything else is damage that the frame let through.
+            # The quaternion has four decimals; a length that differs more from 1 is damage that the record check
+            # missed.
             self.num_bad["invalid position"] += 1
             return
         receiver = rotation_from_wxyz([v / length for v in numbers[3:]])

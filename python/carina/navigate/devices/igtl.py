@@ -1,6 +1,6 @@
-"""OpenIGTLink: messages as bytes, both ways. No sockets here.
+"""OpenIGTLink messages as bytes, in both directions, without sockets.
 
-Header versions 1 (protocols 1 and 2) and 2 and 3 (protocol 3: an extended header and metadata round the content).
+Header versions 1 (protocols 1 and 2), 2 and 3 (protocol 3: an extended header and metadata around the content).
 References: openigtlink.org, "Protocol v3" and the pages of TRANSFORM, POSITION, QTDATA and IMAGE.
 """
 
@@ -34,9 +34,9 @@ __all__ = [
 HEADER = struct.Struct(">H12s20sQQQ")
 EXTENDED = struct.Struct(">HHII")
 MAX_POSE_BYTES = 1 << 16
-"""Of a message that holds poses: 1,300 tools of QTDATA."""
+"""Largest message with poses, bytes: 1,300 tools of QTDATA."""
 MAX_BODY_BYTES = 64 << 20
-"""Of a message that is skipped; a longer one is no message but a broken stream."""
+"""Largest message that is skipped, bytes; a longer one means that the stream is corrupt."""
 POSE_TYPES = {"TRANSFORM", "POSITION", "QTDATA"}
 _QT_ELEMENT = struct.Struct(">20sBB7f")
 _PYIGTL_POINT = struct.Struct(">64s32s4B3f4ff20s")
@@ -45,18 +45,18 @@ _SECOND = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class IgtlPose:
-    """A tool's pose.
+    """Pose of a tool.
 
     Parameters
     ----------
     name
         The message's device, or the tool of a QTDATA element.
     time_s
-        The sender's clock; 0 where it gave none.
+        The sender's clock; 0 if the message has no time.
     position_mm
         mm, in the sender's space.
     orientation_wxyz
-        ``sender_from_tool``, as sent: it may have any length.
+        ``sender_from_tool``, as sent: of any length.
     """
 
     name: str
@@ -67,17 +67,17 @@ class IgtlPose:
 
 @dataclass(frozen=True, slots=True)
 class IgtlRequest:
-    """A peer asks for something: ``GET_IMAGE``, ``GET_TRANSFORM``."""
+    """Request of a peer: ``GET_IMAGE``, ``GET_TRANSFORM``."""
 
     what: str
     name: str
 
 
 class IgtlStream:
-    """Bytes in, messages out; what is broken is counted and passed over.
+    """Parser that turns received bytes into messages; invalid messages are counted and skipped.
 
-    A wrong checksum or content costs its message, since the next header is where it should be. A header that is none
-    cannot be passed over: the connection has to be opened again.
+    A wrong checksum or content invalidates one message, since the position of the next header is known. An invalid
+    header corrupts the stream: the connection has to be opened again.
     """
 
     def __init__(self) -> None:
@@ -85,15 +85,15 @@ class IgtlStream:
         self._skip = 0
         self.num_bad: Counter[str] = Counter()
         self.num_skipped = 0
-        """Messages of kinds that hold no pose."""
+        """Number of messages of kinds without a pose."""
 
     def feed(self, data: bytes) -> list[IgtlPose | IgtlRequest]:
-        """The messages that are complete now.
+        """Return the messages that are complete after these bytes.
 
         Raises
         ------
         ProtocolError
-            ``protocol.igtl``: the stream holds no OpenIGTLink, or a length that no message has.
+            ``protocol.igtl``: if the stream is not OpenIGTLink, or has a length that no message has.
         """
         found: list[IgtlPose | IgtlRequest] = []
         self._buffer += data
@@ -148,7 +148,7 @@ class IgtlStream:
 
 
 def _text(data: bytes) -> str | None:
-    """ASCII up to the first zero; None for what is no text."""
+    """Return ASCII text up to the first zero byte; None for anything else."""
     text = data.split(b"\0", 1)[0].rstrip(b" ")
     try:
         decoded = text.decode("ascii")
@@ -158,7 +158,7 @@ def _text(data: bytes) -> str | None:
 
 
 def _content(version: int, body: bytes) -> bytes:
-    """Between the extended header and the metadata."""
+    """Return the bytes between the extended header and the metadata."""
     if version < 2:
         return body
     size, num_metadata_header, num_metadata, _ = EXTENDED.unpack_from(body)
@@ -172,10 +172,10 @@ def _poses(kind: str, name: str, time_s: float, content: bytes) -> list[IgtlPose
     if kind == "TRANSFORM":
         values = struct.unpack(">12f", content)
         rotation = np.array(values[:9], dtype=np.float64).reshape(3, 3).T
-        # Nine numbers in f32: anything that is no rotation is refused, since no quaternion stands for it.
+        # Nine numbers in float32: a matrix that is no rotation is rejected, since it has no quaternion.
         if not np.isfinite(rotation).all() or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3:
             raise ValueError("not a rotation")
-        # Within that bound of orthonormal, the determinant is near 1 or near -1.
+        # Within that tolerance of orthonormal, the determinant is near 1 or near -1.
         if np.linalg.det(rotation) < 0.0:
             raise ValueError("a reflection, which is not a rotation")
         return [IgtlPose(name, time_s, _three(values[9:]), wxyz_from_rotation(rotation))]
@@ -183,12 +183,12 @@ def _poses(kind: str, name: str, time_s: float, content: bytes) -> list[IgtlPose
         if len(content) == 12:
             return [IgtlPose(name, time_s, _three(struct.unpack(">3f", content)), (1.0, 0.0, 0.0, 0.0))]
         if len(content) == 24:
-            # Without w, which is then not negative.
+            # The short form omits w, which is then not negative.
             values = struct.unpack(">6f", content)
             w = math.sqrt(max(0.0, 1.0 - sum(v * v for v in values[3:])))
             return [IgtlPose(name, time_s, _three(values[:3]), _wxyz((*values[3:], w)))]
         if content and len(content) % _PYIGTL_POINT.size == 0:
-            # pyigtl 0.3 lays POSITION out as points with a name; not the standard's, but a peer that people have.
+            # pyigtl 0.3 writes POSITION as points with a name; this differs from the standard but is in use.
             points = list(_PYIGTL_POINT.iter_unpack(content))
             return [IgtlPose(_text(p[0]) or name, time_s, _three(p[6:9]), _wxyz(p[9:13])) for p in points]
         values = struct.unpack(">7f", content)
@@ -205,27 +205,27 @@ def _three(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _wxyz(values: Sequence[float]) -> tuple[float, float, float, float]:
-    """From the wire's order x, y, z, w."""
+    """Return a quaternion wxyz from the wire's order x, y, z, w."""
     x, y, z, w = values
     return float(w), float(x), float(y), float(z)
 
 
-# ------------------------------------------------------------ out
+# ------------------------------------------------------------ packing
 
 
 def pack_message(kind: str, name: str, content: bytes, *, time_s: float = 0.0, version: int = 1) -> bytes:
-    """A whole message.
+    """Return a complete message.
 
     Parameters
     ----------
     kind, name
         At most 12 and 20 ASCII characters; longer names are cut.
     content
-        Without extended header.
+        Content without extended header.
     time_s
-        Seconds since 1970 (or any epoch), 0 for none.
+        Seconds since 1970 (or another epoch), 0 for none.
     version
-        Of the header: 1, or 2 with an extended header without metadata.
+        Version of the header: 1, or 2 with an extended header without metadata.
     """
     body = content if version < 2 else EXTENDED.pack(EXTENDED.size, 0, 0, 0) + content
     header = HEADER.pack(
@@ -240,20 +240,20 @@ def pack_message(kind: str, name: str, content: bytes, *, time_s: float = 0.0, v
 
 
 def pack_transform(name: str, matrix: NDArray[np.float64], *, time_s: float = 0.0, version: int = 1) -> bytes:
-    """TRANSFORM: a 4x4 rigid matrix, mm."""
+    """Return a TRANSFORM message: a 4x4 rigid matrix, mm."""
     content = struct.pack(">12f", *matrix[:3, :3].T.ravel(), *matrix[:3, 3])
     return pack_message("TRANSFORM", name, content, time_s=time_s, version=version)
 
 
 def pack_position(name: str, pose: IgtlPose, *, version: int = 1) -> bytes:
-    """POSITION: three numbers and a quaternion."""
+    """Return a POSITION message: three coordinates and a quaternion."""
     w, x, y, z = pose.orientation_wxyz
     content = struct.pack(">7f", *pose.position_mm, x, y, z, w)
     return pack_message("POSITION", name, content, time_s=pose.time_s, version=version)
 
 
 def pack_qtdata(name: str, poses: list[IgtlPose], *, time_s: float = 0.0, version: int = 1) -> bytes:
-    """QTDATA: several tools at one time (type 1: a tracker's tool)."""
+    """Return a QTDATA message: several tools at one time (type 1: a tracker's tool)."""
     content = b""
     for pose in poses:
         w, x, y, z = pose.orientation_wxyz
@@ -264,7 +264,7 @@ def pack_qtdata(name: str, poses: list[IgtlPose], *, time_s: float = 0.0, versio
 def pack_image(
     name: str, pixels: NDArray[np.uint8], *, time_s: float = 0.0, mm_per_px: float = 1.0, version: int = 1
 ) -> bytes:
-    """IMAGE: a picture ``(height, width, 3)`` uint8 as one slice; it is what the camera sees and lies in no patient."""
+    """Return an IMAGE message: a picture ``(height, width, 3)`` uint8 as one slice, unrelated to the patient."""
     height, width, num_components = pixels.shape
     matrix = np.diag([mm_per_px, mm_per_px, mm_per_px])
     # Columns along i, j, k, then the centre of the image.
@@ -275,7 +275,7 @@ def pack_image(
 
 
 def pose_matrix(pose: IgtlPose) -> NDArray[np.float64]:
-    """The pose as a 4x4 matrix."""
+    """Return the pose as a 4x4 matrix, mm."""
     length = math.sqrt(sum(v * v for v in pose.orientation_wxyz))
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_from_wxyz([v / length for v in pose.orientation_wxyz])

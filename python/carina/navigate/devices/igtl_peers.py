@@ -1,4 +1,4 @@
-"""OpenIGTLink over TCP: a client that listens to trackers, and a server that publishes the tip."""
+"""OpenIGTLink over TCP: a client that receives trackers, and a server that publishes the tip."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ __all__ = ["DEFAULT_PORT", "IgtlClient", "IgtlServer"]
 
 DEFAULT_PORT = 18944
 CHUNK = 1 << 16
-# A peer that lost its power says no farewell: the system asks for it after so long, so often, so many times.
+# Settings of TCP keep-alive, in seconds and number of probes: they detect a peer that lost its power.
 KEEPALIVE = (("TCP_KEEPIDLE", 4), ("TCP_KEEPALIVE", 4), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3))
-# RAS is what 3D Slicer expects; ours is LPS.
+# RAS is what 3D Slicer expects; Carina uses LPS.
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 TIP_NAME = "CarinaTip"
 PICTURE_NAME = "CarinaView"
@@ -32,18 +32,17 @@ CLOSING_S = 1.0
 
 
 class IgtlClient(Source):
-    """Listens to a server of tracked tools (the PLUS toolkit, and what speaks like it); every tool is a device.
+    """Client of a server of tracked tools (the PLUS toolkit and compatible servers); every tool is a device.
 
     Parameters
     ----------
     host, port
-        Of the server.
+        Address of the server.
     tool
-        Only this one; None takes all.
+        Name of the only tool to use; None uses all.
     silence_s
-        A connection that says nothing for so long is opened again; None: being idle is no fault, since many peers speak
-        only while a tool moves or is seen. A peer that is gone without a farewell is found by TCP's own keep-alive,
-        within some 10 s.
+        Time without data after which the connection is opened again. None never does so, since many peers send only
+        while a tool moves or is visible; TCP keep-alive detects a peer that is gone within some 10 s.
     """
 
     def __init__(
@@ -116,26 +115,26 @@ def _keep_alive(writer: asyncio.StreamWriter) -> None:
     connection = writer.get_extra_info("socket")
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in KEEPALIVE:
-        # What a system does not know it keeps its own default of.
+        # An option that the operating system lacks keeps the system's default.
         with contextlib.suppress(AttributeError, OSError):
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class IgtlServer:
-    """Publishes the pose of the tip as TRANSFORM, and answers ``GET_IMAGE`` with the picture.
+    """Server that publishes the pose of the tip as TRANSFORM, and answers ``GET_IMAGE`` with the picture.
 
-    A peer that does not read gets the newest pose when it reads again, and holds up nobody.
+    A peer that reads slowly receives the latest pose when it reads again, and does not delay other peers.
 
     Parameters
     ----------
     pose
-        The tip now, ``lps_from_camera``; None while there is none.
+        Function that returns the present pose ``lps_from_camera``; None if there is none.
     picture
-        The airway picture ``(height, width, 3)`` uint8 now, or None; called in a thread.
+        Function that returns the present airway picture ``(height, width, 3)`` uint8, or None; called in a thread.
     host, port
-        To listen on; port 0 takes a free one.
+        Address to listen on; port 0 selects a free port.
     rate_hz
-        How often the pose is sent.
+        Rate at which the pose is sent.
     space
         ``"RAS"`` as 3D Slicer expects, or ``"LPS"``.
     """
@@ -164,12 +163,12 @@ class IgtlServer:
         self._thread = threading.Thread(target=self._run, name="carina-openigtlink", daemon=True)
 
     def start(self) -> None:
-        """Listen."""
+        """Start to listen."""
         self._thread.start()
         self._ready.wait(5.0)
 
     def stop(self) -> None:
-        """End, and close all connections."""
+        """Stop, and close all connections."""
         loop, task = self._loop, self._task
         if loop is not None and task is not None and not loop.is_closed():
             with contextlib.suppress(RuntimeError):
@@ -197,14 +196,14 @@ class IgtlServer:
             self.num_peers = len(peers)
             try:
                 await self._talk(reader, writer)
-                # What was packed for a peer that sends no more is still its own.
+                # A peer that has stopped sending still receives the data that were packed for it.
                 writer.close()
                 async with asyncio.timeout(CLOSING_S):
                     await writer.wait_closed()
             except (OSError, ProtocolError, asyncio.CancelledError):
-                pass  # this peer is gone, or speaks something else
+                pass  # The peer is gone, or does not speak OpenIGTLink.
             finally:
-                # One that does not read would keep a connection open that waits to be flushed.
+                # Abort: a peer that does not read would otherwise keep the connection open until its data are flushed.
                 writer.transport.abort()
                 peers.discard(task)
                 self.num_peers = len(peers)
@@ -215,7 +214,7 @@ class IgtlServer:
             try:
                 await asyncio.Event().wait()
             finally:
-                # Before the server's own end, which from Python 3.12 on waits for all connections.
+                # Peers end before the server closes, because the server waits for all connections from Python 3.12 on.
                 ending = True
                 server.close()
                 for peer in peers:
@@ -251,7 +250,8 @@ class IgtlServer:
                     )
                     await writer.drain()
                 self.num_sent += 1
-            # By the clock and not by sleeps, which would add up; a peer that was slow is not caught up with.
+            # The next time follows from the clock, since errors of sleeps would add up; poses for a slow peer are
+            # skipped.
             due = max(due + 1.0 / self._rate_hz, loop.time())
             await asyncio.sleep(due - loop.time())
 

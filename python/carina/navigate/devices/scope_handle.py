@@ -1,4 +1,4 @@
-"""The scope handle: lines of text with a checksum, as ``docs/scope-handle.md`` describes them."""
+"""Protocol of the scope handle: lines of text with a checksum (``docs/scope-handle.md``)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NUMBERS = 1 << 16
 def format_line(
     number: int, clock_ms: int, insertion_mm: float, *, roll_deg: float = 0.0, lever: float = 0.0, buttons: int = 0
 ) -> bytes:
-    """What a handle sends; for simulated ones."""
+    """Return a line as a handle sends it; for simulated handles."""
     body = (
         f"S,{number % _NUMBERS},{clock_ms % _CLOCK},{round(100 * insertion_mm)},{round(100 * roll_deg)},"
         f"{round(1000 * lever)},{buttons:X}"
@@ -31,7 +31,10 @@ def format_line(
 
 
 class HandleStream:
-    """Bytes in, samples out; damaged and lost lines are counted. Times are the handle's clock in s, unwrapped."""
+    """Parser that turns received bytes into samples and counts damaged and lost lines.
+
+    Times of samples are the handle's clock in s, continued beyond its overflow.
+    """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -41,14 +44,14 @@ class HandleStream:
         self.num_bad: Counter[str] = Counter()
 
     def feed(self, data: bytes) -> list[HandleSample]:
-        """Of the lines that are complete now."""
+        """Return the samples of the lines that are complete after these bytes."""
         self._buffer += data
         found = []
         while (end := self._buffer.find(b"\n")) >= 0:
             line = bytes(self._buffer[:end]).rstrip(b"\r")
             del self._buffer[: end + 1]
             if line.startswith(b"#") or not line:
-                continue  # what it says about itself
+                continue  # A line of information about the handle, without a sample.
             taken = self._line(line)
             if taken is None:
                 self.num_bad["damaged lines"] += 1
@@ -68,7 +71,7 @@ class HandleStream:
             return None
         if self._number is not None:
             lost = (number - self._number - 1) % _NUMBERS
-            # A handle that was switched off and on counts from 0 again.
+            # A large difference means that the handle was restarted and counts from 0 again.
             self.num_bad["lost lines"] += lost if lost < _NUMBERS // 2 else 0
         if self._clock_ms is not None and self._clock_ms - clock_ms > _CLOCK // 2:
             self._wraps += 1

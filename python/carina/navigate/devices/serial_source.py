@@ -16,7 +16,7 @@ from carina.navigate.samples import PoseSample
 __all__ = ["FastrakSource", "HandleSource", "found_ports", "serial_ports"]
 
 BAUD = 115_200
-# A read waits for so long; a port that says nothing for longer is asked again.
+# Timeout of a read, and time without data after which the setup commands are sent again, in seconds.
 READ_S = 0.05
 SILENT_S = 2.0
 
@@ -33,7 +33,7 @@ def _pyserial() -> Any:
 
 
 def serial_ports() -> list[dict[str, str]]:
-    """The ports of this machine, ``{"port", "title"}``.
+    """Return the ports of this machine as ``{"port", "title"}``.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def serial_ports() -> list[dict[str, str]]:
 
 
 def found_ports() -> tuple[list[dict[str, str]], str | None]:
-    """:func:`serial_ports`, and in words why there can be none."""
+    """Return :func:`serial_ports`, and a text that explains why there are none, or None."""
     try:
         return serial_ports(), None
     except CarinaError as trouble:
@@ -55,7 +55,7 @@ def found_ports() -> tuple[list[dict[str, str]], str | None]:
 
 
 class _SerialSource(Source):
-    """Reads a port; opens it again when it is lost."""
+    """Source that reads a serial port and opens it again after it was lost."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class _SerialSource(Source):
             self._begin()
             heard_s = self._clock()
             while not self._stopping.is_set():
-                # Whatever has come, else wait for one byte: no sample waits for a full buffer.
+                # Read all available bytes, else wait for one byte, so that no sample waits for a full buffer.
                 data = port.read(port.in_waiting or 1)
                 if data:
                     heard_s = self._clock()
@@ -103,14 +103,14 @@ class _SerialSource(Source):
 
 
 class FastrakSource(_SerialSource):
-    """A Polhemus FASTRAK; its stylus switch is button 0.
+    """Source of a Polhemus FASTRAK; the switch of its stylus is button 0.
 
     Parameters
     ----------
     port
         Name of the serial port.
     binary
-        Ask for binary records, of 34 bytes and not 62.
+        Whether to request binary records, of 34 bytes instead of 62.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class FastrakSource(_SerialSource):
 
 
 class HandleSource(_SerialSource):
-    """A scope handle (``docs/scope-handle.md``)."""
+    """Source of a scope handle (``docs/scope-handle.md``)."""
 
     def __init__(
         self, port: str, listener: Listener, *, baud: int = BAUD, clock: Callable[[], float] = time.monotonic

@@ -1,4 +1,4 @@
-"""What every connected device is to the rest: something with a name that says samples until it is stopped."""
+"""Base class of device connections: a named source that passes samples to a listener until it is stopped."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ WORDS = {
     errno.EHOSTUNREACH: "the machine cannot be reached; check the network and the address",
     errno.ENETUNREACH: "the machine cannot be reached; check the network and the address",
 }
-"""What systems say by a number."""
+"""Texts for error numbers of the operating system."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listener:
-    """Whom a source tells: ``said(device, sample)``, ``gone(device)``; from any thread."""
+    """Callbacks of a source, called from any thread: ``said(device, sample)`` and ``gone(device)``."""
 
     said: Callable[[str, Sample], None]
     gone: Callable[[str], None]
@@ -39,7 +39,7 @@ class Listener:
 
 @dataclass(frozen=True, slots=True)
 class SourceStatus:
-    """What is shown of a connection."""
+    """State of a connection, for display."""
 
     address: str
     title: str
@@ -51,18 +51,18 @@ class SourceStatus:
 
 
 class Source(ABC):
-    """A connection that runs in a thread of its own and opens itself again when it is lost.
+    """Connection that runs in its own thread and opens again after it was lost.
 
     Parameters
     ----------
     address
-        What names it: ``fastrak:/dev/ttyUSB0``.
+        Address of the device: ``fastrak:/dev/ttyUSB0``.
     title
-        In words.
+        Name for display.
     listener
-        Is told.
+        Callbacks for samples and for a lost connection.
     clock
-        Seconds, monotonic.
+        Function that returns monotonic seconds.
     """
 
     RETRY_S = 1.0
@@ -83,11 +83,11 @@ class Source(ABC):
         self._thread = threading.Thread(target=self._run, name=f"carina-{address}", daemon=True)
 
     def start(self) -> None:
-        """Begin to connect."""
+        """Start the thread that connects."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End; returns when the thread has."""
+        """Stop the connection and wait for the end of its thread."""
         self._stopping.set()
         self._wake()
         if self._thread.is_alive():
@@ -95,7 +95,7 @@ class Source(ABC):
         self._state = "stopped"
 
     def status(self) -> SourceStatus:
-        """How it is."""
+        """Return the state of the connection."""
         recent = tuple(self._recent)
         now = self._clock()
         lively = [at for at in recent if now - at < 1.0]
@@ -111,10 +111,10 @@ class Source(ABC):
 
     @abstractmethod
     def _connect_and_read(self) -> None:
-        """One connection from its beginning to its loss; raises OSError (or ProtocolError) when it is lost."""
+        """Connect and read until the connection is lost; raise OSError (or ProtocolError) when it is lost."""
 
     def _wake(self) -> None:  # noqa: B027 - most sources need none
-        """Make a waiting connection look at ``_stopping``."""
+        """Wake a waiting connection so that it checks ``_stopping``."""
 
     def _say(self, device: str, sample: Sample) -> None:
         self._num_samples += 1
@@ -135,7 +135,7 @@ class Source(ABC):
             except (OSError, CarinaError) as trouble:
                 words = _words(trouble)
             except Exception as trouble:
-                # A fault of ours, or a name that is none: the source goes on, and its state says so.
+                # After a programming error or an invalid name the source continues and shows the error in its state.
                 words = f"{type(trouble).__name__}: {trouble}"
             if self._stopping.is_set():
                 break
@@ -145,7 +145,7 @@ class Source(ABC):
 
 
 def _words(trouble: Exception) -> str:
-    """Why a connection is lost, for a person."""
+    """Return the reason of a lost connection, as text for the user."""
     if isinstance(trouble, socket.gaierror):
         return "no machine with this name was found; check the name"
     number = trouble.errno if isinstance(trouble, OSError) else None
@@ -153,18 +153,18 @@ def _words(trouble: Exception) -> str:
 
 
 class StampSpreader:
-    """Times for records that carry none: those that arrive together were measured one period apart."""
+    """Generator of times for records without time: records that arrive together are spaced by one period."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._last_s = float("-inf")
 
     def stamps(self, number: int, now_s: float) -> list[float]:
-        """Increasing, the last one now."""
+        """Return increasing times for a number of records, the last one now."""
         found = []
         for n in range(number):
             at = now_s - (number - 1 - n) * self._period_s
-            # Half a period at least after the last: ports hand on in bursts.
+            # At least half a period after the last record: serial ports deliver records in bursts.
             at = max(at, self._last_s + 0.5 * self._period_s)
             self._last_s = at
             found.append(at)
