@@ -1,4 +1,4 @@
-"""The functions a session drives, as one value: the real ones, or a test's small ones."""
+"""The processing functions that a session calls, as one value that tests can replace by simple functions."""
 
 from __future__ import annotations
 
@@ -79,16 +79,16 @@ def _judge_scopes(*arguments: Any, **options: Any) -> tuple[Verdict, ...]:
 
 
 class RendererFactory(Protocol):
-    """Makes a renderer of a volume: one machine's, or a cluster's."""
+    """Factory of renderers, on one machine or on a cluster."""
 
     def __call__(self, volume: Volume, transfer: TransferFunction) -> SessionRenderer:
-        """A renderer that shows the volume with a transfer function."""
+        """Create a renderer that shows the volume with a transfer function."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """See the contracts of the named public functions."""
+    """Processing functions of a session; the public functions of the same names define their contracts."""
 
     open_volume: Callable[[str, Progress, Cancel], Volume]
     open_demo: Callable[[str, Progress, Cancel], Volume]
@@ -99,7 +99,7 @@ class Parts:
     transfer_from_json: Callable[[dict[str, Any]], TransferFunction]
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
     measure_tree: Callable[..., TreeMeasures] | None = None
-    """``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
+    """``measure_tree(volume, airways, previous=, progress=, cancel=)``; with None no airways are measured."""
     wall_field: Callable[..., Any] = _wall_field
     """``wall_field(volume, airways, progress=, cancel=)``."""
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
@@ -120,11 +120,11 @@ class Parts:
     reach_atlas: Callable[..., ReachAtlas] = _reach_atlas
     """``reach_atlas(volume, airways, scope=, tool=, wall=, progress=, cancel=)``."""
     scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets
-    """The instruments that are judged."""
+    """Returns the instruments for which verdicts are computed."""
 
 
 def default_parts() -> Parts:
-    """The real parts of Carina."""
+    """Return the processing functions of Carina."""
     from carina import render, track, volume
 
     def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:
