@@ -35,6 +35,7 @@ class Door(FrozenValue, frozen=True):
     token: str | None = None
 
     def __repr__(self) -> str:
+        """Describe the address without the token."""
         return f"Door({as_words(self.url)})"
 
 

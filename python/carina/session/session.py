@@ -119,6 +119,7 @@ class Session:
         self._handlers.update(dict.fromkeys(STRAIGHT_TO_THE_PILOT, core.fly))
 
     def __repr__(self) -> str:
+        """Describe the session by the neutral title of its case."""
         case = self._core.case
         return f"Session({'no case' if case is None else case.neutral_title})"
 
