@@ -41,10 +41,22 @@ class NamedCase:
     def open(self, path: Path, ct: str | Path | None) -> tuple[Volume, Moment | None]:
         """Open a case file, and find its CT.
 
+        Parameters
+        ----------
+        path
+            Path of the case file.
+        ct
+            Path of the CT, if the CT has moved.
+
+        Returns
+        -------
+        tuple
+            The CT, and the saved moment; None if the file has no moment.
+
         Raises
         ------
         CaseFileError
-            As :meth:`CaseFile.open`, and ``case.no-scan``.
+            If the file cannot be opened (:meth:`CaseFile.open`); ``case.no-scan`` if its CT is not found.
         VolumeImportError
             If the CT cannot be opened, or is not the CT of the case.
         """
@@ -90,7 +102,7 @@ class NamedCase:
             self._named.close()
 
     def came_from(self, place: str | Path) -> None:
-        """Where the CT of a case lies that has no file yet."""
+        """Store the path of the CT of a case that has no file yet."""
         self._ct_place = str(Path(place).expanduser().absolute())
 
     def save(
@@ -237,7 +249,8 @@ class NamedCase:
             if facts.recording_id in self._flights:
                 continue
             if facts.recording_id in there:
-                # A file whose numbers were lost has another flight of this number: this one gets the next.
+                # A file that lost its numbers may have another flight with this number, so the flight gets the next
+                # number.
                 writer.number = None
             file.keep_recording(writer)
             if facts.words:

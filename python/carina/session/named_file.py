@@ -105,6 +105,7 @@ class NamedFile:
         self._writing = threading.Lock()
 
     def __repr__(self) -> str:
+        """Describe the file by its path and its mark."""
         return f"NamedFile({str(self.path)!r}, mark={self.mark!r})"
 
     @property
