@@ -201,7 +201,7 @@ class AirwayFinding(Subject):
         """Retain the present airways after a search without result; without airways, show the reason in the panel."""
         with self.core.lock:
             if any(other.kind == "airways" and other is not job for other in self.core.jobs.running):
-                return  # A newer search runs in its place.
+                return  # A newer search replaces this one.
             if case.document.airways is not None:
                 case.search = AirwaySearch("found", airway_words(case.document.airways))
             else:

@@ -27,7 +27,7 @@ class ToJoinMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
 
 
 class Join(JoinMessage, frozen=True):
-    """The first message of a program: it works on this case, and on no other that is opened later."""
+    """First message of a program, which then works on this case and on no case that is opened later."""
 
     wire_version: Annotated[int, Meta(ge=0, le=2**31)]
     case_id: Identifier

@@ -197,8 +197,8 @@ class Keeper:
         """Write all present changes, and return whether they are on the disk.
 
         The call returns False as soon as the disk refuses a write that begins after the call, or does not respond for
-        :data:`SLOW_S`. A write that is in progress may have met a fault that has gone. The caller must not hold the
-        session's lock, with which the changes are read.
+        :data:`SLOW_S`. The failure of an earlier write is ignored, because its cause may have been removed. The caller
+        must not hold the session's lock, which the writing thread needs.
         """
         with self._wake:
             begun = self._num_begun
@@ -338,7 +338,7 @@ class Keeper:
                 assert file is not None
                 file.write_copy(place, ct_place=ct_place, save_mark=mark, placement=placement)
                 return
-            # A copy of the live file would lack what its disk has refused, or wait for it.
+            # A copy of the live file would lack the changes that its disk has refused, or would wait for that disk.
             with self._core.lock:
                 self._is_copy_current = True
                 moment = moment_of(self.case)
@@ -346,7 +346,7 @@ class Keeper:
                 finished = {one.number for one in unwritten if one.number is not None and one.closed}
             flights, num_missing = whole_flights(file, listed, unwritten, SLOW_S)
             if num_missing and place.exists():
-                # The file that is there may be the last that has them.
+                # The existing file may be the only one that still contains these flights.
                 raise CarinaError(
                     f"{place.name} was left as it is: {flight_count(num_missing)} cannot be read from the faulty "
                     "disk; save the case under another name",
@@ -413,7 +413,7 @@ class Keeper:
         if self.held is not None and present is not None:
             # If the disk refuses, the only effect is that the file counts as changed elsewhere after a crash.
             with suppress(OSError, CarinaError):
-                # The present content too: the record may name it only as the digest of an interrupted save.
+                # Also the present digest, which the record may contain only as that of an interrupted save.
                 self.held.note(
                     copy_digest=present.digest,
                     copy_save_id=present.save_id,
@@ -433,7 +433,7 @@ class Keeper:
             with self._wake:
                 self._has_ended, self._is_slow = True, False
                 self._wake.notify_all()
-            # A job may have saved the case under another name since the case was given back.
+            # A job may have saved the case under another name since the case was released.
             if self._named is not None:
                 self._named.close()
 
@@ -469,7 +469,7 @@ class Keeper:
         with self._watched():
             try:
                 told = self._write(notes, is_changed=changed_s is not None)
-            except Exception as error:  # Of any kind, because a thread that ended here would store no further change.
+            except Exception as error:  # Otherwise the thread would end and store no further change.
                 trouble = error
             with self._news(told | {"problem": None if trouble is None else _words(trouble)}):
                 if trouble is None:

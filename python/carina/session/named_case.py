@@ -121,7 +121,8 @@ class NamedCase:
         Raises
         ------
         UsageError
-            ``case.no-place``, ``case.exists`` or ``case.read-only``.
+            ``case.no-place``: if the case has no file, or the folder does not exist; ``case.exists``: if another file
+            is at the path; ``case.read-only``: if :attr:`note` is set.
         NamedFileConflictError
             ``case.changed``: if the file has other content than this program last read or wrote; ``case.read-only``: if
             another window or program has the file open. The file is unchanged.
@@ -161,7 +162,7 @@ class NamedCase:
         NamedFileConflictError
             If the case was saved under a new name, which the message states.
         CarinaError
-            As :meth:`save`.
+            If the case cannot be saved (see :meth:`save`).
         """
         try:
             self.save(volume, moment, None, replace=False, flights=flights)

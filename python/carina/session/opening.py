@@ -83,7 +83,7 @@ class Opening(Subject):
         def read(job: Job) -> Volume:
             volume = self.core.parts.open_volume(command.path, job.progress, job.cancel)
             if volume.source.format == "dicom":
-                from carina.volume.dicom_structures import ct_references  # the readers of DICOM are slow to load
+                from carina.volume.dicom_structures import ct_references  # slow to import
 
                 # The temporary files are deleted after reading; these references replace them in later comparisons.
                 watch = Watch(job.progress, job.cancel)

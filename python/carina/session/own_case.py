@@ -1,4 +1,4 @@
-"""The case of a program: opened by the program, or joined in a running Carina."""
+"""Cases of notebooks and scripts: opened in the process of the program, or joined in a running Carina."""
 
 from __future__ import annotations
 

@@ -232,7 +232,7 @@ class Case:
 
     @property
     def volume(self) -> Volume:
-        """The CT."""
+        """The CT of the case; UsageError if the case is closed."""
         case = self._session.snapshot().case
         if case is None:
             raise UsageError("no case is open", code="session.no-case")
@@ -250,7 +250,7 @@ class Case:
 
     @property
     def pose(self) -> Pose:
-        """Pose of the scope tip, in LPS and mm."""
+        """Pose of the scope tip, in LPS and mm; UsageError if the case is closed."""
         info = self._session.pose_info()
         if info is None:
             raise UsageError("no case is open", code="session.no-case")

@@ -284,7 +284,7 @@ class CaseRecords:
         if held is not True:
             os.close(descriptor)
             return None
-        # Connection details that a crash left.
+        # Deletes connection details that a crash left.
         close_door(folder)
         return HeldCase(folder, record, descriptor, self.door)
 

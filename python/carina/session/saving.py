@@ -47,9 +47,9 @@ logger = logging.getLogger(__name__)
 
 OPEN_ELSEWHERE = "this CT is already open in another window; changes made here are saved as a separate case"
 HELD_TRIES, HELD_EVERY_S = 4, 0.05
-"""Retries of a lock, because a program that checks whether a case is open takes the lock for a moment."""
+"""Number and interval (s) of attempts to take a lock, which a check whether a case is open takes for a moment."""
 CLOSING_S = 60.0
-"""Time that Carina waits at its end for a disk that does not respond."""
+"""Time, in s, that Carina waits at its end for a disk that does not respond."""
 
 
 @one_line
@@ -69,7 +69,7 @@ class Reopened:
 
 
 class Between:
-    """The change from one case to the next: the next case is found, and then attached or released."""
+    """Switch from one case to the next: the next stored case is found, and then attached or released."""
 
     def __init__(self, saving: Saving) -> None:
         self._saving = saving
@@ -644,7 +644,10 @@ class Saving(Subject):
 
     @answers(c.FlightToTakeAway)
     def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
-        """Return the lines of a recorded flight; the call waits for the disk, so without the session's lock."""
+        """Return the lines of a recorded flight.
+
+        The call waits for the disk, so the caller must not hold the session's lock.
+        """
         return self.flight_text(question.number)
 
     def flight_text(self, number: int) -> str:

@@ -133,7 +133,19 @@ class ShownCase:
         return self.content_is_newest or not VIEWS[view].by_transfer
 
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
-        """Return the renderer's definition of a view; ``full_width`` is the width whose extent a zoomed slice keeps."""
+        """Return the renderer's definition of a view.
+
+        Parameters
+        ----------
+        view
+            Name of the view.
+        width, height
+            Size of the image, in pixels.
+        step_vox
+            Step along the rays, in voxels.
+        full_width
+            Width in pixels of the final image, if this image is a smaller preview that must show the same region.
+        """
         row = VIEWS[view]
         settings = self._settings(row)
         return row.spec(replace(settings, width=width, height=height, full_width=full_width, step_vox=step_vox))

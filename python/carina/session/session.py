@@ -243,7 +243,7 @@ class Session:
 
     @property
     def cases(self) -> CaseList:
-        """The stored cases of this user, and the files that Carina stores beside them."""
+        """The list of the user's cases, and the cache of CTs."""
         return self._cases
 
     @property
@@ -254,7 +254,7 @@ class Session:
     def close(self, within_s: float = CLOSING_S) -> None:
         """Stop a recording and all jobs, and end the threads.
 
-        The call waits up to ``within_s`` seconds for a disk that does not respond; :meth:`unsaved` then returns the
+        The call waits up to ``within_s`` seconds for a disk that does not respond; ``cases.unsaved()`` then returns the
         lost work.
         """
         self._recording.stop()

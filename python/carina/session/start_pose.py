@@ -63,7 +63,7 @@ def pose_before_place(
     Parameters
     ----------
     airways, volume
-        The airways, and the CT that they are of.
+        The airways, and the CT from which they were segmented.
     lps
         The point, in LPS and mm.
     branch_id

@@ -165,8 +165,8 @@ class _KnownSteps:
     """Steps of a saved moment, to be found in another moment of the same case.
 
     A step is the same if its label, time and command are equal: a later change of one gesture replaces the step.
-    A step without a command is equal to any, because a file does not hold every command. Documents are not compared,
-    because findings of the machine change them without a step.
+    A step without a command is equal to any, because a file does not store every command. Documents are not
+    compared, because background jobs change them without a step.
     """
 
     def __init__(self, steps: Sequence[Step[Document]]) -> None:
