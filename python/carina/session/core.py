@@ -51,7 +51,7 @@ ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "lungs", "key
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The command that runs now, and the number of its window."""
+    """A running command, and the number of the window that sent it."""
 
     command: Command | None = None
     window: int | None = None
@@ -329,7 +329,7 @@ class SessionCore:
     # ------------------------------------------------------------ moving the tip
 
     def fly(self, move: Move) -> None:
-        """Move the tip as a user or a program requests."""
+        """Apply a move to the tip, and report it as a move by hand."""
         case = self.needed_case()
         with self.lock:
             mode = case.navigator.mode
@@ -343,7 +343,7 @@ class SessionCore:
         return dt_s
 
     def after_move(self, case: OpenCase, mode: str) -> None:
-        """Announce a new pose; the caller holds the session's lock."""
+        """Report a move by hand: re-centre panned views, and notify listeners. The caller holds the session's lock."""
         is_recentred = case.sights.change(None, following_tip)
         self.moved()
         case.last_move = LastMove("hand", person_moved=True)

@@ -164,7 +164,7 @@ def airway_words(airways: Any) -> str | None:
 
 
 def _lost(before: Document, after: Document) -> list[str]:
-    """Return a line for each path and route that an edit removed."""
+    """Return a message for each path and route that an edit removed."""
     lines = [
         f"there is no longer a path to {new.name}: {new.problem}"
         for old, new in zip(before.targets, after.targets, strict=True)

@@ -84,7 +84,7 @@ class Flights(Subject):
 
     @does(c.FlyFlight)
     def fly(self, command: c.FlyFlight) -> str | None:
-        """Place the tip at a time of a flight, after a job has read the flight if necessary.
+        """Play a flight: place the tip at a time of the flight, which a job reads first if necessary.
 
         The job does not place the tip if the user has moved it since the command.
         """

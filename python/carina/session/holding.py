@@ -19,7 +19,7 @@ __all__ = ["ScopeHolding"]
 
 
 class ScopeHolding(Subject):
-    """Placement of the scope along the route, within the airway wall, in mode *scope*."""
+    """Places the scope along the route, constrained by the airway wall, in mode *scope*."""
 
     def enter(self, case: OpenCase) -> None:
         """Lay the scope along the route once the wall is known."""

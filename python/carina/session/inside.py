@@ -14,7 +14,17 @@ __all__ = ["in_airways", "in_lumen"]
 
 
 def in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
-    """Return whether the voxel that contains a point is lumen."""
+    """Return whether the voxel that contains a point is lumen.
+
+    Parameters
+    ----------
+    volume
+        The volume of the lumen.
+    lumen_zyx
+        (nz, ny, nx), nonzero in the lumen.
+    point_lps
+        (3,) LPS mm; a point outside the volume is not in the lumen.
+    """
     i, j, k = np.rint(volume.to_ijk(point_lps)).astype(int)
     nz, ny, nx = volume.shape_zyx
     return 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and bool(lumen_zyx[k, j, i])

@@ -46,7 +46,7 @@ OTHER_CASES = (c.OpenPath, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, 
 
 @dataclass(slots=True)
 class _Followed:
-    """The follower of the owner's live file, and the moment that the session shows."""
+    """The follower of the owner's live file, and the state of the case that the session shows."""
 
     follower: CaseFollower
     moment: Moment
@@ -66,7 +66,7 @@ class JoinedCase:
     link
         Connection to the owner.
     followed
-        Follower of the live file, and the moment that the session shows.
+        Follower of the live file, and the state of the case that the session shows.
     """
 
     def __init__(
@@ -277,7 +277,7 @@ class JoinedCase:
                 return
 
     def _follow(self) -> None:
-        """Show the newest moment of the live file; the caller holds the lock."""
+        """Show the newest state of the case in the live file; the caller holds the lock."""
         moment = self._followed.follower.newest()
         if moment is not self._followed.moment:
             do_and_wait(self._session, c.FollowMoment(moment))
@@ -387,7 +387,7 @@ def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
 
 
 def _saved(settled: Settled) -> SavingInfo:
-    """Return the state of the saving; raise an error where the latest changes cannot be read."""
+    """Return the saving info of a reply; raise CarinaError if the live file lacks the latest changes."""
     if settled.unsaved is not None:
         raise CarinaError(f"the latest changes to this case cannot be read: {settled.unsaved}", code="case.not-saved")
     return settled.saving

@@ -144,7 +144,7 @@ class Keeper:
         """Identity of the write in progress; None between writes."""
         self._is_slow = False
         self._saved = None if file is None else moment_of(case)
-        """The moment in the live file."""
+        """State of the case in the live file."""
         self._num_begun = self._num_kept = self._num_failed = 0
         """Numbers of the last begun, the last finished and the last failed write."""
         self._num_saved = self._num_copied = 0
@@ -269,7 +269,7 @@ class Keeper:
         saved_path = None if held is None or saved is None else held.path
         copy_path = self.copy_path
         if elsewhere is not None:
-            # A report of a change may be about something that no file stores, so the moments are compared.
+            # A reported change may concern state that no file stores, so the states of the case are compared.
             saved, saved_path, copy_path = elsewhere.moment, elsewhere.path, None
             flights = tuple(one for one in flights if one.number not in elsewhere.flights)
         labels = unsaved_labels(moment if is_saved else saved, moment, renamed=renamed)
@@ -457,7 +457,7 @@ class Keeper:
         return 0.0 if self._is_urgent else max(self._changed_s + self._within_s, self._retry_s) - now_s
 
     def _attempt(self) -> None:
-        """Write the newest moment, if it is not written yet, and the changed fields of the record."""
+        """Write the present state of the case, if it has changed, and the changed fields of the record."""
         with self._wake:
             self._num_begun += 1
             self._busy = object()
@@ -506,7 +506,7 @@ class Keeper:
         told: dict[str, Any] = {}
         if is_changed:
             with self._core.lock:
-                # The time precedes the moment, so that everything done before the stated time is on the disk.
+                # The time is read first, so that everything done before the stated time is on the disk.
                 now_s = self._records.now_s()
                 moment = moment_of(self.case)
                 flights = self.case.flights.listed

@@ -26,10 +26,10 @@ class KeptFile(Protocol):
     """Interface of a case file, as :class:`carina.case.CaseFile` implements it."""
 
     def save(self, moment: Moment) -> None:
-        """Write the parts of a moment that are not in the file yet."""
+        """Write the parts of a case state that are not in the file yet."""
 
     def load(self, volume: Volume) -> Moment:
-        """Return the moment that was written last; CaseFileError ``case.empty`` if no moment was written."""
+        """Return the case state that was written last; CaseFileError ``case.empty`` if none was written."""
 
     def keep_recording(self, recording: RecordingWriter) -> None:
         """Write the lines that were recorded since the last call."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["CaseLungs", "LungsInfo"]
 
 ReachInputs = tuple[Any, str, str]
-"""Airways, name of the scope and name of the tool."""
+"""Inputs of a reach map: airways, name of the scope, and name of the tool."""
 
 
 @one_line

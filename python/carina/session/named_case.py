@@ -51,7 +51,7 @@ class NamedCase:
         Returns
         -------
         tuple
-            The CT, and the saved moment; None if the file has no moment.
+            The CT, and the saved state of the case; the state is None if none was saved.
 
         Raises
         ------
@@ -188,9 +188,14 @@ class NamedCase:
             named.close()
 
     def check_saved(self, moment: Moment, *, kept: Moment | None = None, live: Path | None = None) -> None:
-        """Refuse to close a case whose file cannot be written and lacks changes of a moment.
+        """Refuse to close a case whose file cannot be written and lacks changes.
 
-        ``kept`` is the moment in the live file ``live``, for an object that has neither read nor written a file.
+        Parameters
+        ----------
+        moment
+            The present state of the case.
+        kept, live
+            State in the live file, and its path, for an object that has neither read nor written a named file.
 
         Raises
         ------
@@ -202,7 +207,7 @@ class NamedCase:
             check_saved(path, self.note, self._saved or kept, moment)
 
     def is_behind(self, moment: Moment) -> bool:
-        """Whether the case has a writable file, and this file has an earlier moment."""
+        """Return whether the case has a writable file that lacks the present state of the case."""
         if self.path is None or self._named is None or self.note is not None:
             return False
         saved = self._saved

@@ -299,7 +299,7 @@ class Opening(Subject):
     ) -> str:
         """Open a CT with the stored case ``case_id``; without an id, with the case of this CT that was used last.
 
-        The caller that passes a ``given`` moment stores the case that continues from this moment.
+        With a ``given`` state, the case continues from this state, and the caller stores the case.
         """
         if path is not None and found is None:
             place = str(Path(path).absolute())

@@ -83,7 +83,7 @@ class OwnCase:
         do_and_wait(self._session, command)
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
-        """Write the case to its file, or to ``path``."""
+        """Write the case to ``path``, or to its file if ``path`` is None."""
         moment, case = self._session.ask(MomentToKeep()), self._session.snapshot().case
         assert case is not None
         flights = self._session.ask(FlightsToKeep())

@@ -94,9 +94,9 @@ class PlanningInfo:
 
 
 PlanInputs = tuple[Any, ...]
-"""Airways, followed by the tasks."""
+"""Inputs of all plans: the airways, followed by the plan task of each target."""
 VerdictInputs = tuple[Any, ...]
-"""Plan, number of a route in the plan, airway wall, and options."""
+"""Inputs of the verdicts: plan, number of a route in the plan (from 1), airway wall, and plan options."""
 
 
 @one_line

@@ -1,6 +1,6 @@
 """Private settings files: the paths of CTs opened before, and whether the user accepted the safety notice.
 
-The path is needed to open a CT again and is never sent to a client: the wire has an id, a date and a neutral alias.
+The path is needed to open a CT again. It is never sent to a client, which receives an id, a date and a neutral alias.
 """
 
 from __future__ import annotations

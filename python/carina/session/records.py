@@ -328,7 +328,8 @@ class CaseRecords:
     def refuse_stored(self, path: Path) -> None:
         """Refuse to save a case under a name in the folder of the stored cases.
 
-        A save replaces its file. The owner of a live file would then write on to the replaced file, and lose changes.
+        A save replaces the file at its path. If that were a live file, its owner would continue to write to the
+        replaced file, and those changes would be lost.
 
         Raises
         ------
@@ -518,7 +519,7 @@ def _decoded(path: Path) -> CaseRecord | None:
     if record.case_id != path.parent.name:
         other = path.parent.with_name(record.case_id) if re.fullmatch(r"[\w-]+", record.case_id) else None
         if other is not None and other.exists():
-            # A folder with the record of another case is a user's copy, which Carina must not change.
+            # A folder with the record of another case is a copy made by the user, which Carina must not change.
             raise OSError("the record belongs to another folder")
         return None
     return record

@@ -47,7 +47,7 @@ logger = logging.getLogger(__name__)
 
 OPEN_ELSEWHERE = "this CT is already open in another window; changes made here are saved as a separate case"
 HELD_TRIES, HELD_EVERY_S = 4, 0.05
-"""Number and interval (s) of attempts to take a lock, which a check whether a case is open takes for a moment."""
+"""Number and interval (s) of attempts to lock a case, because a check by another program locks it briefly."""
 CLOSING_S = 60.0
 """Time, in s, that Carina waits at its end for a disk that does not respond."""
 
@@ -117,7 +117,7 @@ class Between:
         return self._reopened
 
     def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
-        """Return the stored moment of a CT, wherever its files are now; None where nothing is stored or readable."""
+        """Return the stored state of a CT's case, wherever the CT is now; None if no state is stored or readable."""
         reopened = self.take(self._saving.digest_of(volume), case_id)
         self._saving.say_still_waits(self._digest)
         if reopened is None:
@@ -149,7 +149,7 @@ class Between:
         Returns
         -------
         Moment | None
-            None if no moment was saved in the file.
+            None if no state was saved in the file.
         """
         digest = self._saving.digest_of(volume)
         if digest is None or case.note is not None:
@@ -250,7 +250,7 @@ class Saving(Subject):
             raise
 
     def opened(self, record: CaseRecord) -> Reopened | None:
-        """Open a stored case and own it from now on; None where that is not possible, with a message to the user."""
+        """Open a stored case and own it from now on; if this is impossible, notify the user and return None."""
         assert self.records is not None
         assert self._files is not None
         for keeper in self._ending:
@@ -296,7 +296,7 @@ class Saving(Subject):
         return None if record is None else self.opened(record)
 
     def reopened_file(self, case: CaseFile, mark: FileMark | None) -> Reopened | None:
-        """Own the stored case that wrote a case file, and return it; None where there is none."""
+        """Own the stored case that wrote a case file, and return this case; None if there is no such case."""
         record = self._record_of(case, mark)
         reopened = None if record is None else self.opened(record)
         if reopened is not None and mark is not None and reopened.held.record.copy_path != str(case.path.absolute()):
@@ -665,7 +665,7 @@ class Saving(Subject):
 
     @answers(c.MomentToKeep)
     def moment_to_keep(self, _question: c.MomentToKeep) -> Moment:
-        """Return the present moment, for a caller that stores the case in a file of its own."""
+        """Return the present state of the case, for a caller that stores the case in a file of its own."""
         case = self.core.needed_case()
         with self.core.lock:
             return moment_of(case)
@@ -713,7 +713,7 @@ class Saving(Subject):
 
 
 def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
-    """Return the labels and times of a case's steps, which no other case has."""
+    """Return the labels and times of a case's steps, which together identify the case."""
     return tuple((step.label, step.at_s) for step in case.history())
 
 

@@ -53,7 +53,7 @@ class SessionRenderer(Protocol):
 @one_line
 @dataclass(frozen=True, slots=True)
 class ShownCase:
-    """All inputs of the images at one moment."""
+    """All inputs from which the images of a case are rendered, at one time."""
 
     case_number: int
     """Number that increases with each opened case."""
@@ -68,7 +68,7 @@ class ShownCase:
     sight: Sight
     has_lumen: bool
     frames: PathFrames | None = None
-    """Frames along the route, for the views along the route."""
+    """Camera frames along the route, for the views along the route; None without a route."""
     path_mm: float | None = None
     """Distance of the tip along the route, in mm; None in free movement."""
     picture_turned: bool = False
