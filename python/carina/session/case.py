@@ -338,7 +338,7 @@ def restore(case: OpenCase, kept: Moment) -> None:
     document = case.document
     case.flown_route = document.route
     case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
-    if kept.tip:  # A case that was repaired may have lost its tip.
+    if kept.tip:  # The stored tip of a repaired case may be missing.
         case.navigator.restore(kept.tip, case.navigator.path)
     status: AirwayStatus = "found" if document.airways is not None else "waiting"
     if document.airways is None and kept.search_status == "failed":

@@ -323,7 +323,7 @@ class SessionCore:
         self._pose_id += 1
         self._pose_s = self.clock()
         if self.case is not None:
-            # Callers for hands, devices and recordings set the cause of the move afterwards.
+            # The callers that move the tip for a hand, a device or a recording set their cause after this call.
             self.case.last_move = LastMove(person_moved=self.case.last_move.person_moved)
 
     # ------------------------------------------------------------ moving the tip

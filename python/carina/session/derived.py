@@ -215,7 +215,7 @@ class Derived(Generic[Inputs, Value]):
     def _begin(self) -> None:
         if self._runs or not self._is_open():
             return
-        # Set before the start, because a job that runs synchronously has ended when the call returns.
+        # The flag is set before the start, because a job that runs synchronously has ended when start() returns.
         self._runs, self._wanted_after_stop = True, False
         try:
             job_id = self._jobs.start(self._kind, self._title, self._run)
@@ -243,7 +243,7 @@ class Derived(Generic[Inputs, Value]):
                 except CancelledError:
                     if not attempt.is_stale():
                         raise
-                    # The cause is a newer request, perhaps besides a stop.
+                    # A newer request has cancelled this computation; the loop computes the value of the newer inputs.
                     continue
                 with self._lock:
                     job.check()

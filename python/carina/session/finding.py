@@ -51,8 +51,7 @@ class AirwayFinding(Subject):
         root = None if airways is None else as_point(airways.root_lps)
         wanted = case.info.scale.threshold if value is None else value
         if airways is None:
-            # Stored even if the search finds nothing, because the next search from a clicked root must use this
-            # threshold.
+            # The threshold is stored even if the search finds nothing, because the next search must use it.
             with self.core.lock:
                 case.history.amend_current(lambda d: replace(d, lumen_threshold=wanted))
                 self.core.changed("state")
@@ -141,7 +140,7 @@ class AirwayFinding(Subject):
     def _start_airways_of(self, case: OpenCase, mask: Mask) -> None:
         """Build the tree of a mask from its trachea, or from the known root if the mask contains no trachea."""
         known = case.document.airways
-        # Without the file name, which may be a patient's name, because the notes are stored with the case.
+        # The notes, which are stored with the case, omit the file name, because it may contain a patient's name.
         told = ("the airway lumen is an imported segmentation", *mask.notes)
 
         def find(job: Job) -> Any:
@@ -224,7 +223,7 @@ class AirwayFinding(Subject):
                     self._put_airways(case, found, default_route, label)
                     return
                 asked = case.document.targets
-            # Outside the lock, because a path may take a while and the user may add or remove targets meanwhile.
+            # The paths are searched without the lock: a search takes a while, and the user may edit targets meanwhile.
             targets = tuple(tracked_target(airways, target) for target in asked)
 
     def _put_airways(

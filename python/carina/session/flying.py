@@ -82,6 +82,6 @@ class Flying(Subject):
         pose = None if airways is None else pose_before_place(airways, case.info.volume, lps, command.branch_id)
         if pose is not None:
             self.core.fly(place_pose(pose))
-            # Levelled for the operator's position.
+            # The horizon is levelled for the position of the operator.
             self.core.fly(c.LevelHorizon())
         self.core.see(case, lambda sight: msgspec.structs.replace(sight, crosshair_lps=lps))

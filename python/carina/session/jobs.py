@@ -274,7 +274,7 @@ class JobRunner:
         give_freed_memory_back()
         errand = current_errand()
         if errand is not None:
-            # Before the runner becomes idle, so that a thread that waits for idle finds the result of the job.
+            # The result is stored before the runner becomes idle, so that a thread that waits for idle finds it.
             errand.job_ended(error)
         with self._idle:
             self._jobs.pop(job.job_id, None)

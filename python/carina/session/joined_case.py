@@ -129,7 +129,7 @@ class JoinedCase:
     @classmethod
     def _joined(cls, records: CaseRecords, record: CaseRecord, link: OwnerLink, ct: str | Path | None) -> JoinedCase:
         settings = load_settings()
-        # Waits for running jobs, such as the airway search.
+        # The owner replies after its running jobs, such as the airway search, have ended.
         saving = _saved(link.settle(all_jobs=True))
         cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
         scans = CaseScans(cache, records, default_parts().open_demo, advice="give its location as ct=PATH")

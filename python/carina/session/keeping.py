@@ -128,7 +128,7 @@ class Keeper:
         self.info = info
         self.is_telling = False
         """Whether the present change concerns the saving info alone."""
-        # Guards the fields below; taken after the session's lock, and never held while waiting for a disk.
+        # Lock of the fields below; it is taken after the session's lock, and never held while waiting for a disk.
         self._wake = threading.Condition()
         self._changed_s: float | None = None
         self._within_s = MOVED_WITHIN_S
@@ -207,7 +207,7 @@ class Keeper:
                 return self._num_kept > begun or (self._changed_s is None and self._busy is None)
 
             def is_done() -> bool:
-                # Includes the fields of the record; if only these cannot be written, no work is lost.
+                # This condition includes the fields of the record; if only these cannot be written, no work is lost.
                 return self._num_kept > begun or (is_kept() and not self._notes)
 
             if not is_done():
@@ -413,7 +413,7 @@ class Keeper:
         if self.held is not None and present is not None:
             # If the disk refuses, the only effect is that the file counts as changed elsewhere after a crash.
             with suppress(OSError, CarinaError):
-                # Also the present digest, which the record may contain only as that of an interrupted save.
+                # The record gets both digests: it may contain the present one only as that of an interrupted save.
                 self.held.note(
                     copy_digest=present.digest,
                     copy_save_id=present.save_id,
@@ -485,7 +485,7 @@ class Keeper:
                 self._plan_copy(COPY_EVERY_S)
                 self._busy, self._is_slow = None, False
         if trouble is None and not self._pictured and self.held is not None and self.held.record.pictured_s is None:
-            # Stored before the end of the case, so that a case of a killed process also has a thumbnail.
+            # The thumbnail is stored before the case is closed, so that a case of a killed process has one, too.
             self._picture()
 
     def _write(self, notes: dict[str, Any], *, is_changed: bool) -> dict[str, Any]:
@@ -554,7 +554,7 @@ class Keeper:
         """Write the remaining changes, then close the live file and release its lock."""
         if self._changed_s is not None or self._notes:
             self._attempt()
-        # On a disk that refuses, a thumbnail is useless, and its message would replace the message about the case.
+        # If the disk refuses writes, no thumbnail is stored: its error would replace the error about the case.
         if self.info.problem is None:
             self._picture()
         with self._watched():

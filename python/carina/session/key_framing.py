@@ -131,7 +131,7 @@ class KeyFraming(Subject):
     def follow(self, case: OpenCase) -> None:
         """Delete the cached flight after a change of key frames or airways; the caller holds the session's lock."""
         if case.key_flight.is_of_others((case.document.key_frames, case.document.airways)):
-            # The tip is at no time of the new flight.
+            # The pose of the tip belongs to the previous flight, so it has no time in the new flight.
             case.key_flight.forget()
             case.last_move = replace(case.last_move, key_frames_s=None)
 

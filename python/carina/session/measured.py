@@ -22,7 +22,7 @@ class MeasuredAirways:
         self.take(kept)
 
     def __repr__(self) -> str:
-        """Return the number of measured airways."""
+        """Describe the cache by its number of measured airways."""
         return f"MeasuredAirways({len(self._found)})"
 
     def take(self, kept: Iterable[tuple[Any, Any]]) -> None:

@@ -172,7 +172,7 @@ class NamedFile:
             If another window has the file open, or the file has other content (see :meth:`check`). The file is
             unchanged.
         DiskError, OSError
-            If the disk refuses; the file is unchanged.
+            If the disk refuses the write; the file is unchanged.
         """
         with self._exclusively():
             self._take_lock()
@@ -515,7 +515,7 @@ def _short(label: str) -> str:
 def _owner_of(path: Path) -> str:
     """Return ``by USER`` after a space if the file belongs to another user of this computer; else an empty text."""
     with contextlib.suppress(OSError, KeyError, ImportError, AttributeError):
-        import pwd  # the module exists on POSIX only
+        import pwd  # The module exists on POSIX only.
 
         owner = path.stat().st_uid
         if owner != os.geteuid():

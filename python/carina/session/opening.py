@@ -250,7 +250,7 @@ class Opening(Subject):
         with self.core.lock:
             self._recording.stop()
             self.core.jobs.cancel_kinds()
-        # Waits for the disk without the lock, so that images are still rendered.
+        # let_go() may wait for the disk, so it is called without the lock, and images are still rendered.
         self._saving.let_go()
         with self.core.lock:
             self._discard_case()

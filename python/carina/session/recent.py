@@ -169,7 +169,7 @@ class LocalStore:
             )
             self._unwritten.pop(path, None)
         except OSError as error:
-            # Used from memory; otherwise an accepted notice would be shown again after every change.
+            # The value is then read from memory; otherwise an accepted notice would be shown again after every change.
             self._unwritten[path] = value
             logger.warning("could not write %s: %s", path.name, error.strerror)
 

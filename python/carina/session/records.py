@@ -406,7 +406,7 @@ class CaseRecords:
     def forgotten(self) -> tuple[CaseRecord, ...]:
         """Return the forgotten cases that can be restored, the last forgotten first."""
         found = [_read(path) for path in (self._folder / FORGOTTEN).glob(f"*/{RECORD}")]
-        # A killed process may have moved the folder and not stored the time.
+        # A process that was killed may have moved the folder without storing the time.
         dated = [msgspec.structs.replace(one, forgotten_s=one.forgotten_s or self.now_s()) for one in found if one]
         return tuple(sorted(dated, key=lambda one: one.forgotten_s or 0.0, reverse=True))
 

@@ -282,7 +282,7 @@ class Saving(Subject):
         except NamedFileConflictError as conflict:
             self.core.emit(Said(str(conflict)))
         except OSError:
-            pass  # the error is reported when the file is written
+            pass  # The error is reported when the file is written.
         return named
 
     def stores(self, path: Path) -> bool:
@@ -704,7 +704,7 @@ class Saving(Subject):
                 raise
             except OSError as trouble:
                 raise disk_trouble(trouble, "cannot save the case to", path) from trouble
-            # Stores the record, so that a program that opens the file finds that the case is open here.
+            # The record must be on the disk before a program that opens the file looks up whether the case is open.
             kept.settle()
             was_replaced = "" if saved.replaced is None else f"; the replaced file is kept as {saved.replaced.name}"
             self.core.emit(Said(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))

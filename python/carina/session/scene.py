@@ -115,7 +115,7 @@ class ShownCase:
         if not VIEWS[view].outlined or self.lumen is None or picture.lps_from_pixel is None:
             return None
         if not np.isfinite(picture.lps_from_pixel).all():
-            # A fault of the renderer, which the encoder of the image reports.
+            # The renderer returned an invalid matrix; the encoder of the image reports this fault.
             return None
         height, width = picture.rgb.shape[:2]
         data = self.lumen.encoded(picture.lps_from_pixel, width, height)
