@@ -202,7 +202,7 @@ class CaseList(Subject):
 
     @does(c.KeepCts)
     def keep_cts(self, command: c.KeepCts) -> None:
-        """Switch the cache of CTs on or off, also for later starts."""
+        """Switch the cache of CTs on or off, also for later starts; switching it off deletes the cached CTs."""
         cache = self._saving.cache
         if cache is None or not cache.can_be_on:
             raise UsageError("Carina was started without the CT cache", code="case.no-cache")

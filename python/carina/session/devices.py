@@ -107,7 +107,10 @@ class Devices(Subject):
 
     @does(c.Calibrate)
     def calibrate(self, command: c.Calibrate) -> None:
-        """Register a device to the patient by pairs of points, and report the residual; without pairs, delete it."""
+        """Register a device to the patient by pairs of points, and report the residual.
+
+        Without pairs, delete the registration of the device.
+        """
         device, tracker_mm, patient_lps = command.device, command.tracker_mm, command.patient_lps
         case = self.core.needed_case()
         if not tracker_mm and not patient_lps:

@@ -90,7 +90,7 @@ class CtCache(Protocol):
         """Delete every cached CT, and return the number of bytes deleted."""
 
     def switch(self, on: bool) -> None:
-        """Switch the cache on or off; switching off also stops the use of the cached CTs."""
+        """Switch the cache on or off; switching it off deletes the cached CTs."""
 
 
 @one_line

@@ -29,13 +29,13 @@ class Routing(Subject):
     def add_target(self, command: c.AddTarget) -> str:
         """Add a target at a point as a job.
 
-        Outside the lumen, the structure at the point that is denser than lung is segmented as a target with a size. The
-        routes to this target are planned (:mod:`carina.session.planning`), and none is chosen until the user chooses
-        one.
+        With the cost ``lumen``, a structure at the point that is outside the lumen and denser than lung is segmented as
+        a target with a size. The routes to this target are planned (:mod:`carina.session.planning`), and the session
+        chooses none of them. Without such a structure, the path through the lumen to the point becomes the route. A
+        point at most 5 mm outside the lumen is then moved into the lumen, and the user is notified. A target farther
+        away is stored with the reason why it has no path.
 
-        Otherwise the path to the point becomes the route. With the cost ``lumen`` a point at most 5 mm outside the
-        lumen is moved into it, and the user is notified; beyond 5 mm the target is stored with the reason why it has no
-        path. With the costs ``walls`` and ``paper`` the point is not moved.
+        With the costs ``walls`` and ``paper`` the point is not moved, and the path to the point becomes the route.
         """
         case = self.core.needed_case()
         case.check_inside(command.lps)
