@@ -37,12 +37,12 @@ class ProgramCase(Protocol):
         """Write the case to one file, and return the path."""
 
     def close(self) -> None:
-        """Save the case to its file, and release everything.
+        """Save the case to its file, stop its jobs, and release its memory.
 
         Raises
         ------
         DiskError, UnsavedWorkError
-            If the file cannot be written; everything is released nevertheless.
+            If the file cannot be written; the case is closed nevertheless.
         """
 
 

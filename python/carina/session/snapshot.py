@@ -282,7 +282,7 @@ class Trouble:
 class NotEvident:
     """Report that a branch was not added, because the CT does not show an airway along its whole path.
 
-    It replaces :class:`Trouble`. The user may request the branch again as drawn by hand.
+    This event is sent instead of :class:`Trouble`. The user may request the branch again as drawn by hand.
     """
 
     job_id: str
