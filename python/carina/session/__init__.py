@@ -1,4 +1,4 @@
-"""The one owner of a case: state, commands with undo, jobs, the pose."""
+"""Sessions: the state of an open case, its commands with undo, its background jobs and the pose of the tip."""
 
 from carina.case.routes import ChosenRoute
 from carina.session.case_files import case_files

@@ -1,4 +1,4 @@
-"""What follows from airways and takes a while: their wall, for a scope that is held by it, and what they measure."""
+"""Values that jobs compute from airways: the wall field that holds a scope, and the measurements of the branches."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ __all__ = ["LumenWall", "derived_measures", "derived_wall"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LumenWall:
-    """The wall of airways, which a scope is held by."""
+    """Wall of airways, which constrains a scope in the lumen."""
 
     field: WallField
     made_from: dict[str, Any]
-    """See :attr:`carina.navigate.Pilot.wall_made_from`."""
+    """Inputs of the wall; see :attr:`carina.navigate.Pilot.wall_made_from`."""
 
 
 def derived_wall(
     volume: Volume, parts: Parts, *, jobs: JobRunner, lock: AbstractContextManager[Any]
 ) -> Derived[Airways, LumenWall]:
-    """The wall of airways in a volume."""
+    """Create the value that computes the wall of airways in a volume by a job."""
 
     def make(airways: Airways, attempt: Attempt[LumenWall]) -> LumenWall:
         field: WallField = parts.wall_field(volume, airways, progress=attempt.progress, cancel=attempt.cancel)
@@ -55,14 +55,29 @@ def derived_measures(
     measured: MeasuredAirways,
     lost: Callable[[CarinaError], None],
 ) -> Derived[Airways, TreeMeasures]:
-    """What airways in a volume measure; nothing is to be wanted where :attr:`Parts.measure_tree` is None.
+    """Create the value that computes the measurements of airways in a volume by a job.
+
+    Request no value where :attr:`Parts.measure_tree` is None.
 
     Parameters
     ----------
+    volume
+        The CT.
+    parts
+        Processing functions of the session.
+    jobs, lock
+        Job runner and lock of the session.
+    changed
+        Called when measurements are ready or cannot be computed.
     measured
-        What airways of the history measured before: none of them is measured again.
+        Measurements of earlier airways of the history, which are not computed again.
     lost
-        Told of what was kept and cannot be read: those airways are measured again.
+        Called with the error if stored measurements cannot be read; these airways are measured again.
+
+    Returns
+    -------
+    Derived
+        The measurements by airways.
     """
 
     def make(airways: Airways, attempt: Attempt[TreeMeasures]) -> TreeMeasures:
@@ -74,7 +89,7 @@ def derived_measures(
                 return _loaded(kept)
             except CarinaError as trouble:
                 lost(trouble)
-        # Branches that an edit did not touch keep their sections.
+        # Branches that an edit did not change reuse their cross-sections.
         before = attempt.before
         made = parts.measure_tree(volume, airways, previous=before, progress=attempt.progress, cancel=attempt.cancel)
         with lock:
@@ -89,7 +104,7 @@ def _loaded(kept: TreeMeasures | KeptMeasures) -> TreeMeasures:
 
 
 def _made_from(wall: WallField, airways: Any) -> dict[str, Any]:
-    """What a replay makes a wall from again: search, edits, and how to tell that it is the same."""
+    """Return the inputs from which a replay computes the same wall, and the digest that verifies the wall."""
     found = getattr(airways, "base", None) or airways
     edits = getattr(airways, "edits", ())
     return {

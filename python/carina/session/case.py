@@ -1,4 +1,4 @@
-"""The open case: its state beside the document, and its creation from a volume."""
+"""The open case: its document, and the state that is not part of the document."""
 
 from __future__ import annotations
 
@@ -59,16 +59,16 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class AskedMask:
-    """A mask of another tool that waits for an answer."""
+    """An imported segmentation mask that waits for the user's answer to a question."""
 
     asked: TakeMask
-    """With what was said so far."""
+    """The import command, with the answers given so far."""
     question: MaskQuestion
 
 
 @dataclass(frozen=True, slots=True)
 class AirwaySearch:
-    """How the search for the airways stands, for their panel."""
+    """Status of the search for the airways, as the airway panel shows it."""
 
     status: AirwayStatus = "waiting"
     words: str | None = None
@@ -76,38 +76,38 @@ class AirwaySearch:
 
 @dataclass(frozen=True, slots=True)
 class LastMove:
-    """What moved the tip last."""
+    """Cause of the last move of the tip."""
 
     by: Literal["program", "hand", "device", "key_frames", "flight"] = "program"
-    """A *hand* is a person's at mouse or keyboard; *key_frames* is the flight through the key frames, *flight* a
-    recorded one."""
+    """*hand* is a user at mouse or keyboard; *key_frames* is the flight through the key frames; *flight* is a recorded
+    flight."""
     key_frames_s: float | None = None
-    """The tip's time in that flight."""
+    """Time of the tip in the flight through the key frames, in s."""
     flight: FlightPlace | None = None
-    """The tip's time in a recorded flight."""
+    """Position of the tip in a recorded flight."""
     person_moved: bool = False
-    """A person has moved the tip, now or before: airways that are found do not move it to their root."""
+    """Whether a user has ever moved the tip; a finished airway search then does not move the tip to the root."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlownFlight:
-    """A recorded flight that has been read to be flown again."""
+    """A recorded flight in memory, for playback."""
 
     number: int
     times_s: NDArray[np.float64]
-    """(n,) ascending, the first 0."""
+    """(n,) ascending times in s; the first is 0."""
     lps_from_camera: NDArray[np.float64]
-    """(n, 4, 4), mm."""
+    """(n, 4, 4) camera poses in LPS, mm."""
 
     def pose_at(self, time_s: float) -> Pose:
-        """Where the tip was: the newest pose that is not later."""
+        """Return the newest pose whose time is not after ``time_s``."""
         n = int(np.searchsorted(self.times_s, time_s, side="right")) - 1
         return Pose(self.lps_from_camera[max(n, 0)])
 
 
 @dataclass(frozen=True, slots=True)
 class AwaitedScope:
-    """A scope that was held when the case was closed, until the wall is known that holds it."""
+    """A scope that was in the lumen when the case was closed, to be restored once the airway wall is computed."""
 
     scope: ScopeHold
     airways: Any
@@ -115,7 +115,7 @@ class AwaitedScope:
     pose: Pose
 
     def is_due(self, case: OpenCase) -> bool:
-        """Whether the tip is where it was: one that was moved meanwhile stays where it was moved to."""
+        """Return whether airways and tip are unchanged, so that the scope may be restored."""
         tip = case.navigator
         is_still = tip.mode == self.mode and np.array_equal(tip.pose.lps_from_camera, self.pose.lps_from_camera)
         return is_still and case.document.airways is self.airways
@@ -123,31 +123,31 @@ class AwaitedScope:
 
 @dataclass(slots=True)
 class ScopeInLumen:
-    """The scope that is held, or waits to be."""
+    """The scope in the lumen, or the scope that waits for the airway wall."""
 
     laid: str | None = None
-    """The one that was laid last."""
+    """Name of the scope that was last laid into the lumen."""
     awaited: AwaitedScope | None = None
-    """It is laid as soon as the wall is known."""
+    """Scope that is laid into the lumen as soon as the airway wall is computed."""
 
 
 @dataclass(slots=True)
 class CaseFlights:
-    """The recorded flights of a case; its file follows."""
+    """The recorded flights of a case in memory; the case file is updated from this object."""
 
     listed: tuple[RecordingFacts, ...] = ()
-    """In their order, with the one that is being recorded."""
+    """All flights in the order of the list, including the one that is being recorded."""
     unwritten: tuple[RecordingWriter, ...] = ()
-    """Recordings of which not all is in the file yet."""
+    """Recordings that are not yet completely in the file."""
     removed: frozenset[int] = frozenset()
-    """The numbers of those that were deleted here."""
+    """Numbers of the flights that the user deleted in this session."""
     flown: FlownFlight | None = None
-    """The one that was flown again last."""
+    """The flight that was played last."""
 
 
 @dataclass(slots=True)
 class OpenCase:
-    """All of it is guarded by the session's lock."""
+    """All state of the open case; the session's lock guards every field."""
 
     number: int
     info: CaseSnapshot
@@ -156,29 +156,29 @@ class OpenCase:
     history: History[Document]
     planning: CasePlanning
     wall: Derived[Airways, LumenWall]
-    """Of airways that a scope was to be held in."""
+    """Wall of the airways, for a scope in the lumen."""
     measures: Derived[Airways, TreeMeasures]
-    """Of the document's airways."""
+    """Measurements of the airways of the document."""
     measured: MeasuredAirways
-    """Of all airways of the history that were measured."""
+    """Measurements of all measured airways in the history."""
     outlined: Cached[Airways, LumenOutline]
-    """The outline of the newest lumen that was looked at."""
+    """Outline of the newest lumen for which an outline was requested."""
     indexed: Cached[AirwayTree, AirwayIndex]
     key_flight: Cached[tuple[KeyFrames, Airways | None], KeyFlight]
-    """The flight through the newest key frames that were asked for."""
+    """Flight through the newest key frames for which a flight was requested."""
     sights: Sights
     search: AirwaySearch = AirwaySearch()
     last_move: LastMove = LastMove()
     scope: ScopeInLumen = field(default_factory=ScopeInLumen)
     flown_route: ChosenRoute | None = None
-    """The route whose path the pilot was last given."""
+    """The route whose path was last passed to the pilot."""
     asked_mask: AskedMask | None = None
     armed_pen: ArmPen = field(default_factory=lambda: ArmPen(None))
-    """What the pen's button marks."""
+    """The kind of mark that the button of the pen sets."""
     begun_s: float = 0.0
-    """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
+    """Session time of the first work on the case, in s; it precedes the session for a stored case."""
     numbers: dict[str, int] = field(default_factory=dict)
-    """The last number that was given, by what was numbered: targets and key frames count from 1 in each case."""
+    """The last number that was given to an object of each kind; targets and key frames count from 1 in each case."""
     flights: CaseFlights = field(default_factory=CaseFlights)
 
     def next_number(self, what: str) -> int:
@@ -202,47 +202,52 @@ class OpenCase:
 
     @property
     def outline(self) -> LumenOutline | None:
-        """The outline of the lumen that the document has now; None where it has none."""
+        """Outline of the lumen of the document; None without airways."""
         airways = self.document.airways
         return None if airways is None else self.outlined.of(airways)
 
     @property
     def index(self) -> AirwayIndex | None:
-        """The centreline points of the document's tree; None where it has none."""
+        """Centreline points of the tree of the document; None without airways."""
         airways = self.document.airways
         return None if airways is None else self.indexed.of(airways.tree)
 
     @property
     def sight(self) -> Sight:
-        """Of the window that was looked through last."""
+        """Sight of the window that was used last."""
         return self.sights.latest
 
     def discard(self) -> None:
-        """Make nothing more for it, and keep nothing large: another case is open, or none."""
+        """Stop computing values for the case and release large data, because the case is being closed."""
         for derived in (self.content, self.wall, self.measures, self.planning, self.planning.lungs):
             derived.discard()
 
     @property
     def navigator(self) -> Navigator:
-        """The tip, to be read; moves go to the pilot."""
+        """The navigator of the tip, for reading; moves must go through the pilot."""
         return self.pilot.navigator
 
     @property
     def document(self) -> Document:
-        """What the person decided so far."""
+        """The present document of the history."""
         return self.history.current
 
     def follow_route(self, route: ChosenRoute) -> None:
-        """Another route without a step of undo: the hand that flies asked for it."""
+        """Set another route without an undo step, because the user chose it while flying."""
         self.history.amend_current(lambda document: replace(document, route=route))
 
     def check_inside(self, lps: Point) -> None:
         """Refuse a point outside the volume.
 
+        Parameters
+        ----------
+        lps
+            The point in LPS, mm.
+
         Raises
         ------
         UsageError
-            ``session.outside``.
+            ``session.outside``: if the point is outside the volume.
         """
         if not self.info.volume.contains_lps(np.asarray(lps, dtype=np.float64)):
             sides = zip(lps, ("L", "P", "S"), ("R", "A", "I"), strict=True)
@@ -262,9 +267,27 @@ def new_case(
     say: Callable[[str], None] = lambda _words: None,
     kept: Moment | None = None,
 ) -> OpenCase:
-    """Make a case that shows a volume: with its stored content, or before anything was found in it.
+    """Create the case of a volume, either from its stored state or without airways.
 
-    ``changed`` is told topics by its jobs, and ``say`` what is worth a line.
+    Parameters
+    ----------
+    volume
+        The CT.
+    number
+        Number of the case in this session.
+    parts, renderer_factory, jobs, lock
+        Processing functions, renderer factory, job runner and lock of the session.
+    changed
+        Called by jobs of the case with the topics that have changed.
+    say
+        Called with messages for the user.
+    kept
+        The stored state; None for a new case.
+
+    Returns
+    -------
+    OpenCase
+        The case.
     """
 
     def say_lost(trouble: CarinaError) -> None:
@@ -299,7 +322,7 @@ def new_case(
             lost=say_lost,
         ),
         measured=measured,
-        # Edits that leave the lumen as it is (a name, a smoother centreline) keep its outline.
+        # Edits that do not change the lumen (a name, a smoother centreline) reuse its outline.
         outlined=Cached(partial(LumenOutline, volume), same=lambda a, b: a.lumen_zyx is b.lumen_zyx),
         indexed=Cached(AirwayIndex),
         key_flight=Cached(lambda keys_and_airways: key_flight(volume, *keys_and_airways)),
@@ -311,11 +334,11 @@ def new_case(
 
 
 def restore(case: OpenCase, kept: Moment) -> None:
-    """Tip, search and numbers as they were; a scope is laid once the wall is known."""
+    """Restore tip, search status and numbers of a stored case; a scope is laid in once the wall is computed."""
     document = case.document
     case.flown_route = document.route
     case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
-    if kept.tip:  # a rescued case may have lost its tip
+    if kept.tip:  # The stored tip of a repaired case may be missing.
         case.navigator.restore(kept.tip, case.navigator.path)
     status: AirwayStatus = "found" if document.airways is not None else "waiting"
     if document.airways is None and kept.search_status == "failed":
@@ -329,11 +352,11 @@ def restore(case: OpenCase, kept: Moment) -> None:
 
 
 def moment_of(case: OpenCase) -> Moment:
-    """All of a case that is kept; with the session locked. It shares what is immutable."""
+    """Return all state of a case that is stored; immutable parts are shared. The caller holds the session's lock."""
     history, held, awaited = case.history, case.navigator.scope_state, case.scope.awaited
     scope = None if held is None else held.hold
     if scope is None and awaited is not None and awaited.is_due(case):
-        # A Carina that is killed before the wall is known has not forgotten it.
+        # The scope must also be restored if Carina is killed before the wall is computed.
         scope = awaited.scope
     return Moment(
         first=history.first,
@@ -351,7 +374,7 @@ def moment_of(case: OpenCase) -> Moment:
 
 
 def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
-    """Where the tip is: in which branch, how far along, how wide."""
+    """Return the pose of the tip with its branch, its distance along the route and the diameter of the lumen."""
     tip, index, document = case.navigator, case.index, case.document
     at = tip.pose.position_lps
     airways, route, path_mm = document.airways, document.route, tip.path_mm
@@ -383,6 +406,6 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
 
 
 def as_point(values: Iterable[Any]) -> Point:
-    """Three plain floats."""
+    """Return three numbers as a tuple of Python floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z

@@ -1,4 +1,4 @@
-"""The list of the user's cases: names, forgotten cases and their return, and the cache of CTs."""
+"""The list of the user's cases: renaming, forgetting and restoring cases, and the cache of CTs."""
 
 from __future__ import annotations
 
@@ -30,39 +30,39 @@ __all__ = ["CaseList", "ListedCase", "StorageInfo"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class ListedCase:
-    """A case in the list."""
+    """An entry in the list of cases."""
 
     recent_id: str
     title: str
     used_s: float
-    """Seconds since 1970; where only the day is known, its beginning."""
+    """Time of the last use in seconds since 1970; the start of the day if only the date is known."""
     num_changes: int | None = None
-    """None where nothing was kept of it but its place."""
+    """Number of changes; None if only the path of the CT is stored."""
     num_bytes: int = 0
     opens: bool = True
-    """False where its CT is not to be had."""
+    """Whether the CT of the case is available."""
     scanned_on: str | None = None
     """ISO date of the scan."""
     pictured_s: float | None = None
     begun_s: float | None = None
     named: bool = False
-    """A person has named it."""
+    """Whether the user has named the case."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class StorageInfo:
-    """What is kept beside the cases."""
+    """Stored data besides the cases: cached CTs and forgotten cases."""
 
     num_cts: int
     ct_bytes: int
     keeps_cts: Literal["on", "off", "never"]
-    """Never: the program was started so."""
+    """*never*: Carina was started without the cache."""
     forgotten: tuple[ListedCase, ...]
 
 
 class CaseList(Subject):
-    """Joins the cases that are kept with the places that were opened."""
+    """The list of stored cases and of CTs that were opened without a stored case."""
 
     def __init__(self, core: SessionCore, saving: Saving, end_recording: Callable[[], object] = lambda: None) -> None:
         super().__init__(core)
@@ -71,7 +71,7 @@ class CaseList(Subject):
         if core.store is not None and saving.cache is not None and not core.store.keeps_cts():
             saving.cache.switch(False)
 
-    # ------------------------------------------------------------ what there is
+    # ------------------------------------------------------------ content of the list
 
     def listed(self) -> tuple[ListedCase, ...]:
         """Return the cases, the one used last first; move unreadable files aside first, with a message."""
@@ -83,7 +83,7 @@ class CaseList(Subject):
         opens = self._opens(kept)
         stored = [_of_record(record, records, opens=opens(record)) for record in kept if records is not None]
         only_opened = [_of_place(case) for case in opened if case.path not in places]
-        # Stored cases keep the order of their use numbers, which no clock changes; the other entries follow by date.
+        # Stored cases are in the order of their use numbers, which no clock changes; other entries follow by date.
         return tuple(heapq.merge(stored, only_opened, key=lambda one: one.used_s, reverse=True))
 
     def _move_damaged_aside(self) -> None:
@@ -93,7 +93,7 @@ class CaseList(Subject):
             self.core.emit(Trouble("case.record", message))
 
     def _opens(self, kept: Sequence[CaseRecord]) -> Callable[[CaseRecord], bool]:
-        """Whether the CT of a case is to be had: at its place, at another case's, in its file, or cached."""
+        """Return a function that tells whether the CT of a case is at a known path, in a case file or cached."""
         if self._saving.scans is None:
             return lambda record: record.place is not None
         cts = {record.digest for record in kept if record.place is not None}
@@ -120,11 +120,11 @@ class CaseList(Subject):
 
     @property
     def open_case(self) -> tuple[str, int] | None:
-        """Id and number of the open case; None where none is kept."""
+        """ID and number of the open case; None if no case is open or the case is not stored."""
         return self._saving.open_case
 
     def picture(self, case_id: str) -> bytes | None:
-        """Return the thumbnail of a case, a JPEG; None where it has none."""
+        """Return the thumbnail of a case as JPEG; None if it has none."""
         records = self._saving.records
         return None if records is None else records.picture(case_id)
 
@@ -144,11 +144,11 @@ class CaseList(Subject):
         """
         return self._saving.save_elsewhere(case_number, path)
 
-    # ------------------------------------------------------------ what is done to it
+    # ------------------------------------------------------------ commands
 
     @does(c.RenameCase)
     def rename(self, command: c.RenameCase) -> None:
-        """Open here or closed; one that another window has open keeps its name."""
+        """Rename an open or closed case; a case that another window has open cannot be renamed."""
         records, record = self._needed(command.recent_id)
         title = None if command.title is None else command.title.strip() or None
         if not self._saving.rename(record.case_id, title) and not records.rename(record, title):
@@ -157,7 +157,7 @@ class CaseList(Subject):
 
     @does(c.ForgetCase)
     def forget(self, command: c.ForgetCase) -> None:
-        """Its CT is no longer kept either, unless another case is of the same."""
+        """Forget a case; its cached CT is deleted unless another case has the same CT."""
         place = next((one.path for one in self._opened() if one.recent_id == command.recent_id), None)
         if place is None:
             records, record = self._needed(command.recent_id)
@@ -176,7 +176,7 @@ class CaseList(Subject):
 
     @does(c.RestoreCase)
     def restore(self, command: c.RestoreCase) -> None:
-        """As it was; its CT is read from its files."""
+        """Restore a forgotten case; its CT is read from its files."""
         records = self._saving.records
         try:
             restored = None if records is None else records.restore(command.recent_id)
@@ -188,21 +188,21 @@ class CaseList(Subject):
 
     @does(c.EmptyForgotten)
     def empty_forgotten(self, _command: c.EmptyForgotten) -> None:
-        """For good."""
+        """Delete all forgotten cases permanently."""
         if self._saving.records is not None:
             self._saving.records.empty_forgotten()
         self._tell()
 
     @does(c.EmptyCtCache)
     def empty_ct_cache(self, _command: c.EmptyCtCache) -> None:
-        """No work is in it."""
+        """Delete all cached CTs, which contain no work of the user."""
         if self._saving.cache is not None:
             self._saving.cache.empty()
         self._tell()
 
     @does(c.KeepCts)
     def keep_cts(self, command: c.KeepCts) -> None:
-        """Also the next time."""
+        """Switch the cache of CTs on or off, also for later starts; switching it off deletes the cached CTs."""
         cache = self._saving.cache
         if cache is None or not cache.can_be_on:
             raise UsageError("Carina was started without the CT cache", code="case.no-cache")

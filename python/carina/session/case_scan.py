@@ -1,4 +1,4 @@
-"""The CT of a case file: where it lies now, and that it is the one."""
+"""Search for the CT of a case file, with verification of its digest and geometry."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Cancel = Callable[[], bool] | None
 
 
 def is_case_file(path: str | Path) -> bool:
-    """Whether a path is to be opened as a case; a folder of that name holds slices."""
+    """Return whether a path is opened as a case file; a folder with the suffix of case files contains slices."""
     place = Path(path)
     return place.suffix.lower() == CASE_SUFFIX and not place.is_dir()
 
@@ -33,26 +33,26 @@ def is_case_file(path: str | Path) -> bool:
 @one_line
 @dataclass(frozen=True, slots=True)
 class FoundScan:
-    """The CT of a case."""
+    """The CT of a case, and its location."""
 
     volume: Volume
     place: str | None
-    """Where it was opened from: an absolute path, or ``demo:NAME``; None where it came from a cache or the case."""
+    """Absolute path of the CT, or ``demo:NAME``; None if the CT came from the cache or the case file."""
 
 
 class CaseScans:
-    """Looks for the CTs of cases.
+    """Search for the CTs of cases.
 
     Parameters
     ----------
     cache
-        CTs that were opened before.
+        Cache of opened CTs.
     records
-        The cases of this person: they know where a CT was opened from last.
+        Records of the user's cases, which contain the last path of each CT.
     open_demo
         ``open_demo(name, progress, cancel)``, for cases of the bundled CTs.
     advice
-        What to do where a CT is not found: it ends the sentence.
+        Advice at the end of the message if a CT is not found.
     """
 
     def __init__(
@@ -69,6 +69,7 @@ class CaseScans:
         self._advice = advice
 
     def __repr__(self) -> str:
+        """Describe the search by its cache."""
         return f"CaseScans({self._cache!r})"
 
     @shows_progress
@@ -84,29 +85,37 @@ class CaseScans:
     ) -> FoundScan:
         """Open the CT of a case.
 
-        It is looked for at the place in the file, where this person opened it last, in the cache and in the file
-        itself; whatever is found is compared by digest and geometry.
+        The CT is searched at the path in the case file, at the last path of this user, in the cache and in the case
+        file itself. The digest and the geometry of a found CT must be those of the case.
 
         Parameters
         ----------
+        case
+            The open case file.
         ct
-            Where a person says that it lies; nothing else is looked at then.
+            Path of the CT given by the user; no other location is then searched.
         series
-            As of :func:`carina.open_volume`.
+            Series of a folder with several, as for :func:`carina.open_volume`.
         dropped
-            The file lies where its person did not put it, so the place in it leads nowhere.
+            Whether the case file was dropped into a window, so that its relative path to the CT is not valid.
         progress
             False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction
             is None where it is unknown.
         cancel
             Called often; the work stops when it returns True.
 
+        Returns
+        -------
+        FoundScan
+            The CT and its location.
+
         Raises
         ------
         CaseFileError
-            ``case.no-scan``: if it is nowhere.
+            ``case.no-scan``: if the CT is not found.
         VolumeImportError
-            If ``ct`` cannot be opened, or is another CT; or another lies at the place in the file, and none elsewhere.
+            If ``ct`` cannot be opened or is another CT; or if another CT is at the path in the case file and the right
+            CT is not found elsewhere.
         """
         source = case.source
         if series is None and isinstance(source.choices.get("series"), str):
@@ -152,12 +161,13 @@ class CaseScans:
     def _places(self, case: CaseFile, path: str | None, digest: str) -> list[str]:
         found: list[str] = []
         if path is not None:
-            # What a stranger wrote leads to files and folders alone, never to a device or a pipe.
+            # The case file may come from another person, so its path may lead only to files and folders, not to a
+            # device or pipe.
             beside = (case.path.absolute().parent / path).resolve()
             if beside.is_file() or beside.is_dir():
                 found.append(str(beside))
         known = (one.place for one in self._records.all() if one.digest == digest) if self._records is not None else ()
-        # Where it was opened last; a copy of the case that came without its CT knows no place.
+        # The last path of this user; a copy of the case that was opened without its CT has none.
         place = next((one for one in known if one is not None), None)
         if place is not None and place not in found:
             is_demo = place.startswith("demo:")
@@ -176,7 +186,7 @@ class CaseScans:
 
 
 def way_between(copy: Path, place: str | None) -> str | None:
-    """From the copy to its CT; None where there is none, as between two drives of Windows."""
+    """Return the relative path from a case file to its CT; None if there is none, as between two Windows drives."""
     if place is None or place.startswith("demo:"):
         return None
     try:

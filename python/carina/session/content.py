@@ -1,4 +1,4 @@
-"""What the renderer shows beside the volume, and how far it is behind what was decided."""
+"""The transfer function and the airways that the renderer shows, and whether they are those of the document."""
 
 from __future__ import annotations
 
@@ -24,24 +24,30 @@ __all__ = ["ShownContent"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decided:
-    """A decision of a person, or of a job, on what is to be shown. Each is another one, also of the same things."""
+    """Content that the renderer is to show; every request gets a new number, even if the content is equal."""
 
     number: int
     transfer: TransferFunction
     lumen_zyx: NDArray[np.uint8] | None
     tree: AirwayTree | None
-    """Of that lumen: what is fixed to anatomy is drawn by it."""
+    """Tree of that lumen; the renderer places anatomical annotations by it."""
 
 
 class ShownContent:
-    """The transfer function and the lumen that a renderer shows. A job gives it what is decided, and makes it fast.
+    """The transfer function and the lumen that a renderer shows; a job updates the renderer and builds its fast data.
 
     Parameters
     ----------
     renderer
-        Shows ``transfer`` and no lumen.
+        A renderer that shows ``transfer`` and no lumen.
+    transfer
+        The transfer function that the renderer shows at the start.
+    jobs
+        Runs the job.
+    lock
+        Lock of the session; reentrant.
     changed
-        Called with the session locked when the renderer has come to something else.
+        Called with the session locked when the renderer shows other content.
     """
 
     def __init__(
@@ -55,51 +61,51 @@ class ShownContent:
     ) -> None:
         self.renderer = renderer
         self.number = 0
-        """Grows with each change of what the renderer shows."""
+        """Number that increases with each change of the shown content."""
         self._lock = lock
         self._changed = changed
         self._decided = self._given = Decided(0, transfer, None, None)
         self._is_fast = False
-        """It has been prepared with the transfer function and the lumen that it was given last."""
+        """Whether the renderer has been prepared for its present transfer function and lumen."""
         self._come_to = 0
-        """The number of the decision that the renderer shows, or will not come closer to."""
+        """Number of the requested content that the renderer shows, or whose update failed or was stopped."""
         self._ready: Derived[Decided, bool] = Derived(
             jobs, lock, kind="display", title="preparing fast rendering", make=self._make_ready, settled=self._settled
         )
 
     @property
     def has_lumen(self) -> bool:
-        """The renderer has been given a lumen."""
+        """Whether the renderer shows a lumen."""
         return self._given.lumen_zyx is not None
 
     @property
     def is_newest(self) -> bool:
-        """It shows what was decided on, or will not come closer to it; else it is being given that."""
+        """Whether the renderer shows the requested content, or the update to this content failed or was stopped."""
         return self._come_to == self._decided.number
 
     def prepare(self) -> None:
-        """Make the renderer fast with what it shows."""
+        """Start the job that builds the renderer's data for fast rendering."""
         with self._lock:
             self._ready.want(self._decided)
 
     def follow(self, document: Document) -> None:
-        """Have the renderer show a document's transfer function and airways, with the session locked."""
+        """Update the renderer to a document's transfer function and airways; the caller holds the session's lock."""
         transfer = document.transfer
         airways = document.airways
         lumen_zyx, tree = (None, None) if airways is None else (airways.lumen_zyx, airways.tree)
-        # Also once more where a job was stopped or failed before the renderer was given them.
+        # Also repeats an update whose job was stopped or failed before the renderer received the content.
         newest = self._decided if self._ready.standing(self._decided) == "making" else self._given
         if newest.transfer is not transfer or newest.lumen_zyx is not lumen_zyx or newest.tree is not tree:
             self._decided = Decided(self._decided.number + 1, transfer, lumen_zyx, tree)
             self._ready.want(self._decided)
 
     def discard(self) -> None:
-        """Another case is open."""
+        """Stop the job, because the case is being closed."""
         self._ready.discard()
 
     def _make_ready(self, decided: Decided, attempt: Attempt[bool]) -> bool:
         given = self._given
-        # A tree with other names has other rings, and nothing that leaps depends on it.
+        # Other names in a tree change only annotations; the data for fast rendering stay valid.
         if decided.transfer is not given.transfer or decided.lumen_zyx is not given.lumen_zyx:
             self._is_fast = False
         if decided.transfer is not given.transfer:
@@ -115,13 +121,13 @@ class ShownContent:
         return True
 
     def _settled(self) -> None:
-        # Where it failed or was stopped, nothing brings the renderer further: what it shows is final.
+        # After a failure or a stop no further update follows, so the shown content is final.
         self._comes_to(self._decided)
 
     def _comes_to(self, decided: Decided) -> None:
-        """The renderer shows a decision; with the session locked."""
+        """Record which requested content the renderer shows; the caller holds the session's lock."""
         if self._come_to != decided.number:
             self._come_to = decided.number
-            # Also where it was taken back meanwhile: no picture since was sent as final.
+            # The number also increases if a change was undone meanwhile, because no image since was sent as final.
             self.number += 1
             self._changed()

@@ -43,7 +43,7 @@ from carina.session.snapshot import (
 __all__ = ["Event", "SessionCore"]
 
 Event = Changed | Trouble | NotEvident | Said | StartMarked | JobProgress | JobEnded
-# A hand that rests at the wall is counted so long, until it moves again.
+# Longest time between two moves, in s, that counts as contact with the wall.
 MAX_CONTACT_S = 10.0
 WATCHING = "session.watching"
 ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "lungs", "key_frames", "history", "pose", "views")
@@ -51,19 +51,19 @@ ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "plan", "lungs", "key
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What is being done, and for which window."""
+    """A running command, and the number of the window that sent it."""
 
     command: Command | None = None
     window: int | None = None
 
 
 _BY_NOBODY = _Asked()
-# Goes along into the jobs that a command starts: their change is a step that it made.
+# Jobs inherit this context, so a change by a job is attributed to the command that started the job.
 _asked: contextvars.ContextVar[_Asked] = contextvars.ContextVar("asked", default=_BY_NOBODY)
 
 
 class SessionCore:
-    """What every subject of a :class:`carina.session.Session` stands on."""
+    """State and services that all command handlers of a :class:`carina.session.Session` share."""
 
     def __init__(
         self,
@@ -84,31 +84,31 @@ class SessionCore:
         self._pool = None if submit else ThreadPoolExecutor(4, thread_name_prefix="carina-job")
         self.jobs = JobRunner(submit or self._submit_to_pool, self.emit, clock)
         self._listeners: list[tuple[Callable[[Event], None], int | None]] = []
-        """Each with the number of the window that it is, if it is one."""
+        """Each listener with the number of its window; None if the listener is no window."""
         self._watched: dict[int, int] = {}
-        """Of every window that ever only watched, the number of the case that it may see."""
+        """Number of the case that each observer window may see, by window number; entries are never removed."""
         self.case: OpenCase | None = None
         self.case_numbers = itertools.count(1)
         self.device_woken = threading.Event()
         self.saving: Callable[[], SavingInfo] = SavingInfo
-        """What of the open case is on the disk."""
+        """Returns the state of saving of the open case."""
         self.before_move: Callable[[], None] = lambda: None
         self.before_document: list[Callable[[OpenCase], None]] = []
-        """Done when the document has changed, before tip and renderer follow it, with the session locked..."""
+        """Functions called after a change of the document, before tip and renderer are updated; the lock is held."""
         self.after_document: list[Callable[[OpenCase], None]] = []
-        """... and after that."""
+        """Functions called after a change of the document, after tip and renderer are updated; the lock is held."""
         self.after_sight: list[Callable[[OpenCase], None]] = []
-        """Done when the sight has changed, with the session locked."""
+        """Functions called after a change of the sight; the lock is held."""
         self._pose_id = 0
         self._pose_s = clock()
         self._steered_s = 0.0
 
-    # ------------------------------------------------------------ listeners, jobs, life
+    # ------------------------------------------------------------ listeners, jobs, shutdown
 
     def subscribe(
         self, listener: Callable[[Event], None], window: int | None = None, *, watches: bool = False
     ) -> Callable[[], None]:
-        """Be told of every event, and have a sight of one's own as a window; returns the function that ends it."""
+        """Add a listener, with its own sight if it is a window, and return the function that removes it."""
         entry = listener, window
         with self.lock:
             if watches and window is not None:
@@ -127,11 +127,11 @@ class SessionCore:
         return unsubscribe
 
     def close(self) -> None:
-        """Stop all jobs and give the threads back."""
+        """Stop all jobs and end the worker threads."""
         self.jobs.close()
         if self._pool is not None:
-            # A queued job still starts, and ends at its first check. A thread that waits for a job that never started
-            # would wait without end.
+            # A queued job still starts, and ends at its first check for cancellation. Without a start it would never
+            # end, and a thread that waits for the job would wait forever.
             self._pool.shutdown(wait=True)
 
     def _submit_to_pool(self, work: Callable[[], None]) -> None:
@@ -140,11 +140,11 @@ class SessionCore:
 
     @property
     def windows(self) -> tuple[int, ...]:
-        """The windows that look at the case."""
+        """Numbers of the windows that show the case."""
         return tuple(window for _, window in self._listeners if window is not None)
 
     def refuse_watcher(self, command: Command, window: int | None) -> None:
-        """Refuse a window that only watches all but its own sight; with the session locked."""
+        """Refuse a command of an observer window that is not for its own sight; the caller holds the session's lock."""
         if window in self._watched and (self._seen_by(window) is None or command.sets not in Sight.__struct_fields__):
             raise UsageError("you are watching; you can change only your own slices, zoom and window", code=WATCHING)
 
@@ -165,7 +165,7 @@ class SessionCore:
             _asked.reset(token)
 
     def emit(self, event: Event) -> None:
-        """Tell all."""
+        """Send an event to all listeners."""
         with self.lock:
             if isinstance(event, JobEnded) and event.error is not None and not _is_asked(event.error):
                 self.answer(Trouble(event.error.code, str(event.error)))
@@ -173,7 +173,10 @@ class SessionCore:
                 listener(event)
 
     def answer(self, event: Event) -> None:
-        """Tell the window that asked, and who is none; all, where no window asked, or it is gone."""
+        """Send an event to the window of the present command and to listeners that are no window.
+
+        All listeners receive the event if the command has no window, or if its window is gone.
+        """
         with self.lock:
             asking = _asked.get().window
             for listener, window in tuple(self._listeners):
@@ -181,9 +184,17 @@ class SessionCore:
                     listener(event)
 
     def changed(self, *topics: Topic) -> None:
+        """Report to all listeners which parts of the state have changed."""
         self.emit(Changed(frozenset(topics)))
 
     def needed_case(self) -> OpenCase:
+        """Return the open case.
+
+        Raises
+        ------
+        UsageError
+            If no case is open, or the present job group belongs to another case.
+        """
         case, errand = self.case, current_errand()
         if case is None:
             raise UsageError("no case is open", code="session.no-case")
@@ -194,25 +205,25 @@ class SessionCore:
     # ------------------------------------------------------------ undo
 
     def undo(self) -> None:
-        """Take back the last change."""
+        """Undo the last change."""
         self._step(lambda history: history.undo(), "undone")
 
     def redo(self) -> None:
-        """Do the last change taken back again."""
+        """Redo the last change that was undone."""
         self._step(lambda history: history.redo(), "redone")
 
     def history(self) -> tuple[str, ...]:
-        """Labels of the steps that can be taken back, the oldest first."""
+        """Return the labels of the changes that can be undone, the oldest first."""
         with self.lock:
             return self.needed_case().history.labels
 
     def go_to_step(self, position: int) -> None:
-        """Have so many steps of the history hold.
+        """Restore the state after the first ``position`` steps of the history.
 
         Raises
         ------
         UsageError
-            If there are not so many.
+            If the history has fewer steps.
         """
         case = self.needed_case()
         with self.lock:
@@ -257,13 +268,13 @@ class SessionCore:
             document,
             now_s=now_s,
             gesture=gesture,
-            # What names a file of this machine is not kept: a case may be handed on.
+            # A command that names a file of this machine is not stored, because the case may be given to other people.
             command=None if isinstance(command, LocalCommand) else command,
             at_s=max(0.0, now_s - case.begun_s),
         )
 
     def see(self, case: OpenCase, change: Callable[[Sight], Sight]) -> None:
-        """Change the sight of the window that asks, or of all where none does; that is no step of undo."""
+        """Change the sight of the window of the present command, or of all windows if there is none; not undoable."""
         with self.lock:
             window = _asked.get().window
             works = window not in self._watched
@@ -273,7 +284,7 @@ class SessionCore:
             self.answer(Changed(frozenset({"state", "views"})))
 
     def edit(self, label: str | None, gesture: Hashable, **values: Any) -> None:
-        """Change fields of the document; nothing where they are so already."""
+        """Change fields of the document as one undoable step; do nothing if all values are equal already."""
         case = self.needed_case()
         with self.lock:
             if any(getattr(case.document, name) != value for name, value in values.items()):
@@ -282,7 +293,7 @@ class SessionCore:
     # ------------------------------------------------------------ following the document
 
     def follow(self, case: OpenCase) -> None:
-        """Bring all that depends on the document to where it is; with the session locked."""
+        """Update the tip, the renderer and all other values that depend on the document; the caller holds the lock."""
         for step in self.before_document:
             step(case)
         self._follow_document(case)
@@ -290,13 +301,13 @@ class SessionCore:
             step(case)
 
     def _follow_document(self, case: OpenCase) -> None:
-        """Bring tip and renderer to where the document is."""
+        """Update the tip and the renderer to the present document."""
         document = case.document
         airways = document.airways
         if case.flown_route is not document.route:
             before, before_mm, case.flown_route = case.flown_route, case.navigator.path_mm, document.route
             case.pilot.apply(path_move(None if airways is None else airways.tree, document.route))
-            # Choosing another route never carries the tip into an airway that it was not in.
+            # A change of the route must not move the tip into another airway.
             if before is not None and before_mm is not None and document.route is not None:
                 seat = seat_mm(before, before_mm, document.route)
                 if seat is not None and case.navigator.mode == "path":
@@ -308,16 +319,17 @@ class SessionCore:
         case.content.follow(document)
 
     def moved(self) -> None:
+        """Count a new pose, and record a program as the cause of the last move."""
         self._pose_id += 1
         self._pose_s = self.clock()
         if self.case is not None:
-            # Whoever flies by themselves says so afterwards.
+            # The callers that move the tip for a hand, a device or a recording set their cause after this call.
             self.case.last_move = LastMove(person_moved=self.case.last_move.person_moved)
 
     # ------------------------------------------------------------ moving the tip
 
     def fly(self, move: Move) -> None:
-        """Move the tip as a user or a program requests."""
+        """Apply a move to the tip, and report it as a move by hand."""
         case = self.needed_case()
         with self.lock:
             mode = case.navigator.mode
@@ -331,7 +343,7 @@ class SessionCore:
         return dt_s
 
     def after_move(self, case: OpenCase, mode: str) -> None:
-        """Announce a new pose; the caller holds the session's lock."""
+        """Report a move by hand: re-centre panned views, and notify listeners. The caller holds the session's lock."""
         is_recentred = case.sights.change(None, following_tip)
         self.moved()
         case.last_move = LastMove("hand", person_moved=True)
@@ -340,7 +352,7 @@ class SessionCore:
         else:
             self.changed("pose", "views")
 
-    # ------------------------------------------------------------ what others read
+    # ------------------------------------------------------------ state for other objects
 
     def snapshot(self, window: int | None = None) -> Snapshot:
         """Return the state without the pose, as one window shows it; by default, the window that was used last."""
@@ -372,7 +384,7 @@ class SessionCore:
             )
 
     def pose_info(self) -> PoseInfo | None:
-        """Return the newest pose and where it is; None without a case."""
+        """Return the newest pose and its position in the airways; None without a case."""
         with self.lock:
             return None if self.case is None else pose_info(self.case, self._pose_id)
 
@@ -403,5 +415,5 @@ class SessionCore:
 
 
 def _is_asked(error: CarinaError) -> bool:
-    """Whether a job's end is a question and no trouble: :class:`NotEvident` has told of it."""
+    """Return whether the error needs no message of its own, because :class:`NotEvident` has reported it."""
     return isinstance(error, NoEvidenceError)

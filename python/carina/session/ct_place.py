@@ -1,4 +1,4 @@
-"""Where the CT of the open case was opened from, for what refers to its DICOM files."""
+"""Location of the CT of the open case, for objects that refer to its DICOM files."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ DROPPED = (
 
 
 def ct_of(case: OpenCase) -> Path | References | None:
-    """What a target's file is compared with: the CT's place, else what was read when it was dropped."""
+    """Return the CT with which a target's file is compared: its path, or the references read from a dropped CT."""
     if case.planning.origin.place is not None and Path(case.planning.origin.place).exists():
         return Path(case.planning.origin.place)
     return case.planning.origin.references
 
 
 def dicom_problem(case: OpenCase) -> str | None:
-    """Why no DICOM file can refer to the CT, in words; None where one can."""
+    """Return a message why no DICOM file can refer to the CT; None if one can."""
     if case.info.volume.source.format != "dicom":
         return "the CT was not opened from DICOM files, which a DICOM object has to refer to"
     if case.planning.origin.place is None:

@@ -1,4 +1,4 @@
-"""Values that follow from others: made by a job or on the spot, and never given for inputs that are not theirs."""
+"""Values that are computed from inputs, by a job or immediately, and returned only for exactly these inputs."""
 
 from __future__ import annotations
 
@@ -19,23 +19,26 @@ Standing = Literal["unwanted", "making", "had", "failed", "stopped"]
 
 
 def identical(a: Any, b: Any) -> bool:
-    """The same object; tuples by their items. What is large is immutable, and another object is another value."""
+    """Return whether two values are the same object, or tuples of the same objects.
+
+    Large values are immutable, so a different object is treated as a different value.
+    """
     if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(identical(x, y) for x, y in zip(a, b, strict=True))
     return a is b
 
 
 class Attempt(Generic[Value]):
-    """What a function that makes a value is given beside its inputs: whom to tell how far it is, and when to stop.
+    """Progress and cancellation of one computation, passed to the function that computes a value.
 
     Parameters
     ----------
     job
-        The job that it runs in.
+        The job in which the function runs.
     is_stale
-        Whether other inputs are wanted by now.
+        Returns whether a value of other inputs has been requested since.
     before
-        The newest value, of other inputs; None where there is none. What has not changed since may be taken from it.
+        The newest value of other inputs, from which unchanged parts may be reused; None if there is none.
     """
 
     def __init__(self, job: Job, is_stale: Callable[[], bool], before: Value | None) -> None:
@@ -45,47 +48,48 @@ class Attempt(Generic[Value]):
         self.before = before
 
     def is_stale(self) -> bool:
-        """Whether other inputs are wanted, or were when this was asked before: whoever heard it may have given up."""
+        """Return whether other inputs have been requested since the start, or were at an earlier call."""
         self._was_stale = self._was_stale or self._is_stale()
         return self._was_stale
 
     def cancel(self) -> bool:
-        """Whether to stop: what long functions ask as ``cancel()``."""
+        """Return whether to stop; passed to long functions as ``cancel``."""
         return self._job.cancel() or self.is_stale()
 
     def check(self) -> None:
-        """Raise CancelledError if it is to stop."""
+        """Raise CancelledError if the computation should stop."""
         self._job.check()
         if self.is_stale():
             raise CancelledError(f"{self._job.title}: restarting")
 
     def progress(self, what: str, fraction: float | None) -> None:
-        """Tell how far it is, and :meth:`check`."""
+        """Report the progress, and raise CancelledError if the computation should stop."""
         self.check()
         self._job.progress(what, fraction)
 
 
 class Derived(Generic[Inputs, Value]):
-    """A value that a job makes from inputs, for those that are wanted now.
+    """A value that a background job computes from the inputs that were requested last.
 
-    There is one job, however often the inputs change: a change makes what it works on stale, and the same job begins
-    again with the newest. What failed or was stopped by a person is not tried again until the inputs change or
-    :meth:`again` is called.
+    At most one job runs, however often the inputs change: a change makes the running computation stale, and the same
+    job starts again with the newest inputs. A computation that failed or that the user stopped is not repeated until
+    the inputs change or :meth:`again` is called.
 
     Parameters
     ----------
     jobs
-        Runs the job, and tells its progress and its end.
+        Runs the job, and reports its progress and its end.
     lock
-        The session's; reentrant. It is not held while a value is made, and always while something here changes.
+        The session's reentrant lock. It is not held while a value is computed, and is held during every change of
+        this object.
     kind, title
-        Of the job; no other job has this kind.
+        Kind and title of the job; the kind must be unique.
     make
-        Makes the value in the background, and asks :class:`Attempt` whether to stop.
+        Computes the value in the background, and calls :class:`Attempt` to learn whether to stop.
     same
-        Whether two inputs are the same.
+        Returns whether two inputs are the same.
     settled
-        Called with the session locked, when the wanted value is had, or will not come: it failed or was stopped.
+        Called with the session locked when the requested value is available, failed or was stopped.
     """
 
     def __init__(
@@ -110,29 +114,30 @@ class Derived(Generic[Inputs, Value]):
         self._then: Callable[[Value], None] | None = None
         self._had: tuple[Inputs, Value] | None = None
         self._came_to: Literal["open", "failed", "stopped"] = "open"
-        """How it ended for the wanted inputs without a value."""
+        """Result for the requested inputs if no value was computed."""
         self._error: BaseException | None = None
         self._runs = False
         self._job_id = ""
         self._wanted_after_stop = False
-        """Other inputs were wanted after a person stopped the job, and before it ended."""
+        """Whether other inputs were requested after the user stopped the job and before the job ended."""
         self._discarded = False
 
     def __repr__(self) -> str:
+        """Describe the value by its kind and the status of the requested inputs."""
         with self._lock:
             standing = "unwanted" if self._wanted is None else self.standing(self._wanted)
             return f"Derived({self._kind!r}, {standing})"
 
-    # ------------------------------------------------------------ what is asked
+    # ------------------------------------------------------------ state
 
     def of(self, inputs: Inputs | None) -> Value | None:
-        """The value of these inputs; None where it has not been made."""
+        """Return the value of these inputs; None if it has not been computed."""
         with self._lock:
             had = self._had
             return had[1] if had is not None and self._is(inputs, had[0]) else None
 
     def standing(self, inputs: Inputs) -> Standing:
-        """What has become of these inputs."""
+        """Return the status of the computation for these inputs."""
         with self._lock:
             if self._had is not None and self._is(inputs, self._had[0]):
                 return "had"
@@ -142,21 +147,22 @@ class Derived(Generic[Inputs, Value]):
 
     @property
     def error(self) -> BaseException | None:
-        """Why the wanted value failed."""
+        """The error of the computation for the requested inputs; None if it did not fail."""
         with self._lock:
             return self._error
 
-    # ------------------------------------------------------------ what is said
+    # ------------------------------------------------------------ requests
 
     def want(self, inputs: Inputs | None, then: Callable[[Value], None] | None = None) -> None:
-        """Have the value made of these inputs, unless that is so or was tried; None wants nothing any more.
+        """Request the value of these inputs, and compute it unless it is available, failed or was stopped.
 
         Parameters
         ----------
         inputs
-            Not changed afterwards.
+            The inputs, which must not change afterwards; None withdraws the request.
         then
-            Done once, with the session locked, when the value is had: at once if it is. Forgotten if it will not come.
+            Called once with the session locked when the value is available, at once if it already is. Not called if the
+            value fails or is stopped, or if other inputs are requested.
 
         Raises
         ------
@@ -178,13 +184,13 @@ class Derived(Generic[Inputs, Value]):
             self._begin()
 
     def again(self) -> None:
-        """Forget that it failed or was stopped, since a person asks: whoever wants it next has it tried again."""
+        """Allow a failed or stopped computation to run again at the next request, because the user asked for it."""
         with self._lock:
             self._came_to, self._error = "open", None
             self._wanted_after_stop = self._wanted_after_stop or self._is_stopping()
 
     def discard(self) -> None:
-        """Stop, and hold nothing any more: the case is closed."""
+        """Stop the computation and release all values, because the case is being closed."""
         with self._lock:
             self._discarded = True
             self._wanted = self._then = self._had = self._error = None
@@ -195,11 +201,11 @@ class Derived(Generic[Inputs, Value]):
         return a is b or (a is not None and b is not None and self._same(a, b))
 
     def _is_stale(self, inputs: Inputs) -> bool:
-        """Asked without the lock, as often as a kernel likes."""
+        """Return whether other inputs are requested; called without the lock, because kernels call it often."""
         return self._wanted is not inputs
 
     def _is_open(self) -> bool:
-        """Whether the wanted value is still to be made."""
+        """Return whether the requested value is still to be computed."""
         had = self._had is not None and self._is(self._wanted, self._had[0])
         return self._wanted is not None and not had and self._came_to == "open"
 
@@ -209,7 +215,7 @@ class Derived(Generic[Inputs, Value]):
     def _begin(self) -> None:
         if self._runs or not self._is_open():
             return
-        # Before the start: a background that runs at once has ended when it returns.
+        # The flag is set before the start, because a job that runs synchronously has ended when start() returns.
         self._runs, self._wanted_after_stop = True, False
         try:
             job_id = self._jobs.start(self._kind, self._title, self._run)
@@ -237,7 +243,7 @@ class Derived(Generic[Inputs, Value]):
                 except CancelledError:
                     if not attempt.is_stale():
                         raise
-                    # Not stopped, or not that alone: newer inputs are wanted.
+                    # A newer request has cancelled this computation; the loop computes the value of the newer inputs.
                     continue
                 with self._lock:
                     job.check()
@@ -255,13 +261,13 @@ class Derived(Generic[Inputs, Value]):
             raise
 
     def _give_up(self, job: Job, attempt: Attempt[Value] | None, trouble: BaseException) -> None:
-        """The job ends without the value; with the session locked."""
+        """End the job without a value; the caller holds the session's lock."""
         self._runs = False
         if not self._is_open():
             return
         newer = self._wanted_after_stop if job.cancel() else attempt is not None and attempt.is_stale()
         if newer:
-            # What was wanted after the stop, or while something else failed, is another matter.
+            # A request after the stop or during the failed computation gets its own attempt.
             self._begin()
             return
         stopped = isinstance(trouble, CancelledError)
@@ -271,14 +277,14 @@ class Derived(Generic[Inputs, Value]):
 
 
 class Cached(Generic[Inputs, Value]):
-    """A value that is made on the spot when it is asked for, and kept for the newest inputs. Not locked by itself.
+    """A value that is computed at once when it is requested, and cached for the newest inputs; not locked.
 
     Parameters
     ----------
     make
-        Makes the value; quick.
+        Computes the value; must be quick.
     same
-        Whether two inputs are the same.
+        Returns whether two inputs are the same.
     """
 
     def __init__(self, make: Callable[[Inputs], Value], *, same: Callable[[Inputs, Inputs], bool] = identical) -> None:
@@ -287,18 +293,19 @@ class Cached(Generic[Inputs, Value]):
         self._had: tuple[Inputs, Value] | None = None
 
     def __repr__(self) -> str:
+        """Describe the cached value by its type."""
         return f"Cached({'nothing' if self._had is None else type(self._had[1]).__name__})"
 
     def of(self, inputs: Inputs) -> Value:
-        """The value of these inputs, as it was or made anew."""
+        """Return the value of these inputs, from the cache or newly computed."""
         if self._had is None or not self._same(inputs, self._had[0]):
             self._had = (inputs, self._make(inputs))
         return self._had[1]
 
     def is_of_others(self, inputs: Inputs) -> bool:
-        """Whether what is kept was made from other inputs."""
+        """Return whether the cached value was computed from other inputs."""
         return self._had is not None and not self._same(inputs, self._had[0])
 
     def forget(self) -> None:
-        """Keep nothing."""
+        """Delete the cached value."""
         self._had = None

@@ -1,4 +1,4 @@
-"""Input devices: what they say, the frames in which the tip follows them, and how they move it."""
+"""Input devices: reception of their samples, the motion of the tip after them, and their calibration."""
 
 from __future__ import annotations
 
@@ -23,12 +23,16 @@ __all__ = ["Devices"]
 
 
 class Devices(Subject):
-    """What whoever connects devices needs: samples in, frames, and what is shown.
+    """Interface for programs that connect input devices: samples, motion frames, and the state to show.
 
     Parameters
     ----------
+    core
+        Core of the session.
+    recording
+        The recorder of flights.
     do
-        Does a command: a pen's button sets roots and targets.
+        Runs a command, because the button of a pen sets roots and targets.
     """
 
     def __init__(
@@ -43,21 +47,21 @@ class Devices(Subject):
 
     @property
     def woken(self) -> threading.Event:
-        """Set when a device said something that the tip has not followed yet."""
+        """Set when a device has sent a sample that the tip has not followed yet."""
         return self.core.device_woken
 
     @property
     def recording_path(self) -> Path | None:
-        """The file that is being recorded to; None while there is none, or where it is the case's."""
+        """Path of the file of the running recording; None without one, or if it goes into the case."""
         return self._recording.path
 
     @property
     def recording_name(self) -> str | None:
-        """What the recording that runs is called: its file, or its name in the case; None while there is none."""
+        """Path of the running recording's file, or its name in the case; None without a running recording."""
         return self._recording.name
 
     def said(self, device: str, sample: Sample) -> None:
-        """A sample of a device; from any thread, as often as the device likes. Ignored while no case is open."""
+        """Accept a sample of a device, from any thread and at any rate; samples are ignored while no case is open."""
         with self.core.lock:
             case = self.core.case
             if case is None:
@@ -76,13 +80,13 @@ class Devices(Subject):
 
     @does(c.DeviceGone)
     def gone(self, command: c.DeviceGone) -> None:
-        """Nothing where no case is open."""
+        """Remove a disconnected device; do nothing while no case is open."""
         with self.core.lock:
             if self.core.case is not None:
                 self.core.case.pilot.apply(command)
 
     def frame(self) -> bool:
-        """Let the tip follow the newest sample; True while it moves without another one."""
+        """Move the tip towards the newest sample; return True while the motion continues without a further sample."""
         with self.core.lock:
             self.core.device_woken.clear()
             case = self.core.case
@@ -90,7 +94,7 @@ class Devices(Subject):
                 return False
             before, mode = case.navigator.pose, case.navigator.mode
             case.pilot.apply(moves.Frame(self.core.clock()))
-            # A hand that rests goes on speaking: a pose of the same numbers is no news, and the picture gets fine.
+            # A resting hand still sends samples; an unchanged pose is not reported, so that the image can be refined.
             if case.navigator.mode != mode or not np.array_equal(
                 case.navigator.pose.lps_from_camera, before.lps_from_camera
             ):
@@ -103,7 +107,10 @@ class Devices(Subject):
 
     @does(c.Calibrate)
     def calibrate(self, command: c.Calibrate) -> None:
-        """By pairs of points, whose residual is said; no pairs forget it."""
+        """Register a device to the patient by pairs of points, and report the residual.
+
+        Without pairs, delete the registration of the device.
+        """
         device, tracker_mm, patient_lps = command.device, command.tracker_mm, command.patient_lps
         case = self.core.needed_case()
         if not tracker_mm and not patient_lps:
@@ -117,10 +124,10 @@ class Devices(Subject):
 
     @does(c.ArmPen)
     def arm_pen(self, command: c.ArmPen) -> None:
-        """What the pen's first button sets; None lets it change the way to move.
+        """Choose what the first button of the pen sets; with None the button switches the control mode.
 
-        It is set at the pen's own tip where the pen is registered to the patient, in whatever way it moves the scope;
-        at the tip of the scope where it is not.
+        The point is set at the pen's own tip if the pen is registered to the patient, regardless of how the pen moves
+        the scope; otherwise it is set at the tip of the scope.
         """
         case = self.core.needed_case()
         with self.core.lock:
@@ -128,7 +135,7 @@ class Devices(Subject):
             case.pilot.apply(command)
 
     def info(self) -> DevicesInfo | None:
-        """Devices that said something and how they move the tip; None without a case."""
+        """Return the known devices and how they move the tip; None without a case."""
         with self.core.lock:
             if self.core.case is None:
                 return None
@@ -136,12 +143,12 @@ class Devices(Subject):
             return DevicesInfo(pilot.control, pilot.controls, pilot.devices())
 
     def pen(self) -> PenState | None:
-        """The pen that moves the tip and the point that its button marks; None where none does."""
+        """Return the pen that moves the tip and the point that its button marks; None if no pen does."""
         with self.core.lock:
             return None if self.core.case is None else self.core.case.pilot.pen()
 
     def _mark(self, case: OpenCase, pen: str, tool: str) -> None:
-        """The armed pen's button, with the session locked."""
+        """Run the command of the armed pen's button; the caller holds the session's lock."""
         own = case.pilot.pen_lps(pen)
         place = as_point(case.navigator.pose.position_lps if own is None else own)
         try:
@@ -155,7 +162,7 @@ class Devices(Subject):
             self.core.emit(Trouble(trouble.code, str(trouble)))
 
     def _take_way(self, case: OpenCase, branch_id: int) -> None:
-        """The route goes on through another branch, as the hand on a device asked for at a fork."""
+        """Continue the route through another branch, which the user chose at a fork with a device."""
         airways = case.document.airways
         if airways is None or all(branch.id != branch_id for branch in airways.tree.branches):
             return

@@ -28,13 +28,14 @@ MAX_BYTES = 1 << 16
 
 
 class Door(FrozenValue, frozen=True):
-    """The address of a running Carina on this machine, and the token for programs; without both it has no door."""
+    """Address of a running Carina process on this machine and its access token; both are None if it has none."""
 
     url: str | None = None
-    """Such as ``ws://127.0.0.1:8000/join``."""
+    """WebSocket address, such as ``ws://127.0.0.1:8000/join``."""
     token: str | None = None
 
     def __repr__(self) -> str:
+        """Describe the address without the token."""
         return f"Door({as_words(self.url)})"
 
 
@@ -53,13 +54,13 @@ def open_door(folder: Path, door: Door) -> None:
 
 
 def close_door(folder: Path) -> None:
-    """By the owner of the case, before another may own it; also one that a crash has left."""
+    """Delete the address file of a case, or one that a crash left, before another process may own the case."""
     with contextlib.suppress(OSError):
         (folder / DOOR).unlink()
 
 
 def read_door(folder: Path) -> Door | None:
-    """Return the connection details in a folder; None without a readable file. The owner may have ended."""
+    """Return the connection details in a folder, or None without a readable file; the owner may have ended since."""
     with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
         plain = json.loads(read_regular_text(folder / DOOR, max_bytes=MAX_BYTES))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:

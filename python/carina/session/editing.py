@@ -1,4 +1,4 @@
-"""Mending the airway tree in a session: each edit is a job, one step of undo, and takes targets and route with it."""
+"""Commands that edit the airway tree; each edit is a job and an undo step, and updates targets and route."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 __all__ = ["MAX_AIRWAYS_KEPT", "TreeEditing", "airway_words", "found_airways"]
 
 MAX_AIRWAYS_KEPT = 4
-"""Airways of searches that undo can go back to: a lumen and its tracker take some hundred megabytes."""
+"""Number of segmented airways that undo can restore; a lumen and its tracker take some hundred megabytes."""
 NUM_EDITS_WHOLE = 6
-"""Edited airways round the present ones that are kept whole; those farther back are folded, and built again by undo."""
+"""Number of edited airways near the present step that stay unpacked; undo computes packed airways again."""
 LOOK_S = 0.05
-"""How often an edit that waits for the one before it looks whether it was stopped."""
+"""Interval, in s, at which an edit that waits for an earlier edit checks whether it was stopped."""
 
 
 class TreeEditing(Subject):
@@ -41,12 +41,12 @@ class TreeEditing(Subject):
 
     @does(c.EditTree)
     def edit_tree(self, command: c.EditTree) -> str:
-        """Make one edit as a job; undoable with a label in words (``cut RB3``).
+        """Make one edit as a job, undoable under a label such as ``cut RB3``.
 
-        Targets are tracked again, and a route to what the edit took away goes with it, which is said. Edits that are
-        asked for while another one is made follow it. The job fails in words where the edit cannot be made; nothing is
-        changed then. Where a branch is to be added and the CT shows no wall along its way,
-        :class:`carina.session.NotEvident` asks.
+        The paths to targets are searched again. A route to a deleted branch or target is removed, and the user is
+        notified. Edits that are requested during another edit follow it. If an edit is impossible, the job fails with a
+        message and nothing changes. If a branch is to be added and the CT shows no wall along its path, the session
+        sends :class:`carina.session.NotEvident`, which asks the user.
         """
         edit = command.edit
         case = self.core.needed_case()
@@ -62,7 +62,7 @@ class TreeEditing(Subject):
                 self._edit_now(case, edit, job)
             except NoEvidenceError as doubt:
                 if not isinstance(edit, AddBranch):
-                    # Nothing can be drawn in its place: no question, but an answer.
+                    # Only a branch can be drawn by hand, so other edits end with an error and not with a question.
                     raise NoResultError(str(doubt), code=doubt.code) from doubt
                 self.core.answer(NotEvident(job.job_id, edit.lps, doubt))
                 raise
@@ -72,7 +72,7 @@ class TreeEditing(Subject):
         return self.core.jobs.start(f"edit {number}", words, work)
 
     def unfold(self, case: OpenCase) -> None:
-        """Build the airways again that undo came back to, with the session locked."""
+        """Compute packed airways that undo has restored; the caller holds the session's lock."""
         airways: Any = case.document.airways
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold()
@@ -80,7 +80,7 @@ class TreeEditing(Subject):
             case.measured.became(airways, whole)
 
     def fold(self, case: OpenCase) -> None:
-        """Fold the airways of steps that are far from the present one, with the session locked."""
+        """Pack the airways of steps far from the present one; the caller holds the session's lock."""
         folded: dict[int, Any] = {}
 
         def fold(document: Document) -> Document:
@@ -112,7 +112,8 @@ class TreeEditing(Subject):
             route = followed_route(edited, before.route, targets)
             with self.core.lock:
                 job.check()
-                # Undo, a new target or another route may have come meanwhile: the edit is made to what is there now.
+                # The document may have changed since (undo, new target, other route); the edit then runs on the present
+                # document.
                 now = case.document
                 if now.airways is airways and now.targets == before.targets and now.route is before.route:
                     self._put_edit(case, label, replace(now, airways=edited, targets=targets, route=route))
@@ -123,9 +124,9 @@ class TreeEditing(Subject):
                 self._put_names(case, edited, named)
 
     def _put_names(self, case: OpenCase, edited: Any, named: Any) -> None:
-        """Names follow the edit: part of its step, wherever undo has taken the document meanwhile."""
+        """Add the branch names to the step of their edit, even if undo has changed the present document meanwhile."""
         case.history.amend(lambda document: _with_names(document, edited, named))
-        # Nothing is measured by its name.
+        # Measurements do not depend on names.
         case.measured.became(edited, named)
         if self.core.case is case:
             self.core.follow(case)
@@ -163,7 +164,7 @@ def airway_words(airways: Any) -> str | None:
 
 
 def _lost(before: Document, after: Document) -> list[str]:
-    """Return a line for each path and route that an edit removed."""
+    """Return a message for each path and route that an edit removed."""
     lines = [
         f"there is no longer a path to {new.name}: {new.problem}"
         for old, new in zip(before.targets, after.targets, strict=True)
@@ -188,6 +189,6 @@ def _needed_airways(document: Document) -> Any:
 
 
 def _points_of(edit: TreeEdit) -> tuple[tuple[float, float, float], ...]:
-    """Return the points of an edit that must lie in the scan; a stroke may run over its edge."""
+    """Return the points of an edit that must lie inside the scan; a stroke may leave the scan."""
     point = getattr(edit, "lps", None)
     return () if point is None else (point,)

@@ -1,4 +1,4 @@
-"""What was asked for, with all jobs that go on with it: whoever asked waits for these, and hears their trouble."""
+"""Groups of the jobs that one command starts; a caller can wait for the group and receive its errors."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from carina.errors import CarinaError
 
 __all__ = ["Errand", "current_errand"]
 
-# Goes along into the jobs that are started meanwhile, and into those that they start.
+# Jobs inherit this context, so jobs that a job starts belong to the same group.
 _current: contextvars.ContextVar[Errand | None] = contextvars.ContextVar("errand", default=None)
 
 
 class Errand:
-    """Something that was asked for, and the jobs that go on with it: those that it starts, and those that these start.
+    """A command and all jobs that it starts, directly or through other jobs.
 
     Parameters
     ----------
     case_number
-        The case that it is about: with another one open it is refused, never done to that one. None is any case.
+        Number of the case to which the command applies; the command is refused while another case is open. None
+        allows any case.
     """
 
     def __init__(self, case_number: int | None = None) -> None:
@@ -31,11 +32,12 @@ class Errand:
         self._errors: list[CarinaError] = []
 
     def __repr__(self) -> str:
+        """Describe the group by its number of running jobs."""
         return f"Errand({self._num_running} jobs)"
 
     @contextlib.contextmanager
     def doing(self) -> Iterator[None]:
-        """What is started here belongs to it."""
+        """Add every job that is started in this context to the group."""
         token = _current.set(self)
         try:
             yield
@@ -43,12 +45,12 @@ class Errand:
             _current.reset(token)
 
     def job_began(self) -> None:
-        """A job goes on with it."""
+        """Count a started job."""
         with self._changed:
             self._num_running += 1
 
     def job_ended(self, error: CarinaError | None) -> None:
-        """One of them has ended."""
+        """Count a finished job and store its error."""
         with self._changed:
             self._num_running -= 1
             if error is not None:
@@ -56,17 +58,17 @@ class Errand:
             self._changed.notify_all()
 
     def failed(self, error: CarinaError) -> None:
-        """Something was refused at once."""
+        """Store the error of a command that failed before it started a job."""
         with self._changed:
             self._errors.append(error)
 
     def wait(self) -> tuple[CarinaError, ...]:
-        """Wait until no job goes on with it; the trouble that there was, in its order."""
+        """Wait until no job of the group runs, and return the errors in the order in which they occurred."""
         with self._changed:
             self._changed.wait_for(lambda: not self._num_running)
             return tuple(self._errors)
 
 
 def current_errand() -> Errand | None:
-    """What is being done now; None where nobody waits for it."""
+    """Return the job group of the present context; None outside a group."""
     return _current.get()

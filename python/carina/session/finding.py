@@ -1,4 +1,4 @@
-"""Airways for the open case: found in the CT, or taken from a mask of another tool; each a job and one step of undo."""
+"""Commands that create the airways of the open case, from the CT or from an imported segmentation, as jobs."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies 
 
 
 class AirwayFinding(Subject):
-    """The commands that put other airways in the place of the present ones."""
+    """Commands that replace the airways of the case; each runs as a job and forms one undo step."""
 
-    # ------------------------------------------------------------ in the CT
+    # ------------------------------------------------------------ segmentation of the CT
 
     @does(c.SetRoot)
     def set_root(self, command: c.SetRoot) -> str:
-        """As a job; undoable once found."""
+        """Segment the airways from a root point, as a job; the change can be undone once the airways are found."""
         root_lps = command.lps
         case = self.core.needed_case()
         case.check_inside(root_lps)
@@ -44,31 +44,34 @@ class AirwayFinding(Subject):
 
     @does(c.SetLumenThreshold)
     def set_lumen_threshold(self, command: c.SetLumenThreshold) -> str:
-        """As a job; None is the tracker's choice."""
+        """Segment the airways with another lumen threshold, as a job; None uses the automatic threshold."""
         value = command.value
         case = self.core.needed_case()
         airways = case.document.airways
         root = None if airways is None else as_point(airways.root_lps)
         wanted = case.info.scale.threshold if value is None else value
         if airways is None:
-            # Kept even if nothing is found with it: a root that is clicked next must search with this threshold.
+            # The threshold is stored even if the search finds nothing, because the next search must use it.
             with self.core.lock:
                 case.history.amend_current(lambda d: replace(d, lumen_threshold=wanted))
                 self.core.changed("state")
         return self.start(case, root, wanted, label="set the lumen threshold")
 
-    # ------------------------------------------------------------ from another tool
+    # ------------------------------------------------------------ imported segmentation
 
     @answers(c.MaskFileNeeded)
     def mask_file_needed(self, _question: c.MaskFileNeeded) -> bool:
-        """While a job reads it, or a question is open."""
+        """Return whether the imported file is still needed, because a job reads it or a question about it is open."""
         with self.core.lock:
             asked = self.core.case is not None and self.core.case.asked_mask is not None
             return asked or any(job.kind == "mask" for job in self.core.jobs.running)
 
     @does(c.TakeMask)
     def take_mask(self, command: c.TakeMask) -> str:
-        """Read and placed first, then its tree, as jobs. They fail in words where the file is no mask of the scan."""
+        """Import a segmentation: one job reads and resamples the mask, and another one builds its tree.
+
+        The jobs fail with a message if the file is no mask of the scan.
+        """
         path, label, resample = command.path, command.label, command.resample
         case = self.core.needed_case()
         with self.core.lock:
@@ -94,7 +97,13 @@ class AirwayFinding(Subject):
 
     @does(c.AnswerMask)
     def answer_mask(self, command: c.AnswerMask) -> str:
-        """What was said before holds on; UsageError if nothing is asked."""
+        """Continue an import with the user's answer to a question; earlier answers remain valid.
+
+        Raises
+        ------
+        UsageError
+            If no question is open.
+        """
         open_question = self.core.needed_case().asked_mask
         if open_question is None:
             raise UsageError(
@@ -106,7 +115,7 @@ class AirwayFinding(Subject):
 
     @does(c.DismissMask)
     def dismiss_mask(self, _command: c.DismissMask) -> None:
-        """The airways stay as they are."""
+        """Cancel the import; the airways are unchanged."""
         case = self.core.needed_case()
         with self.core.lock:
             self.core.jobs.cancel_kinds("mask")
@@ -118,20 +127,20 @@ class AirwayFinding(Subject):
             self.core.changed("state")
 
     def follow(self, case: OpenCase) -> None:
-        """The panel of the airways after a change, with the session locked."""
-        # Undo may lead to other airways, or to none. A search under way says for itself how it ends.
+        """Update the airway panel after a change; the caller holds the session's lock."""
+        # Undo may restore other airways or none; a running search updates the panel when it ends.
         airways = case.document.airways
         if airways is not None and case.search.status in {"found", "failed"}:
             case.search = AirwaySearch("found", airway_words(airways))
         elif airways is None and case.search.status == "found":
             case.search = AirwaySearch("failed", f"this step of the history has no airways. {SET_THE_ROOT}")
 
-    # ------------------------------------------------------------ both
+    # ------------------------------------------------------------ common steps
 
     def _start_airways_of(self, case: OpenCase, mask: Mask) -> None:
-        """The tree of a mask. Its paths begin in its trachea; where that is not in it, at the root that is known."""
+        """Build the tree of a mask from its trachea, or from the known root if the mask contains no trachea."""
         known = case.document.airways
-        # Without the file's name, which may be a patient's: the notes go along with the case wherever it goes.
+        # The notes, which are stored with the case, omit the file name, because it may contain a patient's name.
         told = ("the airway lumen is an imported segmentation", *mask.notes)
 
         def find(job: Job) -> Any:
@@ -154,7 +163,7 @@ class AirwayFinding(Subject):
         )
 
     def start(self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None) -> str:
-        """Look for them as a job. ``label`` None: nobody asked, it is part of opening."""
+        """Search for the airways as a job; ``label`` is None if the search is part of opening the case."""
 
         def find(job: Job) -> Any:
             return self.core.parts.find_airways(
@@ -180,7 +189,7 @@ class AirwayFinding(Subject):
                 self._keep_airways(case, trouble, job)
                 if case.document.airways is not None or not isinstance(trouble, TrackingError):
                     raise
-                # The panel of the airways says it; an error on top would say the same thing twice.
+                # The airway panel shows this error, so a second message is not sent.
 
         with self.core.lock:
             case.search = AirwaySearch("finding")
@@ -188,10 +197,10 @@ class AirwayFinding(Subject):
             return self.core.jobs.start("airways", title, work)
 
     def _keep_airways(self, case: OpenCase, trouble: BaseException, job: Job) -> None:
-        """After a search that found nothing: what was there stays, else the panel says why there is nothing."""
+        """Retain the present airways after a search without result; without airways, show the reason in the panel."""
         with self.core.lock:
             if any(other.kind == "airways" and other is not job for other in self.core.jobs.running):
-                return  # A newer search runs in its place.
+                return  # A newer search replaces this one.
             if case.document.airways is not None:
                 case.search = AirwaySearch("found", airway_words(case.document.airways))
             else:
@@ -201,7 +210,7 @@ class AirwayFinding(Subject):
                 self.core.changed("state")
 
     def _take_airways(self, case: OpenCase, airways: Any, threshold: float | None, label: str | None, job: Job) -> None:
-        """Put found airways in place, with paths to the targets; ``label`` makes it a change that can be undone."""
+        """Set the found airways with paths to the targets; with a ``label`` the change can be undone."""
         branch_id = default_branch_id(airways.tree)
         default_route = None if branch_id is None else route_to_branch(airways.tree, branch_id)
         targets: tuple[Target, ...] = ()
@@ -214,7 +223,7 @@ class AirwayFinding(Subject):
                     self._put_airways(case, found, default_route, label)
                     return
                 asked = case.document.targets
-            # Not under the lock: a path may take a while, and meanwhile a person may add or remove targets.
+            # The paths are searched without the lock: a search takes a while, and the user may edit targets meanwhile.
             targets = tuple(tracked_target(airways, target) for target in asked)
 
     def _put_airways(
@@ -226,7 +235,7 @@ class AirwayFinding(Subject):
         found = replace(found, route=route)
         airways, threshold = found.airways, found.lumen_threshold
         if label is None:
-            # Earlier documents of this case have no airways; undoing a change must not take them away.
+            # Earlier documents of this case have no airways; undo of a change must not remove the airways.
             case.history.amend(lambda d: replace(d, airways=airways, lumen_threshold=threshold, route=default_route))
             case.history.amend_current(lambda _: found)
         else:
@@ -252,6 +261,6 @@ def _question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestio
 
 
 def _suggested(labels: tuple[MaskLabel, ...]) -> int | None:
-    """The label whose name says that it is the airway, if one alone does."""
+    """Return the number of the only label whose name denotes the airway; None if none or several do."""
     named = [label.number for label in labels if label.name and AIRWAY_NAMES.search(label.name)]
     return named[0] if len(named) == 1 else None

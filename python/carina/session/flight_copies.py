@@ -1,4 +1,4 @@
-"""The recorded flights of a case whose disk refuses, for a file elsewhere."""
+"""Recorded flights of a case whose disk refuses writes, collected for a file on another disk."""
 
 from __future__ import annotations
 
@@ -17,20 +17,36 @@ logger = logging.getLogger(__name__)
 
 
 def flight_count(number: int) -> str:
-    """For a message."""
+    """Return the number of recorded flights as words for a message."""
     return "1 recorded flight" if number == 1 else f"{number} recorded flights"
 
 
 def whole_flights(
     file: KeptFile | None, listed: Sequence[RecordingFacts], writers: Sequence[RecordingWriter], within_s: float
 ) -> tuple[tuple[WholeRecording, ...], int]:
-    """Those whose lines are in memory, or can be read within a time, and how many are not among them.
+    """Collect the flights that are in memory or can be read within a time limit.
 
-    A full disk, or one that cannot be written, can still be read; one that is silent cannot, and is not waited for.
+    A full or read-only disk can still be read. A disk that does not respond cannot; the call returns after the limit.
+
+    Parameters
+    ----------
+    file
+        The live file; None if there is none.
+    listed
+        The flights of the case.
+    writers
+        Recordings that are not yet completely in the file.
+    within_s
+        Time limit for reading, in s.
+
+    Returns
+    -------
+    tuple
+        The collected flights in the order of the list, and the number of flights that are missing.
     """
     found: dict[int, WholeRecording] = {}
     by_number = {writer.number: writer for writer in writers}
-    # Nothing of these is in the file: what is only in memory waits for no disk, wherever it stands in the list.
+    # Flights that are only in memory come first, because they need no disk.
     for facts in listed:
         writer = by_number.get(facts.recording_id)
         num_kept, waiting = (1, "") if writer is None else writer.waiting()
@@ -59,7 +75,7 @@ def whole_flights(
 
 
 def _text(file: KeptFile | None, number: int, writer: RecordingWriter | None) -> str:
-    """All lines that there are: those in the file, then those that are not yet."""
+    """Return all lines of a flight: those in the file, followed by those that are only in memory."""
     while True:
         num_kept, waiting = (1, "") if writer is None else writer.waiting()
         if num_kept == 0:
@@ -67,6 +83,6 @@ def _text(file: KeptFile | None, number: int, writer: RecordingWriter | None) ->
         if file is None:
             raise CarinaError("its file is not there", code="case.not-saved")
         kept = file.recording_text(number)
-        # Else the disk has taken some of it meanwhile: all of a call of `CaseFile.keep_recording` or none, by its lock.
+        # The count differs if the file has taken lines meanwhile; `CaseFile.keep_recording` writes all of them or none.
         if writer is None or writer.waiting()[0] == num_kept:
             return kept + waiting

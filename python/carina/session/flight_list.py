@@ -1,4 +1,4 @@
-"""The recorded flights of a case as they are shown."""
+"""The recorded flights of a case in the form that windows show."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from carina.session.snapshot import FlightInfo, SavingInfo
 __all__ = ["flight_list"]
 
 MAX_SHOWN_CHARS = 4000
-"""Of a name or a description that another program wrote."""
+"""Largest shown length of a name or a description, which another program may have written."""
 
 
 def flight_list(case: OpenCase, saving: SavingInfo) -> tuple[FlightInfo, ...]:
-    """In their order; with the session locked."""
+    """Return the recorded flights in their order; the caller holds the session's lock."""
     running = {recording.number for recording in case.flights.unwritten if not recording.closed}
     return tuple(
         FlightInfo(

@@ -1,7 +1,7 @@
-"""Commands about recorded flights: what they are called, their order, and which there are.
+"""Commands for recorded flights: name, description, order, deletion and playback.
 
-They belong to the case and not to its document: no undo takes a flight away or brings one back. The list is changed
-in memory, at once; the case file follows it as it follows all else.
+Flights belong to the case and not to its document, so undo does not change them. A command changes the list in memory
+at once; the case file is updated like all other content of the case.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ __all__ = ["Flights", "needed_flight", "running_flight"]
 
 
 class Flights(Subject):
-    """The list of the case's recorded flights, and flying one again.
+    """The list of the recorded flights of a case, and their playback.
 
     Parameters
     ----------
     core
-        Of the session.
+        Core of the session.
     text
-        The lines of a flight, by its number; it may wait for the disk.
+        Returns the lines of a flight by its number; the call may wait for the disk.
     """
 
     def __init__(self, core: SessionCore, text: Callable[[int], str]) -> None:
@@ -45,7 +45,7 @@ class Flights(Subject):
 
     @does(c.RenameFlight)
     def rename(self, command: c.RenameFlight) -> None:
-        """Also while it is being recorded."""
+        """Rename a flight, also while it is being recorded."""
         name = command.name.strip()
         if not name:
             raise UsageError("a flight needs a name", code="session.flights")
@@ -53,12 +53,12 @@ class Flights(Subject):
 
     @does(c.DescribeFlight)
     def describe(self, command: c.DescribeFlight) -> None:
-        """Also while it is being recorded."""
+        """Set the description of a flight, also while it is being recorded."""
         self._change(command.number, words=command.words.strip())
 
     @does(c.MoveFlight)
     def move(self, command: c.MoveFlight) -> None:
-        """Nothing beyond the ends of the list."""
+        """Move a flight in the order of the list, at most to either end."""
         case = self.core.needed_case()
         with self.core.lock:
             flights = list(case.flights.listed)
@@ -70,7 +70,7 @@ class Flights(Subject):
 
     @does(c.RemoveFlight)
     def remove(self, command: c.RemoveFlight) -> None:
-        """UsageError while it is being recorded."""
+        """Delete a flight; UsageError while it is being recorded."""
         case = self.core.needed_case()
         with self.core.lock:
             flight = needed_flight(case, command.number)
@@ -84,7 +84,10 @@ class Flights(Subject):
 
     @does(c.FlyFlight)
     def fly(self, command: c.FlyFlight) -> str | None:
-        """As a job where it has to be read; a hand that moves the tip meanwhile is not thrown back."""
+        """Play a flight: place the tip at a time of the flight, which a job reads first if necessary.
+
+        The job does not place the tip if the user has moved it since the command.
+        """
         number, case = command.number, self.core.needed_case()
         with self.core.lock:
             flight = needed_flight(case, number)
@@ -99,7 +102,7 @@ class Flights(Subject):
                 self._fly(case, case.flights.flown, command.time_s)
                 return None
             before = case.last_move
-            # What no file has yet needs no disk.
+            # A flight that is only in memory is played without the disk.
             waiting = [one.waiting() for one in case.flights.unwritten if one.number == number]
 
         def work(job: Job) -> None:
@@ -116,7 +119,7 @@ class Flights(Subject):
         return self.core.jobs.start("flight", "reading the flight", work)
 
     def _fly(self, case: OpenCase, flown: FlownFlight, time_s: float) -> None:
-        """With the session locked."""
+        """Place the tip at a time of a flight in memory; the caller holds the session's lock."""
         place_s = min(time_s, needed_flight(case, flown.number).length_s)
         self.core.fly(place_pose(flown.pose_at(place_s)))
         case.last_move = replace(case.last_move, by="flight", flight=FlightPlace(flown.number, place_s))
@@ -135,12 +138,12 @@ class Flights(Subject):
 
 
 def needed_flight(case: OpenCase, number: int) -> RecordingFacts:
-    """The flight with a number; with the session locked.
+    """Return the flight with a number; the caller holds the session's lock.
 
     Raises
     ------
     UsageError
-        ``session.flights``: if there is none.
+        ``session.flights``: if there is no such flight.
     """
     for flight in case.flights.listed:
         if flight.recording_id == number:
@@ -149,5 +152,5 @@ def needed_flight(case: OpenCase, number: int) -> RecordingFacts:
 
 
 def running_flight(case: OpenCase) -> int | None:
-    """The number of the flight that is being recorded into the case; with the session locked."""
+    """Return the number of the flight that is being recorded into the case; the caller holds the session's lock."""
     return next((one.number for one in case.flights.unwritten if not one.closed), None)

@@ -1,4 +1,4 @@
-"""Commands that move the tip. Every one goes through the case's :class:`carina.navigate.Pilot`."""
+"""Commands that move the tip; every move goes through the :class:`carina.navigate.Pilot` of the case."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ STRAIGHT_TO_THE_PILOT = (
     c.Steer, c.GoTo, c.NextFork, c.PreviousFork, c.PlacePose, c.LevelHorizon, c.ResetLook,
     c.TakeDevice, c.SetControl, c.CycleControl, c.SetControls, c.JoinPen,
 )  # fmt: skip
-"""Commands that are moves as they are: :meth:`carina.session.core.SessionCore.fly` does them."""
+"""Commands that are moves themselves; :meth:`carina.session.core.SessionCore.fly` runs them."""
 
 
 def place_pose(pose: Pose) -> c.PlacePose:
-    """The command that brings the tip to a pose."""
+    """Return the command that places the tip at a pose."""
     return c.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
 
 
 def view_words(document: Document, sight: Sight) -> dict[str, Any]:
-    """How the airway view is shown, as a recording keeps it."""
+    """Return the settings of the airway view under the names of the recording format."""
     look = document.look
     return {
         "scope": look.scope,
-        # The word of the file format.
+        # "mask" is the name in the file format.
         "mask": look.outline,
         "fov_deg": float(look.fov_deg),
         "shading": sight.shading,
@@ -45,7 +45,7 @@ def view_words(document: Document, sight: Sight) -> dict[str, Any]:
 
 
 class Flying(Subject):
-    """Commands that need more than the pilot: a case's airways, its wall, its box."""
+    """Commands that move the tip and also need the airways, their wall or the volume of the case."""
 
     def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
         super().__init__(core)
@@ -53,7 +53,7 @@ class Flying(Subject):
 
     @does(c.SetMode)
     def set_mode(self, command: c.SetMode) -> None:
-        """A scope in the lumen is laid once the wall is known (a job)."""
+        """Set the mode of movement; a job computes the wall before a scope is laid into the lumen."""
         case = self.core.needed_case()
         if command.mode != "scope":
             self.core.fly(command)
@@ -62,19 +62,19 @@ class Flying(Subject):
 
     @does(c.ToggleMode)
     def toggle_mode(self, command: c.ToggleMode) -> None:
-        """With a device in the hand the next of absolute, relative and path."""
+        """Switch the mode of movement; with a device in use, cycle through absolute, relative and path control."""
         pilot = self.core.needed_case().pilot
         self.core.fly(command if pilot.holder is None else c.CycleControl())
 
     @does(c.Place)
     def place(self, command: c.Place) -> None:
-        """Inside the volume only."""
+        """Move the tip to a point inside the volume."""
         self.core.needed_case().check_inside(command.lps)
         self.core.fly(command)
 
     @does(c.ShowPlace)
     def show_place(self, command: c.ShowPlace) -> None:
-        """Without airways only the crosshair moves."""
+        """Move the crosshair to a point and place the tip before it; without airways only the crosshair moves."""
         lps = command.lps
         case = self.core.needed_case()
         case.check_inside(lps)
@@ -82,6 +82,6 @@ class Flying(Subject):
         pose = None if airways is None else pose_before_place(airways, case.info.volume, lps, command.branch_id)
         if pose is not None:
             self.core.fly(place_pose(pose))
-            # As the operator stands.
+            # The horizon is levelled for the position of the operator.
             self.core.fly(c.LevelHorizon())
         self.core.see(case, lambda sight: msgspec.structs.replace(sight, crosshair_lps=lps))

@@ -1,4 +1,4 @@
-"""A session beside the process that owns its case: it shows what is done there, and goes on when that one has gone."""
+"""Commands of a session that mirrors a case of another process, and takes the case over when that process ends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Following"]
 
 
 class Following(Subject):
-    """Document, history, tip and numbers are the owner's; how the case is looked at is this session's own."""
+    """Mirror of a case: document, history, tip and numbers come from the owner; the sight belongs to this session."""
 
     def __init__(self, core: SessionCore, finding: AirwayFinding, holding: ScopeHolding, saving: Saving) -> None:
         super().__init__(core)
@@ -28,7 +28,7 @@ class Following(Subject):
 
     @does(c.FollowMoment)
     def follow_moment(self, command: c.FollowMoment) -> None:
-        """What is the same object as before is not made again."""
+        """Replace the state of the case by a newer one; objects that are identical in both are not computed again."""
         case, moment = self.core.needed_case(), command.moment
         with self.core.lock:
             self._become(case, moment)
@@ -37,7 +37,13 @@ class Following(Subject):
 
     @does(c.TakeOver)
     def take_over(self, command: c.TakeOver) -> None:
-        """UsageError ``case.open`` while another process has it."""
+        """Become the owner of the case.
+
+        Raises
+        ------
+        UsageError
+            ``case.open`` if another process has the case open.
+        """
         case, records = self.core.needed_case(), self._saving.records
         record = None if records is None else records.find(command.case_id)
         if record is None:
@@ -58,11 +64,11 @@ class Following(Subject):
             self.core.changed(*ALL_TOPICS, "flights")
         self._holding.resume(case)
         if case.search.status == "waiting":
-            # Its owner went while it was looking for them.
+            # The owner ended before its search for the airways finished.
             self._finding.start(case, None, case.info.scale.threshold, label=None)
 
     def _become(self, case: OpenCase, moment: Moment) -> None:
-        """With the session locked."""
+        """Replace history, measurements and tip of the case by a stored state; the caller holds the session's lock."""
         before, mode = case.navigator.pose, case.navigator.mode
         case.history = moment.history()
         case.measured.take(moment.measures)
@@ -72,6 +78,6 @@ class Following(Subject):
         if case.navigator.mode != mode or not np.array_equal(
             case.navigator.pose.lps_from_camera, before.lps_from_camera
         ):
-            # Slices that were zoomed go along with the tip.
+            # A move re-centres zoomed slices on the tip.
             self.core.after_move(case, mode)
         case.last_move = LastMove(person_moved=moment.person_moved)

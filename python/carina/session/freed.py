@@ -1,4 +1,4 @@
-"""Memory that jobs have freed goes back to the system."""
+"""Return of freed memory to the operating system."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ def _trim() -> Callable[[int], int] | None:
     try:
         return ctypes.CDLL(None).malloc_trim
     except (OSError, AttributeError):
-        # Another C library than glibc, which need not keep what is freed.
+        # C libraries other than glibc have no malloc_trim.
         return None
 
 
 def give_freed_memory_back() -> None:
-    """Give back what glibc keeps of freed memory: after a large job that is half a volume, which the next would add to.
+    """Return freed memory to the operating system (malloc_trim).
 
-    Takes a few milliseconds.
+    After a large job glibc retains half a volume of freed memory, to which the next job would add. The call takes a
+    few milliseconds.
     """
     trim = _trim()
     if trim is not None:

@@ -1,4 +1,4 @@
-"""What the numbers of a volume stand for: how they are shown and searched, and what they are no good for."""
+"""Grey scale of a volume: how its values are shown and searched, and which features need Hounsfield units."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HISTOGRAM_PRESET = "from histogram"
 @one_line
 @dataclass(frozen=True, slots=True)
 class FeatureOff:
-    """What this volume cannot do, and why."""
+    """A feature that this volume does not support, and the reason."""
 
     what: str
     why: str
@@ -29,21 +29,21 @@ class FeatureOff:
 
 @dataclass(frozen=True, slots=True)
 class GreyScale:
-    """What the numbers of a volume stand for, as far as it says how they are shown and searched."""
+    """Display and search settings that follow from the unit of a volume's values."""
 
     presets: tuple[str, ...]
-    """Transfer functions that make sense for them."""
+    """Names of the transfer functions that suit the values."""
     threshold: float | None
-    """Of the lumen, from the histogram; None for HU, where the airway search finds its own."""
+    """Lumen threshold from the histogram; None for HU, for which the airway search determines its own threshold."""
     window: GreyWindow
     transfer: TransferFunction
-    """To begin with."""
+    """Initial transfer function."""
     off: tuple[FeatureOff, ...] = ()
-    """What needs HU and has none."""
+    """Features that need HU, if the volume has none."""
 
 
 def grey_scale(volume: Volume, parts: Parts) -> GreyScale:
-    """How a volume is shown before a person says anything."""
+    """Return the initial display settings of a volume."""
     if volume.is_hu:
         return GreyScale(parts.presets, None, LUNG_WINDOW, parts.transfer_preset("endoscopic"))
     low, high = volume.value_range

@@ -1,4 +1,4 @@
-"""A scope in the lumen: its wall, measured by a job, and how it is laid along the route."""
+"""Scope in the lumen: a job computes the airway wall, and the scope is then laid along the route."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["ScopeHolding"]
 
 
 class ScopeHolding(Subject):
-    """What holds the scope in mode *scope*."""
+    """Places the scope along the route, constrained by the airway wall, in mode *scope*."""
 
     def enter(self, case: OpenCase) -> None:
         """Lay the scope along the route once the wall is known."""
@@ -28,12 +28,12 @@ class ScopeHolding(Subject):
             msg = "a scope needs a route: wait for the airways, then choose a branch or a target"
             raise NoResultError(msg, code="navigate.no-path")
         with self.core.lock:
-            # A person asks: also where it was stopped before.
+            # A request by the user also repeats a job that was stopped before.
             case.wall.again()
             case.wall.want(airways, then=lambda _: self._lay_in(case, airways))
 
     def resume(self, case: OpenCase) -> None:
-        """Hold the scope as it was held when the case was closed, once the wall is known."""
+        """Restore the scope that was in the lumen when the case was closed, once the wall is computed."""
 
         def lay(_wall: object) -> None:
             awaited, case.scope.awaited = case.scope.awaited, None
@@ -49,12 +49,12 @@ class ScopeHolding(Subject):
                 case.wall.want(case.scope.awaited.airways, then=lay)
 
     def _lay_in(self, case: OpenCase, airways: Airways) -> None:
-        """The wall is known; with the session locked."""
+        """Lay the scope if the airways are those for which the wall was computed; the caller holds the lock."""
         if case.document.airways is airways:
             self.lay(case)
 
     def lay(self, case: OpenCase, insertion_mm: float | None = None) -> None:
-        """Along the route, to where the tip is, or the place of the route that is nearest to it."""
+        """Lay the scope along the route to the position of the tip, or to the nearest position on the route."""
         route, wall = case.document.route, case.wall.of(case.document.airways)
         if route is None or wall is None:
             return
@@ -69,7 +69,7 @@ class ScopeHolding(Subject):
         case.scope.laid = name
 
     def follow(self, case: OpenCase) -> None:
-        """After a change of the document: another scope is laid where the old one was; another lumen ends it."""
+        """Lay the scope again after a change of the instrument; leave the mode after a change of the lumen."""
         state = case.navigator.scope_state
         if state is None:
             return

@@ -1,4 +1,4 @@
-"""Whether a place lies in the airways."""
+"""Tests whether a point is inside the airways."""
 
 from __future__ import annotations
 
@@ -14,14 +14,27 @@ __all__ = ["in_airways", "in_lumen"]
 
 
 def in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
-    """Whether the voxel that a point lies in is lumen."""
+    """Return whether the voxel that contains a point is lumen.
+
+    Parameters
+    ----------
+    volume
+        The volume of the lumen.
+    lumen_zyx
+        (nz, ny, nx), nonzero in the lumen.
+    point_lps
+        (3,) LPS mm; a point outside the volume is not in the lumen.
+    """
     i, j, k = np.rint(volume.to_ijk(point_lps)).astype(int)
     nz, ny, nx = volume.shape_zyx
     return 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and bool(lumen_zyx[k, j, i])
 
 
 def in_airways(volume: Volume, airways: Airways, point_lps: Any) -> bool:
-    """In the lumen, or so near to a branch's middle as its wall: a lens that lies on the wall is half in it."""
+    """Return whether a point is in the lumen, or no farther from the nearest branch's centreline than its radius.
+
+    The second condition includes a lens that touches the wall.
+    """
     if in_lumen(volume, airways.lumen_zyx, point_lps):
         return True
     branch, index, away_mm = airways.tree.nearest_branch(point_lps)

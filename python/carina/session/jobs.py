@@ -1,4 +1,4 @@
-"""Long work in the background: progress with time left, cancelling, one sentence when it fails."""
+"""Background jobs with progress, estimated time left, cancellation, and a one-sentence error on failure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Outcome = Literal["done", "cancelled", "failed"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class JobProgress:
-    """How far a job is; fraction and time left are None where they cannot be known."""
+    """Progress of a job; fraction and time left (s) are None if they are unknown."""
 
     job_id: str
     title: str
@@ -40,7 +40,7 @@ class JobProgress:
 @one_line
 @dataclass(frozen=True, slots=True)
 class JobEnded:
-    """A job has ended."""
+    """End of a job, with its outcome and error."""
 
     job_id: str
     title: str
@@ -49,7 +49,7 @@ class JobEnded:
 
 
 def log_fault(log: logging.Logger, words: str, trouble: BaseException) -> None:
-    """Log a fault of ours by kind and place; its message, which may name a file, only at DEBUG."""
+    """Log an internal fault by type and line; log its message, which may name a file, only at DEBUG."""
     frames = traceback.extract_tb(trouble.__traceback__)
     place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
     log.error("%s: %s%s", words, type(trouble).__name__, place)
@@ -62,7 +62,7 @@ def _fault(title: str, trouble: BaseException) -> CarinaError:
 
 
 def _of_machine(title: str, trouble: OSError) -> CarinaError:
-    """A full disk, a lost permission or too many open files are no fault of Carina."""
+    """Return the error for an OSError of a job; disk errors, such as a full disk, are no internal faults of Carina."""
     if is_disk_trouble(trouble):
         return disk_trouble(trouble, f"{title} failed", None)
     return _fault(title, trouble)
@@ -73,7 +73,7 @@ def _closing(title: str) -> CancelledError:
 
 
 class Job:
-    """One running piece of work; ``progress`` and ``cancel`` are handed to the function that does it."""
+    """A running background job; ``progress`` and ``cancel`` are passed to the function that does the work."""
 
     def __init__(self, job_id: str, title: str, kind: str, runner: JobRunner) -> None:
         self.job_id = job_id
@@ -83,20 +83,20 @@ class Job:
         self._cancelled = threading.Event()
         self._stage = ""
         self._began_s, self._began_at = 0.0, 0.0
-        """When, and at what share, began what the time left is guessed from."""
+        """Time (s) and fraction from which the time left is extrapolated."""
         self._told_s = float("-inf")
         self.latest: JobProgress | None = None
 
     def cancel(self) -> bool:
-        """Whether the person stopped it: what long functions ask as ``cancel()``."""
+        """Return whether the job was stopped; passed to long functions as ``cancel``."""
         return self._cancelled.is_set()
 
     def stop(self) -> None:
-        """Ask it to stop; it ends at its next look."""
+        """Request the end of the job, which ends at its next check."""
         self._cancelled.set()
 
     def check(self) -> None:
-        """Raise if it was stopped.
+        """Raise CancelledError if the job was stopped.
 
         Raises
         ------
@@ -107,23 +107,23 @@ class Job:
             raise CancelledError(f"{self.title}: stopped")
 
     def begin_again(self) -> None:
-        """What comes begins anew: time left is not guessed from what was done before."""
+        """Restart the estimate of the time left, because the work starts again."""
         self._stage = ""
 
     def progress(self, what: str, fraction: float | None) -> None:
-        """Note how far it is; told to listeners at most ten times a second."""
+        """Record the progress; listeners receive it at most ten times a second."""
         self.check()
         now_s = self._runner.clock()
         if what != self._stage:
             before = None if self.latest is None or self._stage == "" else self.latest.fraction
-            # A share that goes on from that of the stage before is a share of the whole.
+            # If the fraction continues from the previous stage, it is a fraction of the whole job.
             if before is None or fraction is None or fraction < before:
                 self._began_s, self._began_at = now_s, fraction or 0.0
             self._stage, self._told_s = what, float("-inf")
         left_s: float | None = None
         if fraction is not None:
             fraction = min(1.0, max(0.0, fraction))
-            # Of less than 5 % done the guess would be noise.
+            # With less than 5 % done the estimate would be too noisy.
             done = fraction - self._began_at
             if done >= 0.05:
                 left_s = (now_s - self._began_s) * (1.0 - fraction) / done
@@ -134,9 +134,18 @@ class Job:
 
 
 class JobRunner:
-    """Runs jobs through ``submit`` (a thread pool's, or a test's) and tells their progress.
+    """Runner of background jobs, which reports their progress and end.
 
-    A new job of a kind stops the running one of that kind.
+    A new job stops a running job of the same kind.
+
+    Parameters
+    ----------
+    submit
+        Runs a function in the background, such as a thread pool does.
+    tell
+        Called with each report of progress or end.
+    clock
+        Returns time in seconds.
     """
 
     def __init__(
@@ -161,12 +170,26 @@ class JobRunner:
             return tuple(self._jobs.values())
 
     def start(self, kind: str, title: str, work: Callable[[Job], None]) -> str:
-        """Start a job; ``work`` raises CarinaError to fail in words. Returns its id.
+        """Start a job, and return its ID.
+
+        Parameters
+        ----------
+        kind
+            Kind of the job; a running job of this kind is stopped.
+        title
+            Title for the user.
+        work
+            Function that does the work; it raises CarinaError to report a failure to the user.
+
+        Returns
+        -------
+        str
+            ID of the job.
 
         Raises
         ------
         CancelledError
-            If Carina is closing: a job that is stopped for that may want to leave its rest to another one.
+            If Carina is closing.
         """
         with self._lock:
             if self._closed:
@@ -176,7 +199,7 @@ class JobRunner:
                     other.stop()
             job = Job(f"job-{next(self._numbers)}", title, kind, self)
             self._jobs[job.job_id] = job
-        # With what is true of whoever starts it, such as the command that is being done.
+        # The job inherits the context of the caller, such as the present command.
         context = contextvars.copy_context()
         errand = current_errand()
         if errand is not None:
@@ -184,7 +207,7 @@ class JobRunner:
         try:
             self._submit(lambda: context.run(self._run, job, work))
         except RuntimeError:
-            # The threads were given back since the look above.
+            # The worker threads have ended since the check of _closed.
             if errand is not None:
                 errand.job_ended(None)
             if not self._closed:
@@ -196,13 +219,13 @@ class JobRunner:
         return job.job_id
 
     def close(self) -> None:
-        """Stop all jobs, and start no more."""
+        """Stop all jobs and refuse new ones."""
         with self._lock:
             self._closed = True
         self.cancel_kinds()
 
     def cancel(self, job_id: str) -> bool:
-        """Stop a job; False if there is none of this id."""
+        """Stop a job; return False if no job has this ID."""
         with self._lock:
             job = self._jobs.get(job_id)
         if job is not None:
@@ -210,25 +233,25 @@ class JobRunner:
         return job is not None
 
     def is_stopping(self, job_id: str) -> bool:
-        """Whether a job was asked to stop and has not ended."""
+        """Return whether a job was requested to stop and has not ended yet."""
         with self._lock:
             job = self._jobs.get(job_id)
         return job is not None and job.cancel()
 
     def cancel_kinds(self, *kinds: str) -> None:
-        """Stop the jobs of these kinds, or all without one."""
+        """Stop the jobs of these kinds, or all jobs if no kind is given."""
         for job in self.running:
             if not kinds or job.kind in kinds:
                 job.stop()
 
     def cancel_others(self, than: Job) -> None:
-        """Stop all jobs but this one."""
+        """Stop all other jobs."""
         for job in self.running:
             if job is not than:
                 job.stop()
 
     def wait_idle(self, timeout_s: float | None) -> bool:
-        """Wait until no job runs; False after ``timeout_s``, None waits as long as it takes."""
+        """Wait until no job runs; return False after ``timeout_s`` seconds. With None, wait without limit."""
         with self._idle:
             return self._idle.wait_for(lambda: not self._jobs, timeout_s)
 
@@ -236,7 +259,8 @@ class JobRunner:
         outcome: Outcome = "done"
         error: CarinaError | None = None
         try:
-            # Stopped before it began: the work finds out at its first look, and tidies up as after any stop.
+            # A job that was stopped before its start also runs, ends at its first check, and cleans up as after any
+            # stop.
             work(job)
         except CancelledError:
             outcome = "cancelled"
@@ -245,12 +269,12 @@ class JobRunner:
         except OSError as trouble:
             outcome, error = "failed", _of_machine(job.title, trouble)
         except BaseException as trouble:
-            # BaseException: a panic of the compiled module is no Exception, and a job must end whatever happens.
+            # BaseException, because a panic of the compiled module is no Exception; every job must report its end.
             outcome, error = "failed", _fault(job.title, trouble)
         give_freed_memory_back()
         errand = current_errand()
         if errand is not None:
-            # Before the runner is idle: whoever waits for that knows how it ended.
+            # The result is stored before the runner becomes idle, so that a thread that waits for idle finds it.
             errand.job_ended(error)
         with self._idle:
             self._jobs.pop(job.job_id, None)

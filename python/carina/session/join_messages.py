@@ -1,6 +1,7 @@
-"""What a program that joins a case and the process that owns it say to each other, beside commands.
+"""Messages between a program that joins a case and the process that owns the case, besides commands.
 
-They are part of the wire (``protocol/README.md``), and stand here since a notebook speaks it without a server.
+The messages are part of the wire protocol (``protocol/README.md``). They are in this module because a notebook uses
+them without a server.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ __all__ = ["Join", "JoinMessage", "Joined", "Problem", "Settle", "Settled", "ToJ
 
 
 class JoinMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What a program says; commands are the others."""
+    """A message from a program to the owner; the other messages from a program are commands."""
 
 
 class ToJoinMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What it is told."""
+    """A message from the owner to a program."""
 
 
 class Join(JoinMessage, frozen=True):
-    """The first message of a program: it works on this case, and on no other that is opened later."""
+    """First message of a program, which then works on this case and on no case that is opened later."""
 
     wire_version: Annotated[int, Meta(ge=0, le=2**31)]
     case_id: Identifier
@@ -37,7 +38,7 @@ class Settle(JoinMessage, frozen=True):
 
     settle_id: Count
     all_jobs: bool = False
-    """Wait for what others have started, too."""
+    """Whether to wait also for jobs that other programs and windows have started."""
 
 
 class Joined(ToJoinMessage, frozen=True):
@@ -50,14 +51,14 @@ class Problem(FrozenValue, frozen=True):
     """Something that was asked for and not done."""
 
     kind: Identifier
-    """Its class in :mod:`carina.errors`."""
+    """Name of the error's class in :mod:`carina.errors`."""
     code: Identifier
     message: Words
     doubtful_mm: float | None = None
-    """Of a branch that was to be added without evidence, with its way and which of its segments are doubtful."""
+    """Length without evidence, in mm, of a branch to be added; ``way_lps`` and ``doubtful`` describe its path."""
     way_lps: PointsLps | None = None
     doubtful: Numbers | None = None
-    """1 where it is, else 0."""
+    """For each segment of the path: 1 if it has no evidence, else 0."""
 
 
 class Settled(ToJoinMessage, frozen=True):
@@ -65,7 +66,7 @@ class Settled(ToJoinMessage, frozen=True):
 
     settle_id: Count
     problems: tuple[Problem, ...]
-    """What could not be done of it, in its order."""
+    """Errors of the commands since the last ``settle``, in their order."""
     unsaved: Words | None
-    """Why the live file is behind; null where it is not."""
+    """Reason why the live file lacks the latest changes; null if it has them."""
     saving: SavingInfo

@@ -35,38 +35,38 @@ from carina.volume import VolumeCache
 __all__ = ["JoinedCase"]
 
 OWNED_WITHIN_S = 20.0
-"""An owner that ends writes what is not written yet, and copies; it may hold the lock so long after its last word."""
+"""Time limit, in s, for an ending owner, which may hold the lock while it writes the remaining changes and copies."""
 DOOR_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.05
 CLOCKS_S = 0.1
-"""By which the time of a step, reckoned from the beginning of its case, and the clock may differ."""
+"""Tolerance, in s, between the time of a step, which counts from the beginning of its case, and the clock."""
 OTHER_CASES = (c.OpenPath, c.OpenDemo, c.OpenRecent, c.OpenFiles, c.OpenVolume, c.BeginAnew, c.CloseCase)
-"""They would end this case for the person at the window."""
+"""Commands that would close this case in the window."""
 
 
 @dataclass(slots=True)
 class _Followed:
-    """What the session shows of the owner's."""
+    """The follower of the owner's live file, and the state of the case that the session shows."""
 
     follower: CaseFollower
     moment: Moment
 
 
 class JoinedCase:
-    """One case of this machine, whose owner is another process at first: :meth:`join` makes one.
+    """A stored case whose owner is another process at first; :meth:`join` creates one.
 
     Parameters
     ----------
     records
-        The cases of this person.
+        Records of the user's cases.
     case_id
-        Which of them it is.
+        ID of the case.
     session
-        Shows the moment.
+        Session that shows the case in this process.
     link
-        To the owner.
+        Connection to the owner.
     followed
-        What the session shows.
+        Follower of the live file, and the state of the case that the session shows.
     """
 
     def __init__(
@@ -79,9 +79,9 @@ class JoinedCase:
         self._followed = followed
         self._saving = SavingInfo()
         self._named: NamedCase | None = None
-        """Where it is saved to when nobody else keeps it and this process may not."""
+        """Named file for this program's changes if the owner has ended and this process could not become the owner."""
         self._unsaid: str | None = None
-        """What a person has to be told, once."""
+        """Message that is shown to the user once, at the next call."""
         self._lock = threading.RLock()
         self._closed = False
 
@@ -89,12 +89,24 @@ class JoinedCase:
 
     @classmethod
     def join(cls, source: str | Path, ct: str | Path | None) -> JoinedCase | None:
-        """Join the case of a file or a CT that a running Carina of this user has open; None where none has.
+        """Join the case of a file or a CT that a running Carina of this user has open.
+
+        Parameters
+        ----------
+        source
+            A case file, or the path of a CT.
+        ct
+            Path of the CT of a case file, if the CT has moved.
+
+        Returns
+        -------
+        JoinedCase or None
+            None if no running Carina has the case open.
 
         Raises
         ------
         CaseFileError
-            ``case.no-scan``: if its CT is nowhere.
+            ``case.no-scan``: if the CT of the case is not found.
         """
         settings = load_settings()
         records = CaseRecords(settings.cases_dir, time.time)
@@ -117,7 +129,7 @@ class JoinedCase:
     @classmethod
     def _joined(cls, records: CaseRecords, record: CaseRecord, link: OwnerLink, ct: str | Path | None) -> JoinedCase:
         settings = load_settings()
-        # What is going on is waited for: the airways, where they are being found.
+        # The owner replies after its running jobs, such as the airway search, have ended.
         saving = _saved(link.settle(all_jobs=True))
         cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
         scans = CaseScans(cache, records, default_parts().open_demo, advice="give its location as ct=PATH")
@@ -136,11 +148,11 @@ class JoinedCase:
         joined._saving = saving
         return joined
 
-    # ------------------------------------------------------------ what a program asks
+    # ------------------------------------------------------------ interface of ProgramCase
 
     @property
     def session(self) -> Session:
-        """After all that was done to the case until now, by whomever."""
+        """The session with all changes to the case so far, by this program and by others."""
         with self._lock:
             self._catch_up()
             self._say()
@@ -148,7 +160,7 @@ class JoinedCase:
 
     @property
     def path(self) -> Path | None:
-        """The copy that was asked for, by whomever."""
+        """Path of the named file, which this program or another may have chosen; None without one."""
         session = self.session
         if self._named is not None:
             return self._named.path
@@ -156,12 +168,12 @@ class JoinedCase:
 
     @property
     def note(self) -> str | None:
-        """Nobody keeps it."""
+        """Reason why the case is no longer stored; None while a process stores it."""
         with self._lock:
             return None if self._named is None else self._named.note
 
     def do(self, command: c.Command) -> None:
-        """By the owner; what is only about how the case is looked at, here."""
+        """Run a command in the owner's process; a command that changes only the sight runs in this process."""
         if isinstance(command, OTHER_CASES):
             raise UsageError(
                 f"{type(command).__name__} would close this case in the window; open the other case with "
@@ -254,7 +266,7 @@ class JoinedCase:
     # ------------------------------------------------------------ following
 
     def _catch_up(self) -> None:
-        """With the lock held."""
+        """Update the session to all changes by the owner; the caller holds the lock."""
         while (link := self._link) is not None:
             try:
                 self._saving = _saved(link.settle())
@@ -265,28 +277,28 @@ class JoinedCase:
                 return
 
     def _follow(self) -> None:
-        """Show the newest moment; with the lock held."""
+        """Show the newest state of the case in the live file; the caller holds the lock."""
         moment = self._followed.follower.newest()
         if moment is not self._followed.moment:
             do_and_wait(self._session, c.FollowMoment(moment))
             self._followed.moment = moment
 
     def _say(self) -> None:
-        """Tell a person what has happened, once, where they can hear it."""
+        """Show the pending message to the user as a warning, once."""
         words, self._unsaid = self._unsaid, None
         if words is not None:
             warnings.warn(words, stacklevel=4)
 
-    # ------------------------------------------------------------ the owner has gone
+    # ------------------------------------------------------------ the end of the owner
 
     def _lost(self, link: OwnerLink) -> None:
-        """From a thread of its own, at once: nobody else should have it first."""
+        """Take over the case at once, in a separate thread, before another process does."""
         with self._lock:
             if not self._closed:
                 self._go_on_without(link)
 
     def _go_on_without(self, link: OwnerLink) -> None:
-        """Own the case, join the one who does, or say that neither is possible; with the lock held."""
+        """Become the owner, join the new owner, or note that neither is possible; the caller holds the lock."""
         if self._link is not link:
             return
         link.close()
@@ -341,7 +353,7 @@ class JoinedCase:
         )
 
     def _was_done(self, command: c.Command, sent_s: float, position: int) -> bool:
-        """Whether what was not confirmed is in what was left behind, all of which the session shows now."""
+        """Return whether an unconfirmed command is in the case that the owner left, which the session now shows."""
         moment = self._session.ask(c.MomentToKeep())
         if isinstance(command, c.Undo | c.Redo):
             return bool(moment.position != position)
@@ -360,9 +372,9 @@ def _meant(records: CaseRecords, source: str | Path) -> list[CaseRecord]:
 
 
 def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
-    """To whoever has a case open; None where nobody can be joined.
+    """Connect to the process that has a case open; return None if no process can be joined.
 
-    An owner opens its door once the case is on the disk, which for a moment after it was opened it is not.
+    The owner writes its connection details once the case is on the disk, which takes a moment after the opening.
     """
     end_s = time.monotonic() + DOOR_WITHIN_S
     while True:
@@ -375,7 +387,7 @@ def _linked(records: CaseRecords, record: CaseRecord) -> OwnerLink | None:
 
 
 def _saved(settled: Settled) -> SavingInfo:
-    """Return the state of the saving; raise an error where the latest changes cannot be read."""
+    """Return the saving info of a reply; raise CarinaError if the live file lacks the latest changes."""
     if settled.unsaved is not None:
         raise CarinaError(f"the latest changes to this case cannot be read: {settled.unsaved}", code="case.not-saved")
     return settled.saving
@@ -389,5 +401,5 @@ def _copy_of(saving: SavingInfo) -> Path | None:
 
 
 def _is_sight(command: c.Command) -> bool:
-    """Only how the case is looked at: each window, and each program, looks for itself."""
+    """Return whether a command changes only the sight, which is separate for each window and program."""
     return isinstance(command, c.SetCrosshair) or command.sets in Sight.__struct_fields__

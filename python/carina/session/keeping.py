@@ -1,6 +1,6 @@
 """Storage of one open case: a thread that writes the live file, a thread that writes the named file, and their state.
 
-No other thread waits for a disk. A change wakes a thread. A caller that needs all changes on the disk calls
+No other thread waits for a disk. A change wakes the writing thread. A caller that needs all changes on the disk calls
 :meth:`Keeper.settle`, which returns after a time limit if the disk does not respond.
 """
 
@@ -40,14 +40,14 @@ __all__ = ["NOT_RESPONDING", "Keeper", "SavedAs"]
 logger = logging.getLogger(__name__)
 
 DECIDED_WITHIN_S = 0.4
-"""What a person did is written this soon; what follows within that time goes along."""
+"""Longest delay, in s, before a user's change is written; later changes within this time are written with it."""
 MOVED_WITHIN_S = 1.5
-"""A tip that only moves is written this often."""
+"""Interval, in s, between writes while the tip only moves."""
 RECORDED_WITHIN_S = 0.8
-"""A flight that is recorded is written this often: a crash loses no more than its last second."""
+"""Interval, in s, between writes of a running recording: a crash loses at most its last second."""
 RETRY_S = 2.0
 SLOW_S = 2.5
-"""A disk that takes longer is told of, since what it has not taken could be lost; nobody waits for it any more."""
+"""Time, in s, after which a disk that does not respond is reported and callers stop waiting for it."""
 COPY_EVERY_S = 60.0
 COPY_RETRY_S = 10.0
 NOT_RESPONDING = "the disk has not responded for some seconds; Carina keeps trying"
@@ -128,7 +128,7 @@ class Keeper:
         self.info = info
         self.is_telling = False
         """Whether the present change concerns the saving info alone."""
-        # Guarded by this, which is taken after the session's lock and never held over a disk.
+        # Lock of the fields below; it is taken after the session's lock, and never held while waiting for a disk.
         self._wake = threading.Condition()
         self._changed_s: float | None = None
         self._within_s = MOVED_WITHIN_S
@@ -144,7 +144,7 @@ class Keeper:
         """Identity of the write in progress; None between writes."""
         self._is_slow = False
         self._saved = None if file is None else moment_of(case)
-        """The moment in the live file."""
+        """State of the case in the live file."""
         self._num_begun = self._num_kept = self._num_failed = 0
         """Numbers of the last begun, the last finished and the last failed write."""
         self._num_saved = self._num_copied = 0
@@ -161,7 +161,7 @@ class Keeper:
             if held.record.used_s > (held.record.copied_s or 0.0):
                 self._num_copied = -1
         self._flights_kept: object = None
-        """The flights that the live file lists."""
+        """Object identity of the list of flights that was last written to the live file."""
         self._is_ending = self._has_ended = False
         self._pictured = False
         self._is_use_numbered = False
@@ -176,12 +176,13 @@ class Keeper:
         threading.Thread(target=self._run, name="carina-saving", daemon=True).start()
 
     def __repr__(self) -> str:
+        """Describe the keeper by its saving info."""
         return f"Keeper({self.info!r})"
 
-    # ------------------------------------------------------------ what others ask
+    # ------------------------------------------------------------ calls from other threads
 
     def changed(self, topics: frozenset[Topic]) -> None:
-        """Something of the case has changed."""
+        """Schedule a write after a change of the case."""
         moved_s = RECORDED_WITHIN_S if self.case.flights.unwritten else MOVED_WITHIN_S
         within_s = moved_s if topics <= {"pose", "views"} else DECIDED_WITHIN_S
         with self._wake:
@@ -196,8 +197,8 @@ class Keeper:
         """Write all present changes, and return whether they are on the disk.
 
         The call returns False as soon as the disk refuses a write that begins after the call, or does not respond for
-        :data:`SLOW_S`. A write that is in progress may have met a fault that has gone. The caller must not hold the
-        session's lock, with which the changes are read.
+        :data:`SLOW_S`. The failure of an earlier write is ignored, because its cause may have been removed. The caller
+        must not hold the session's lock, which the writing thread needs.
         """
         with self._wake:
             begun = self._num_begun
@@ -206,7 +207,7 @@ class Keeper:
                 return self._num_kept > begun or (self._changed_s is None and self._busy is None)
 
             def is_done() -> bool:
-                # With what is noted beside it; that alone loses nothing where it cannot be.
+                # This condition includes the fields of the record; if only these cannot be written, no work is lost.
                 return self._num_kept > begun or (is_kept() and not self._notes)
 
             if not is_done():
@@ -216,9 +217,10 @@ class Keeper:
             return is_kept()
 
     def end(self, within_s: float | None = None) -> bool:
-        """Have the rest written and the case given back; whether that is done.
+        """Write the remaining changes and release the case; return whether both are done.
 
-        With ``within_s`` that is waited for so long; else until the disk is silent: then it goes on by itself.
+        With ``within_s`` the call waits at most that many seconds. Without, the call waits until the disk stops
+        responding; the thread then continues in the background.
         """
         with self._wake:
             self._is_ending = True
@@ -230,7 +232,7 @@ class Keeper:
 
     @property
     def has_ended(self) -> bool:
-        """The case has been given back."""
+        """Whether the remaining changes were written and the case was released."""
         return self._has_ended
 
     @property
@@ -267,7 +269,7 @@ class Keeper:
         saved_path = None if held is None or saved is None else held.path
         copy_path = self.copy_path
         if elsewhere is not None:
-            # A report of a change may be about something that no file stores, so the moments are compared.
+            # A reported change may concern state that no file stores, so the states of the case are compared.
             saved, saved_path, copy_path = elsewhere.moment, elsewhere.path, None
             flights = tuple(one for one in flights if one.number not in elsewhere.flights)
         labels = unsaved_labels(moment if is_saved else saved, moment, renamed=renamed)
@@ -336,7 +338,7 @@ class Keeper:
                 assert file is not None
                 file.write_copy(place, ct_place=ct_place, save_mark=mark, placement=placement)
                 return
-            # A copy of the live file would lack what its disk has refused, or wait for it.
+            # A copy of the live file would lack the changes that its disk has refused, or would wait for that disk.
             with self._core.lock:
                 self._is_copy_current = True
                 moment = moment_of(self.case)
@@ -344,7 +346,7 @@ class Keeper:
                 finished = {one.number for one in unwritten if one.number is not None and one.closed}
             flights, num_missing = whole_flights(file, listed, unwritten, SLOW_S)
             if num_missing and place.exists():
-                # The file that is there may be the last that has them.
+                # The existing file may be the only one that still contains these flights.
                 raise CarinaError(
                     f"{place.name} was left as it is: {flight_count(num_missing)} cannot be read from the faulty "
                     "disk; save the case under another name",
@@ -355,7 +357,7 @@ class Keeper:
             written = {one.facts.recording_id for one in flights}
             elsewhere = _SavedElsewhere(path, moment, frozenset(written & finished))
 
-        # The live file has all of this content, so the record may name the digest before the named file is written.
+        # The live file has all of this content, so the record may state the digest before the named file is written.
         before_placing = self._note_next_copy if is_whole and named is before else None
         try:
             replaced = named.write(write, replace=replace, may_be_missing=may_be_missing, before_placing=before_placing)
@@ -411,7 +413,7 @@ class Keeper:
         if self.held is not None and present is not None:
             # If the disk refuses, the only effect is that the file counts as changed elsewhere after a crash.
             with suppress(OSError, CarinaError):
-                # The present content too: the record may name it only as the digest of an interrupted save.
+                # The record gets both digests: it may contain the present one only as that of an interrupted save.
                 self.held.note(
                     copy_digest=present.digest,
                     copy_save_id=present.save_id,
@@ -431,12 +433,12 @@ class Keeper:
             with self._wake:
                 self._has_ended, self._is_slow = True, False
                 self._wake.notify_all()
-            # A job may have saved the case under another name since the case was given back.
+            # A job may have saved the case under another name since the case was released.
             if self._named is not None:
                 self._named.close()
 
     def _has_work(self) -> bool:
-        """Wait until something is to be written; False: it is to be given back."""
+        """Wait until there is something to write and return True; return False when the case is to be released."""
         with self._wake:
             while not self._is_ending:
                 if not self._is_current(self):
@@ -448,14 +450,14 @@ class Keeper:
             return False
 
     def _wait_s(self) -> float | None:
-        """Until something is to be written; None: nothing is. With ``_wake`` held."""
+        """Return the seconds until the next write; None if nothing is to be written. The caller holds ``_wake``."""
         now_s = self._core.clock()
         if self._changed_s is None:
             return None if not self._notes else 0.0 if self._is_urgent else max(self._retry_s - now_s, 0.0)
         return 0.0 if self._is_urgent else max(self._changed_s + self._within_s, self._retry_s) - now_s
 
     def _attempt(self) -> None:
-        """Write the newest moment, if there is a newer one, and what is to be noted beside it."""
+        """Write the present state of the case, if it has changed, and the changed fields of the record."""
         with self._wake:
             self._num_begun += 1
             self._busy = object()
@@ -467,7 +469,7 @@ class Keeper:
         with self._watched():
             try:
                 told = self._write(notes, is_changed=changed_s is not None)
-            except Exception as error:  # whatever it is: a thread that ends would be silent for ever
+            except Exception as error:  # Otherwise the thread would end and store no further change.
                 trouble = error
             with self._news(told | {"problem": None if trouble is None else _words(trouble)}):
                 if trouble is None:
@@ -483,7 +485,7 @@ class Keeper:
                 self._plan_copy(COPY_EVERY_S)
                 self._busy, self._is_slow = None, False
         if trouble is None and not self._pictured and self.held is not None and self.held.record.pictured_s is None:
-            # Else it is made when the case is closed: a Carina that is killed has one, too.
+            # The thumbnail is stored before the case is closed, so that a case of a killed process has one, too.
             self._picture()
 
     def _write(self, notes: dict[str, Any], *, is_changed: bool) -> dict[str, Any]:
@@ -504,7 +506,7 @@ class Keeper:
         told: dict[str, Any] = {}
         if is_changed:
             with self._core.lock:
-                # All that was done until now is on the disk when it is said.
+                # The time is read first, so that everything done before the stated time is on the disk.
                 now_s = self._records.now_s()
                 moment = moment_of(self.case)
                 flights = self.case.flights.listed
@@ -552,12 +554,12 @@ class Keeper:
         """Write the remaining changes, then close the live file and release its lock."""
         if self._changed_s is not None or self._notes:
             self._attempt()
-        # On a disk that refuses, a thumbnail is useless, and its message would replace the message about the case.
+        # If the disk refuses writes, no thumbnail is stored: its error would replace the error about the case.
         if self.info.problem is None:
             self._picture()
         with self._watched():
             if self._copier is not None:
-                # What it began last would else take the place of what is newer.
+                # A write of the named file that is in progress could otherwise replace newer content.
                 self._copier.join()
             if self._copy_is_behind():
                 self._refresh()
@@ -589,7 +591,7 @@ class Keeper:
             words = f"the file {info.copy_name} does not have the latest changes: {info.copy_problem}"
             self._core.emit(Trouble("case.copy", f"{words}. All changes are saved in the case on this computer"))
 
-    # ------------------------------------------------------------ the thread of the copy
+    # ------------------------------------------------------------ the thread that writes the named file
 
     def _copy_is_behind(self) -> bool:
         if self._named is None:
@@ -677,7 +679,7 @@ class Keeper:
             self._is_named_checked = True
             self._plan_copy(COPY_EVERY_S)
 
-    # ------------------------------------------------------------ what is said
+    # ------------------------------------------------------------ changes of the saving info
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
@@ -709,7 +711,7 @@ class Keeper:
 
     @contextmanager
     def _news(self, values: dict[str, Any], unless: Callable[[], bool] = lambda: False) -> Iterator[None]:
-        """Say what is so from now on; what is so is changed in the block, with both locks held."""
+        """Change the saving info and report the change; other state is changed in the block, with both locks held."""
         with self._core.lock:
             with self._wake:
                 before = self.info

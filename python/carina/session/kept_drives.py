@@ -1,4 +1,4 @@
-"""The drive of a verdict as one of the case's flights, to be flown again."""
+"""Storage of the simulated drive of a scope verdict as a flight of the case."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ MAX_NAME = 200
 
 
 class KeptDrives(Subject):
-    """What a verdict was found by can be looked at: a recording like any other, whose moves place the tip."""
+    """Commands that store the simulated drive of a verdict as a flight: a recording whose moves place the tip."""
 
     @does(c.KeepDrive)
     def keep(self, command: c.KeepDrive) -> None:
-        """Beside the recorded flights, at the end of their list; the tip stays where it is.
+        """Add the drive of an instrument's verdict to the flights of the case; the tip does not move.
 
-        A case that no file follows has it in memory, until it is saved.
+        A case without a file holds the flight in memory until the case is saved.
 
         Raises
         ------
         NoResultError
-            ``plan.no-verdict``: if the instrument has no verdict yet, or was not driven.
+            ``plan.no-verdict``: if the instrument has no verdict yet, or its drive was not simulated.
         """
         case = self.core.needed_case()
         with self.core.lock:
             verdict = _needed(case, command.scope)
         assert verdict.driven is not None
         times_s, poses = drive_flight(verdict.driven)
-        # As a recording keeps them: else its end would lie beyond its length, or before.
+        # Recordings round times to 1 us; unrounded times could exceed the recorded length.
         times_s = np.round(times_s, 6)
         key = case_key(case.info.volume)
         with self.core.lock:
@@ -66,14 +66,14 @@ class KeptDrives(Subject):
             facts = RecordingFacts(into.number, name, words, into.begun_s, round(recorder.length_s, 6), complete=True)
             case.flights.unwritten = (*case.flights.unwritten, into)
             case.flights.listed = (*case.flights.listed, facts)
-            # It can be flown without being read.
+            # The case can play the flight without reading it from a file.
             case.flights.flown = FlownFlight(into.number, times_s, np.stack([one.lps_from_camera for one in poses]))
             self.core.emit(Said(f"the drive was kept as a flight of {recorder.length_s:.0f} s: {name}"))
             self.core.changed("flights")
 
     @answers(c.FlightsToKeep)
     def flights_to_keep(self, _question: c.FlightsToKeep) -> tuple[WholeRecording, ...]:
-        """Those that are in memory from the first line to the last."""
+        """Return the finished flights of which no line is in the case file, with their lines."""
         with self.core.lock:
             case = self.core.needed_case()
             writers = {one.number: one for one in case.flights.unwritten if one.closed}
@@ -86,7 +86,7 @@ class KeptDrives(Subject):
 
 
 def _needed(case: OpenCase, scope: str) -> Verdict:
-    """The verdict of an instrument that was driven; with the session locked."""
+    """Return the verdict of an instrument with a simulated drive; the caller holds the session's lock."""
     verdict = next((one for one in case.planning.verdicts() if one.scope.name == scope), None)
     if verdict is None:
         raise NoResultError(

@@ -23,22 +23,22 @@ __all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "WholeCase"]
 
 
 class KeptFile(Protocol):
-    """A case file: :class:`carina.case.CaseFile`."""
+    """Interface of a case file, as :class:`carina.case.CaseFile` implements it."""
 
     def save(self, moment: Moment) -> None:
-        """Write what is new."""
+        """Write the parts of a case state that are not in the file yet."""
 
     def load(self, volume: Volume) -> Moment:
-        """Return the moment that was written last; CaseFileError ``case.empty`` where nothing was."""
+        """Return the case state that was written last; CaseFileError ``case.empty`` if none was written."""
 
     def keep_recording(self, recording: RecordingWriter) -> None:
-        """Write what was recorded since the last call."""
+        """Write the lines that were recorded since the last call."""
 
     def recordings(self) -> tuple[RecordingFacts, ...]:
-        """Those that it holds, in their order."""
+        """Return the recordings in the file, in their order."""
 
     def set_recordings(self, wanted: Sequence[RecordingFacts], *, removed: Collection[int]) -> None:
-        """Have them called, described and ordered so, without the removed ones."""
+        """Set names, descriptions and order of the recordings, and delete the removed ones."""
 
     def recording_text(self, recording_id: int) -> str:
         """Return the lines of a recording."""
@@ -54,49 +54,49 @@ class KeptFile(Protocol):
         """Write the case as one whole file at another path, with the relative path from that file to its CT."""
 
     def close(self) -> None:
-        """Nothing more is written."""
+        """Close the file; nothing can be written afterwards."""
 
 
 class KeptCt(Protocol):
-    """A CT that is kept to open faster."""
+    """A cached CT, which opens faster."""
 
     @property
     def digest(self) -> str:
-        """What it is known by."""
+        """Digest that identifies the CT."""
 
     @property
     def num_bytes(self) -> int:
-        """On the disk."""
+        """Size of the cached CT on the disk."""
 
 
 class CtCache(Protocol):
-    """CTs that are kept to open faster: :class:`carina.volume.VolumeCache`."""
+    """Interface of the cache of opened CTs, as :class:`carina.volume.VolumeCache` implements it."""
 
     @property
     def is_on(self) -> bool:
-        """It may keep something."""
+        """Whether the cache stores CTs."""
 
     @property
     def can_be_on(self) -> bool:
-        """It may be switched on."""
+        """Whether the cache can be switched on."""
 
     def sizes(self) -> Sequence[KeptCt]:
         """Return the cached CTs with their sizes."""
 
     def forget(self, digest: str) -> int:
-        """Remove a CT; returns the bytes removed."""
+        """Delete a cached CT, and return the number of bytes deleted."""
 
     def empty(self) -> int:
-        """Remove every CT; returns the bytes removed."""
+        """Delete every cached CT, and return the number of bytes deleted."""
 
     def switch(self, on: bool) -> None:
-        """Keep CTs from now on, or none and also not those that are kept."""
+        """Switch the cache on or off; switching it off deletes the cached CTs."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class WholeCase:
-    """All that a case file holds, in memory."""
+    """The whole content of a case file, in memory."""
 
     volume: Volume
     digest: str
@@ -105,29 +105,29 @@ class WholeCase:
 
 
 def _nothing() -> None:
-    """Of a CT nothing is kept."""
+    """Do nothing, because no CT is cached."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class KeptFiles:
-    """How case files are made and opened, and how a CT is known again."""
+    """Functions that create, open and write case files, and identify and cache CTs."""
 
     create: Callable[[Path, Volume, str], KeptFile]
-    """``create(path, volume, digest)``."""
+    """``create(path, volume, digest)`` creates a case file."""
     open: Callable[[Path], KeptFile]
     write: Callable[[Path, WholeCase, str | None, SaveMark, Placement], None]
     """``write(path, case, ct_place, save_mark, placement)`` writes a case from memory as one whole file."""
     digest: Callable[[Volume], str]
-    """What a CT is known by."""
+    """Returns the digest that identifies a CT."""
     open_ct: Callable[[str, Progress, Cancel], Volume] | None = None
-    """``open_ct(path, progress, cancel)`` gives a CT that was opened before from what was kept of it; None: nothing
-    is kept of CTs."""
+    """``open_ct(path, progress, cancel)`` opens a CT, from the cache if the CT was opened before; None without a
+    cache."""
     close: Callable[[], None] = _nothing
-    """No more CT is kept."""
+    """Closes the cache of CTs."""
     picture: Callable[[ShownCase], bytes] | None = None
-    """A small JPEG of what is shown; None makes none."""
+    """Renders a thumbnail of a scene as JPEG; None stores no thumbnails."""
     cache: CtCache | None = None
-    """The CTs that are kept, to be looked after."""
+    """The cache of CTs; None without a cache."""
     scans: CaseScans | None = None
-    """Looks for the CTs of case files; None opens none."""
+    """Search for the CTs of case files; None if case files cannot be opened."""

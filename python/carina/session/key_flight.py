@@ -1,4 +1,4 @@
-"""The flight through key frames, or why there is none."""
+"""Computation of the flight through key frames."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ __all__ = ["KeyFlight", "key_flight", "key_frames"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyFlight:
-    """Neither where there are fewer than two key frames."""
+    """The flight through key frames, or the reason why there is none; both are None with fewer than two key frames."""
 
     flight: KeyFrameFlight | None = None
     problem: str | None = None
 
 
 def key_flight(volume: Volume, keys: KeyFrames, airways: Airways | None) -> KeyFlight:
-    """Through all key frames."""
+    """Compute the flight through all key frames."""
     if len(keys.frames) < 2:
         return KeyFlight()
     try:
@@ -37,7 +37,10 @@ def key_flight(volume: Volume, keys: KeyFrames, airways: Airways | None) -> KeyF
 
 
 def key_frames(keys: KeyFrames, volume: Volume, airways: Airways | None) -> tuple[KeyFrame, ...]:
-    """The key frames as they are flown: through the airways between two that both lie in them, if that is asked for."""
+    """Return the key frames with the path to each.
+
+    If requested, the path between two key frames in the airways follows the airways.
+    """
     found: list[KeyFrame] = []
     before: ChosenKeyFrame | None = None
     for key in keys.frames:

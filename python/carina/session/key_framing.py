@@ -1,4 +1,4 @@
-"""Commands about key frames: the list, the flight through it, and its file."""
+"""Commands for key frames: their list, the flight through them, and their file."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ MAX_KEYS = 200
 
 
 class KeyFraming(Subject):
-    """Key frames are part of the document: every change of them is a step of undo."""
+    """Commands for key frames, which are part of the document; every change is an undo step."""
 
     # ------------------------------------------------------------ the list
 
     @does(c.EditKeyFrames)
     def edit_key_frames(self, command: c.EditKeyFrames) -> str | None:
-        """One step of undo; the id of a key frame that is new."""
+        """Edit the list of key frames as one undo step; return the ID of a new key frame."""
         edit = command.edit
         match edit:
             case c.KeyFrameAdd():
@@ -73,7 +73,7 @@ class KeyFraming(Subject):
             return key.key_id
 
     def _move(self, key_id: str, by: int) -> None:
-        """Earlier (below 0) or later in the order; nothing beyond its ends."""
+        """Move a key frame earlier (``by`` below 0) or later in the order, at most to either end."""
         case = self.core.needed_case()
         with self.core.lock:
             frames = list(case.document.key_frames.frames)
@@ -93,7 +93,10 @@ class KeyFraming(Subject):
 
     @does(c.SetKeyFrameFlight)
     def set_key_frame_flight(self, command: c.SetKeyFrameFlight) -> None:
-        """The speed of all legs that name none, and whether the flight follows the airways; None keeps either."""
+        """Set the speed of legs that have none of their own, and whether the flight follows the airways.
+
+        A field that is None leaves its value unchanged.
+        """
         speed_mm_s, through = command.speed_mm_s, command.through
         case = self.core.needed_case()
         with self.core.lock:
@@ -126,15 +129,15 @@ class KeyFraming(Subject):
     # ------------------------------------------------------------ the flight
 
     def follow(self, case: OpenCase) -> None:
-        """Forget the flight through other key frames or airways, with the session locked."""
+        """Delete the cached flight after a change of key frames or airways; the caller holds the session's lock."""
         if case.key_flight.is_of_others((case.document.key_frames, case.document.airways)):
-            # Another flight, at whose times the tip is not.
+            # The pose of the tip belongs to the previous flight, so it has no time in the new flight.
             case.key_flight.forget()
             case.last_move = replace(case.last_move, key_frames_s=None)
 
     @does(c.ShowKeyFrame)
     def show_key_frame(self, command: c.ShowKeyFrame) -> None:
-        """Its pose, and its time in the flight."""
+        """Place the tip at a key frame, and set the time of the flight to this key frame."""
         case = self.core.needed_case()
         with self.core.lock:
             at = _place(case.document.key_frames.frames, command.key_id)
@@ -144,7 +147,13 @@ class KeyFraming(Subject):
 
     @does(c.FlyKeyFrames)
     def fly_key_frames(self, command: c.FlyKeyFrames) -> None:
-        """Clamped to the flight; NoResultError (``session.keys``) if there are fewer than two key frames."""
+        """Place the tip at a time of the flight, limited to its duration.
+
+        Raises
+        ------
+        NoResultError
+            ``session.keys``: if there are fewer than two key frames.
+        """
         time_s, goes_on = command.time_s, command.goes_on
         case = self.core.needed_case()
         with self.core.lock:
@@ -162,7 +171,7 @@ class KeyFraming(Subject):
         case.last_move = replace(case.last_move, by="key_frames", key_frames_s=key_frames_s)
 
     def info(self) -> KeyFramesInfo:
-        """The key frames as they are shown."""
+        """Return the key frames in the form that the windows show."""
         with self.core.lock:
             case = self.core.case
             if case is None:
@@ -189,14 +198,14 @@ class KeyFraming(Subject):
             return _as_shown(keys, tuple(shown), 0.0 if flight is None else flight.duration_s, found.problem)
 
     def _key_flight(self, case: OpenCase) -> KeyFlight:
-        """The flight, or why there is none; with the session locked."""
+        """Return the flight, or the reason why there is none; the caller holds the session's lock."""
         return case.key_flight.of((case.document.key_frames, case.document.airways))
 
     # ------------------------------------------------------------ its file
 
     @answers(c.KeyFramesToTakeAway)
     def key_frames_to_take_away(self, _question: c.KeyFramesToTakeAway) -> KeyFrameFile:
-        """For a file that ``carina fly`` renders."""
+        """Return the file content of the key frames, which ``carina fly`` renders."""
         case = self.core.needed_case()
         with self.core.lock:
             document, sight = case.document, case.sight
@@ -204,7 +213,7 @@ class KeyFraming(Subject):
 
     @does(c.TakeKeyFrameFile)
     def take_key_frame_file(self, command: c.TakeKeyFrameFile) -> str:
-        """As a job. The ways between them are found anew in the present airways."""
+        """Open a file of key frames as a job; the paths between them are computed in the present airways."""
         case = self.core.needed_case()
 
         def work(job: Job) -> None:
@@ -229,7 +238,7 @@ class KeyFraming(Subject):
 
 
 def key_file(volume: Volume, document: Document, sight: Sight) -> KeyFrameFile:
-    """The key frames of a document, with all that a flight through them needs.
+    """Return the key frames of a document, with all inputs of a flight through them.
 
     Raises
     ------
@@ -249,7 +258,7 @@ def _as_shown(
 
 
 def _branch_words(case: OpenCase, key: ChosenKeyFrame) -> tuple[str, int | None]:
-    """What a key frame is called that has no name, and its branch."""
+    """Return the default name of a key frame, and the ID of its branch."""
     airways, index = case.document.airways, case.index
     if airways is None or index is None:
         return "in the volume", None
@@ -264,7 +273,7 @@ def _new_key_id(case: OpenCase) -> str:
 
 
 def _speeds(file: KeyFrameFile) -> list[float | None]:
-    """Of the ways to a file's key frames; times become the speeds that keep them."""
+    """Return the speed of each leg to a key frame of a file; times are converted to the speeds that preserve them."""
     times = [frame.time_s for frame in file.frames]
     if times[0] is None:
         return [frame.speed_mm_s for frame in file.frames]

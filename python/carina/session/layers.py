@@ -1,4 +1,4 @@
-"""What lies round a target as lines over slices and the cut-plane: masks cut by a picture's plane."""
+"""Outlines of the structures around a target in planar images: masks cut by the plane of the image."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ LayerName = Literal["vessels", "fissures", "lobes", "reach"]
 LAYERS: tuple[LayerName, ...] = get_args(LayerName)
 
 UNIT_MM = 0.25
-"""Of the lines, which are cut in millimetres of their plane and not in a picture's pixels: zooming cuts nothing anew,
-and a line that leaves the picture is closed all the same."""
+"""Unit of the outlines, in mm: they are cut in the plane and not in the pixels of an image, so that zooming requires no
+new cut, and a line that leaves the image is still closed."""
 MOST_KEPT = 24
-"""Planes of a mask whose lines are kept: three slices are zoomed and sent again more often than they move."""
+"""Number of planes of a mask whose outlines are cached: images are zoomed or resent more often than planes move."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class OutlineLines:
-    """The outline of a mask in one picture."""
+    """The outline of a mask in one image."""
 
     data: bytes
-    """As :meth:`carina.track.LumenOutline.encoded` gives it."""
+    """Encoded outline (:meth:`carina.track.LumenOutline.encoded`)."""
     complete: bool
-    """False where the mask is too ragged for an outline."""
+    """False if the mask is too ragged for an outline."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class LayerLines(OutlineLines):
-    """The outline of one part of a layer in one picture; its numbers are sixteenths of the lines' own unit."""
+    """The outline of one part of a layer in one image; its coordinates are sixteenths of :data:`UNIT_MM`."""
 
     layer: LayerName
     part: str
-    """*sure* and *unsure* of vessels and of reach, *seen* of fissures, the name of a lobe."""
+    """*sure* or *unsure* for vessels and reach, *seen* for fissures, the name of the lobe for lobes."""
     pixel_from_line: tuple[float, float, float, float, float, float]
-    """From the unit to columns and rows of the picture, in the order of a canvas's ``transform``."""
+    """Affine map from outline units to image columns and rows, in the order of a canvas's ``transform``."""
 
 
 class _Part:
-    """A mask that is cut; its surface is made when a plane first passes, and kept."""
+    """A mask to be cut by planes; its surface is computed at the first cut and cached."""
 
     def __init__(self, layer: LayerName, part: str, mask: MappedMask, without: tuple[Nodule, ...] = ()) -> None:
         self.layer, self.part = layer, part
@@ -67,7 +67,7 @@ class _Part:
         self._corners = (ends @ mask.lps_from_ijk.T)[:, :3]
 
     def lines(self, lps_from_pixel: NDArray[np.float64]) -> LayerLines | None:
-        """None where the plane does not pass it."""
+        """Return the outline of the mask in an image; None if the plane of the image does not intersect the mask."""
         right, down, normal = (_unit(lps_from_pixel[:3, n]) for n in range(3))
         depth = float(normal @ lps_from_pixel[:3, 3])
         depths = self._corners @ normal
@@ -77,7 +77,7 @@ class _Part:
         low, high = places.min(axis=1), places.max(axis=1)
         lps_from_line = np.eye(4)
         lps_from_line[:3, :3] = np.stack([UNIT_MM * right, UNIT_MM * down, normal], axis=1)
-        # Right, down and normal are orthonormal: a planar picture's pixels are square or at least rectangular.
+        # Right, down and normal are orthonormal, because the pixels of a planar image are rectangular.
         lps_from_line[:3, 3] = low[0] * right + low[1] * down + depth * normal
         width, height = (int(n) for n in np.ceil((high - low) / UNIT_MM))
         data = self._cut(lps_from_line, width, height)
@@ -87,7 +87,7 @@ class _Part:
         return LayerLines(data or b"", data is not None, self.layer, self.part, (a, b, c, d, e, f))
 
     def _cut(self, lps_from_line: NDArray[np.float64], width: int, height: int) -> bytes | None:
-        # Hundredths of a millimetre: far below a voxel of any mask.
+        # Rounded to 0.01 mm, far below the voxel size of any mask.
         key = np.round(lps_from_line * 100.0).tobytes()
         with self._lock:
             if key in self._kept:
@@ -103,7 +103,7 @@ class _Part:
         return data
 
     def _inside(self) -> NDArray[np.bool_]:
-        """The mask without the nodules: what is a target is no vessel."""
+        """Return the mask without the voxels of nodules, because a target must not be drawn as a vessel."""
         inside, matrix = self._mask.inside_zyx, self._mask.lps_from_ijk
         for nodule in self._without:
             reach = 0.5 * np.array(nodule.inside_zyx.shape[::-1]) @ np.abs(nodule.lps_from_ijk[:3, :3]).T + matrix[0, 0]
@@ -127,31 +127,32 @@ def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class ShownLayers:
-    """The layers that there are of a case; immutable, and known by its identity. Any thread may cut it.
+    """The available layers of a case; immutable, identified by object identity, and usable by any thread.
 
     Parameters
     ----------
     lungs
         Vessels, fissures and lobes, as far as they are known.
     reach
-        Where an instrument gets.
+        Region that an instrument reaches.
     nodules
-        The targets: none of them is drawn as a vessel.
+        The targets; no target is drawn as a vessel.
     """
 
     def __init__(self, lungs: LungMap | None, reach: ReachAtlas | None, nodules: tuple[Nodule, ...] = ()) -> None:
         self._parts = (*_lung_parts(lungs, nodules), *_reach_parts(reach))
 
     def __repr__(self) -> str:
+        """Describe the layers by their names."""
         return f"ShownLayers({', '.join(dict.fromkeys(part.layer for part in self._parts)) or 'none'})"
 
     @property
     def names(self) -> tuple[LayerName, ...]:
-        """Those that there are."""
+        """Names of the available layers."""
         return tuple(dict.fromkeys(part.layer for part in self._parts))
 
     def lines(self, lps_from_pixel: NDArray[np.float64], wanted: Collection[LayerName]) -> tuple[LayerLines, ...]:
-        """The wanted ones in a planar picture."""
+        """Return the outlines of the wanted layers in a planar image with this pixel-to-LPS matrix (mm)."""
         found = (part.lines(lps_from_pixel) for part in self._parts if part.layer in wanted)
         return tuple(one for one in found if one is not None)
 
@@ -163,7 +164,7 @@ def _lung_parts(lungs: LungMap | None, nodules: tuple[Nodule, ...]) -> Iterator[
         yield _Part("lobes", name, mask)
     if lungs.fissures is not None:
         yield _Part("fissures", "seen", lungs.fissures)
-    # The outline of all of them, dashed; over it, solid, that of the stretches that stand out.
+    # The outline of all vessels is drawn dashed, and the outline of the clearly visible vessels solid over it.
     if lungs.vessels is not None:
         yield _Part("vessels", "unsure", lungs.vessels, nodules)
     if lungs.sure_vessels is not None:

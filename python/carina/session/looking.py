@@ -1,4 +1,4 @@
-"""How the case is shown: look, which undo takes back, and sight, which it does not."""
+"""Commands that set how the case is shown: the look, whose changes can be undone, and the sight, without undo."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ PINHOLE_FOV_DEG = 90.0
 
 
 class Looking(Subject):
-    """Lens, transfer function, light and windows; orbits, zooms and the crosshair.
+    """Commands for lens, transfer function, light, grey-scale windows, orbit, zoom and crosshair.
 
-    Most commands only set a field of one of the two: :meth:`set_field` does all of these.
+    :meth:`set_field` runs every command that only sets one field of the look or of the sight.
     """
 
     def set_field(self, command: c.Command) -> None:
-        """What only sets a field of look or sight. A number that is dragged is one step of undo."""
+        """Set one field of the look or the sight; the changes of a number during a drag form one undo step."""
         case = self.core.needed_case()
         assert command.sets is not None
         view, value = command.setting()
@@ -43,7 +43,7 @@ class Looking(Subject):
 
     @does(c.SetScope)
     def set_scope(self, command: c.SetScope) -> None:
-        """With its field of view and outline. A full frame stays full, since a person chose it."""
+        """Set the scope with its field of view and outline; the outline stays *none* if the user chose a full frame."""
         case = self.core.needed_case()
         if command.scope is None:
             self._change_look(case, "no scope", None, scope=None, fov_deg=PINHOLE_FOV_DEG)
@@ -56,7 +56,7 @@ class Looking(Subject):
 
     @does(c.SetTransfer)
     def set_transfer(self, command: c.SetTransfer) -> None:
-        """A drag is one step; what is in another unit than the volume is refused."""
+        """Set the transfer function, which must have the unit of the volume; one drag forms one undo step."""
         preset, document = command.preset, command.document
         case = self.core.needed_case()
         if preset is not None:
@@ -77,7 +77,7 @@ class Looking(Subject):
 
     @does(c.SetCrosshair)
     def set_crosshair(self, command: c.SetCrosshair) -> None:
-        """None follows the tip."""
+        """Move the crosshair to a point inside the volume; None makes it follow the tip."""
         case = self.core.needed_case()
         if command.lps is not None:
             case.check_inside(command.lps)
@@ -87,7 +87,7 @@ class Looking(Subject):
 
 
 def _with_field(sight: Sight, name: str, view: str | None, value: Any) -> Sight:
-    """The same with another value of a field, or of one view in it."""
+    """Return the sight with another value of a field, or with another value of one view in this field."""
     if view is not None:
         value = {**getattr(sight, name), view: value}
     return msgspec.structs.replace(sight, **{name: value})

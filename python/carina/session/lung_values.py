@@ -1,4 +1,4 @@
-"""What lies round the targets of a case, and where an instrument gets: made when a person asks, and not kept."""
+"""Maps of the lungs around the targets and of an instrument's reach, computed on request and not stored."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ if TYPE_CHECKING:
 __all__ = ["CaseLungs", "LungsInfo"]
 
 ReachInputs = tuple[Any, str, str]
-"""Airways, names of scope and tool."""
+"""Inputs of a reach map: airways, name of the scope, and name of the tool."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class LungsInfo:
-    """What is known of the lungs round the targets."""
+    """State of the maps of the lungs around the targets."""
 
     lungs: LungMap | None
-    """As far as it is made."""
+    """Map of the lungs, with the parts that are available."""
     standing: Standing
     problem: str | None
-    """Why it failed."""
+    """Reason why the map failed."""
     stations: tuple[Landmark, ...]
     reach: ReachAtlas | None
     reach_standing: Standing
     reach_problem: str | None
     outdated: bool
-    """Something was mapped, and the airways have changed since."""
+    """Whether a map was requested and the airways have changed since."""
 
 
 class CaseLungs:
-    """What was mapped of a case's lungs.
+    """Maps of the lungs of a case.
 
     Parameters
     ----------
     volume, parts, jobs, lock
-        As for every derived value (`carina.session.derived`).
+        The CT, and the processing functions, job runner and lock of the session (`carina.session.derived`).
     wall
-        The wall of airways where it has been made for something else.
+        Returns the wall of airways if it has been computed for another purpose, else None.
     changed
-        Told when something is news.
+        Called when a map has changed.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class CaseLungs:
             kind="reach", title="mapping the reach of the instrument", make=self._make_reach, same=_same
         )
         self._early: tuple[Airways, LungMap] | None = None
-        """Vessels that are there already while lobes are being looked for."""
+        """Map with vessels, available while the job still segments the lobes."""
         self._asked_reach: tuple[str, str] | None = None
         self._asked_lungs = False
         self._document: Document | None = None
@@ -92,7 +92,7 @@ class CaseLungs:
         )
 
     def info(self) -> LungsInfo:
-        """With the session locked."""
+        """Return the state of the maps; the caller holds the session's lock."""
         airways = None if self._document is None else self._document.airways
         lungs, reach, inputs = self._lungs_of(airways), None, self._reach_inputs(airways)
         standing: Standing = "unwanted" if airways is None else self._lungs.standing(airways)
@@ -115,7 +115,7 @@ class CaseLungs:
         )
 
     def shown(self) -> ShownLayers | None:
-        """The layers of the airways that the document has; None where there are none."""
+        """Return the layers of the document's airways; None if there are none."""
         document = self._document
         if document is None or document.airways is None:
             return None
@@ -127,31 +127,31 @@ class CaseLungs:
         return self._shown.of((lungs, reach, nodules))
 
     def map_lungs(self, airways: Airways) -> None:
-        """A person asks; with the session locked."""
+        """Start the map of the lungs that the user requested; the caller holds the session's lock."""
         self._asked_lungs = True
         self._lungs.again()
         self._lungs.want(airways)
         self._changed()
 
     def map_reach(self, airways: Airways, scope: str, tool: str) -> None:
-        """A person asks; with the session locked."""
+        """Start the map of an instrument's reach that the user requested; the caller holds the session's lock."""
         self._asked_reach = (scope, tool)
         self._reach.again()
         self._reach.want((airways, scope, tool))
         self._changed()
 
     def follow(self, document: Document) -> None:
-        """What is being made for other airways is given up, with the session locked."""
+        """Cancel maps of other airways after a change of the document; the caller holds the session's lock."""
         before, self._document = self._document, document
         if before is not None and before.airways is not document.airways:
             airways = document.airways
-            # What was made for these before is there again, as after an undo.
+            # Maps that were computed for these airways earlier are used again, such as after an undo.
             self._lungs.want(airways if airways is not None and self._lungs.of(airways) is not None else None)
             inputs = self._reach_inputs(airways)
             self._reach.want(inputs if inputs is not None and self._reach.of(inputs) is not None else None)
 
     def discard(self) -> None:
-        """The case is closed."""
+        """Stop all maps and release their data, because the case is being closed."""
         self._lungs.discard()
         self._reach.discard()
         self._early = self._document = None

@@ -1,4 +1,4 @@
-"""What the airways of a history measure, so that undo and reopening measure none of them again."""
+"""Cache of measurements of all airways in a history, so that undo and reopening measure no airways again."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ __all__ = ["MeasuredAirways"]
 
 
 class MeasuredAirways:
-    """Measures of airways that a history holds, whole or folded; guarded by the session's lock.
+    """Measurements of the airways in a history, unpacked or packed; the session's lock guards the object.
 
     Parameters
     ----------
     kept
-        Airways with their measures, which may still lie in a case file.
+        Pairs of airways and their measurements; the measurements may still be in a case file.
     """
 
     def __init__(self, kept: Iterable[tuple[Any, Any]] = ()) -> None:
@@ -22,30 +22,36 @@ class MeasuredAirways:
         self.take(kept)
 
     def __repr__(self) -> str:
+        """Describe the cache by its number of measured airways."""
         return f"MeasuredAirways({len(self._found)})"
 
     def take(self, kept: Iterable[tuple[Any, Any]]) -> None:
-        """These, and no others."""
+        """Replace all stored measurements by these."""
         self._found = {id(airways): (airways, measures) for airways, measures in kept}
 
     def of(self, airways: Any) -> Any:
-        """What airways measure: :class:`carina.track.TreeMeasures`, or :class:`carina.case.KeptMeasures`; None where
-        they were not measured."""
+        """Return the measurements of airways; None if the airways were not measured.
+
+        Returns
+        -------
+        TreeMeasures, KeptMeasures or None
+            :class:`carina.track.TreeMeasures`, or :class:`carina.case.KeptMeasures` if they are still in a case file.
+        """
         found = self._found.get(id(airways))
         return None if found is None else found[1]
 
     def put(self, airways: Any, measures: Any) -> None:
-        """Airways were measured."""
+        """Store the measurements of airways."""
         self._found[id(airways)] = (airways, measures)
 
     def became(self, before: Any, after: Any) -> None:
-        """The same airways were folded, or unfolded."""
+        """Move the measurements to the packed or unpacked object of the same airways."""
         found = self._found.pop(id(before), None)
         if found is not None:
             self.put(after, found[1])
 
     def among(self, held: Iterable[Any]) -> tuple[tuple[Any, Any], ...]:
-        """Airways with their measures, of those that are held; others are forgotten."""
+        """Return the stored pairs whose airways are in ``held``, and delete all other pairs."""
         ids = {id(airways) for airways in held}
         self._found = {key: found for key, found in self._found.items() if key in ids}
         return tuple(self._found.values())

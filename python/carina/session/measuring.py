@@ -1,4 +1,4 @@
-"""Measuring the airways in the background, after they are found and after every edit."""
+"""Measurement of the airways in the background, after each segmentation and each edit."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ __all__ = ["TreeMeasuring"]
 
 
 class TreeMeasuring(Subject):
-    """Keeps ``Snapshot.measures`` to the document's airways; flight and edits do not wait for it."""
+    """Updates ``Snapshot.measures`` to the document's airways by a job; flight and edits do not wait for the job."""
 
     def follow(self, case: OpenCase) -> None:
-        """Measure other airways, with the session locked."""
+        """Request the measurements of the document's airways; the caller holds the session's lock."""
         if self.core.parts.measure_tree is not None:
             case.measures.want(case.document.airways)

@@ -41,10 +41,22 @@ class NamedCase:
     def open(self, path: Path, ct: str | Path | None) -> tuple[Volume, Moment | None]:
         """Open a case file, and find its CT.
 
+        Parameters
+        ----------
+        path
+            Path of the case file.
+        ct
+            Path of the CT, if the CT has moved.
+
+        Returns
+        -------
+        tuple
+            The CT, and the saved state of the case; the state is None if none was saved.
+
         Raises
         ------
         CaseFileError
-            As :meth:`CaseFile.open`, and ``case.no-scan``.
+            If the file cannot be opened (:meth:`CaseFile.open`); ``case.no-scan`` if its CT is not found.
         VolumeImportError
             If the CT cannot be opened, or is not the CT of the case.
         """
@@ -90,7 +102,7 @@ class NamedCase:
             self._named.close()
 
     def came_from(self, place: str | Path) -> None:
-        """Where the CT of a case lies that has no file yet."""
+        """Store the path of the CT of a case that has no file yet."""
         self._ct_place = str(Path(place).expanduser().absolute())
 
     def save(
@@ -109,7 +121,8 @@ class NamedCase:
         Raises
         ------
         UsageError
-            ``case.no-place``, ``case.exists`` or ``case.read-only``.
+            ``case.no-place``: if the case has no file, or the folder does not exist; ``case.exists``: if another file
+            is at the path; ``case.read-only``: if :attr:`note` is set.
         NamedFileConflictError
             ``case.changed``: if the file has other content than this program last read or wrote; ``case.read-only``: if
             another window or program has the file open. The file is unchanged.
@@ -149,7 +162,7 @@ class NamedCase:
         NamedFileConflictError
             If the case was saved under a new name, which the message states.
         CarinaError
-            As :meth:`save`.
+            If the case cannot be saved (see :meth:`save`).
         """
         try:
             self.save(volume, moment, None, replace=False, flights=flights)
@@ -175,9 +188,14 @@ class NamedCase:
             named.close()
 
     def check_saved(self, moment: Moment, *, kept: Moment | None = None, live: Path | None = None) -> None:
-        """Refuse to close a case whose file cannot be written and lacks changes of a moment.
+        """Refuse to close a case whose file cannot be written and lacks changes.
 
-        ``kept`` is the moment in the live file ``live``, for an object that has neither read nor written a file.
+        Parameters
+        ----------
+        moment
+            The present state of the case.
+        kept, live
+            State in the live file, and its path, for an object that has neither read nor written a named file.
 
         Raises
         ------
@@ -189,7 +207,7 @@ class NamedCase:
             check_saved(path, self.note, self._saved or kept, moment)
 
     def is_behind(self, moment: Moment) -> bool:
-        """Whether the case has a writable file, and this file has an earlier moment."""
+        """Return whether the case has a writable file that lacks the present state of the case."""
         if self.path is None or self._named is None or self.note is not None:
             return False
         saved = self._saved
@@ -237,7 +255,8 @@ class NamedCase:
             if facts.recording_id in self._flights:
                 continue
             if facts.recording_id in there:
-                # A file whose numbers were lost has another flight of this number: this one gets the next.
+                # A file that lost its numbers may have another flight with this number, so the flight gets the next
+                # number.
                 writer.number = None
             file.keep_recording(writer)
             if facts.words:

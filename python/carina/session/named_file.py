@@ -105,6 +105,7 @@ class NamedFile:
         self._writing = threading.Lock()
 
     def __repr__(self) -> str:
+        """Describe the file by its path and its mark."""
         return f"NamedFile({str(self.path)!r}, mark={self.mark!r})"
 
     @property
@@ -168,15 +169,16 @@ class NamedFile:
         Raises
         ------
         NamedFileConflictError
-            As :meth:`check`; the file is unchanged.
+            If another window has the file open, or the file has other content (see :meth:`check`). The file is
+            unchanged.
         DiskError, OSError
-            If the disk refuses; the file is unchanged.
+            If the disk refuses the write; the file is unchanged.
         """
         with self._exclusively():
             self._take_lock()
             place = self._place()
             if not replace:
-                # This check saves the work of a useless draft; the deciding check follows when the draft is complete.
+                # This early check avoids a useless draft; the deciding check follows when the draft is complete.
                 self._refuse_other_content(_digest_of(place), may_be_missing=may_be_missing)
             parent = self._parent(place, replace=replace)
             save = SaveMark.after(
@@ -188,7 +190,7 @@ class NamedFile:
                 digest = _digest_of(draft)
                 assert digest is not None
                 mark = FileMark(digest, save.save_id, save.generation)
-                # A share may report a replacement as failed that was done: then the file has this content.
+                # A network share may report a failure although it has replaced the file, which then has this digest.
                 self._next_digest = digest
                 if before_placing is not None:
                     before_placing(mark)
@@ -300,7 +302,7 @@ class NamedFile:
             draft.replace(target)
 
     def _replace_unlocked(self, draft: Path, target: Path, *, may_be_missing: bool) -> None:
-        """Move the present file aside and compare it there: two windows cannot move the same file."""
+        """Replace the file without a lock: move it aside and compare it there, which two windows cannot do at once."""
         aside = _free_name(target, f"being replaced {secrets.token_hex(4)}")
         try:
             target.rename(aside)
@@ -314,7 +316,7 @@ class NamedFile:
         except BaseException:
             _put_back(aside, target)
             raise
-        # A program that reads the moved file can hold it (Windows); the save is complete nevertheless.
+        # A program that reads the moved file can prevent its deletion (Windows); the save is complete nevertheless.
         with contextlib.suppress(OSError):
             aside.unlink()
 
@@ -359,7 +361,8 @@ def open_marked(path: Path) -> tuple[CaseFile, FileMark]:
     Raises
     ------
     CaseFileError
-        As :meth:`carina.case.CaseFile.open`; ``case.read-only`` if another program keeps replacing the file.
+        If the file cannot be opened (see :meth:`carina.case.CaseFile.open`); ``case.read-only`` if another program
+        keeps replacing the file.
     OSError
         If the file cannot be read.
     """
@@ -512,7 +515,7 @@ def _short(label: str) -> str:
 def _owner_of(path: Path) -> str:
     """Return ``by USER`` after a space if the file belongs to another user of this computer; else an empty text."""
     with contextlib.suppress(OSError, KeyError, ImportError, AttributeError):
-        import pwd  # the module exists on POSIX only
+        import pwd  # The module exists on POSIX only.
 
         owner = path.stat().st_uid
         if owner != os.geteuid():

@@ -72,7 +72,7 @@ class NamedLock:
                     return cls(beside, descriptor)
             # The previous owner has just removed this lock file, so a lock on it excludes no other process.
             os.close(descriptor)
-        # A share that reports another file number at each call: its lock files cannot be told apart.
+        # The network share reports another file number at each call, so lock files cannot be identified.
         return None
 
     def release(self) -> None:

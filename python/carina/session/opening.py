@@ -1,4 +1,4 @@
-"""Opening and closing a case."""
+"""Commands that open and close a case, and undo and redo."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ __all__ = ["Opening"]
 
 @dataclass(slots=True)
 class _Found:
-    """What is known only when a case file has been read."""
+    """Results of reading a case file."""
 
     file: CaseFile | None = None
-    """To go on from."""
+    """The opened case file; None before it is read."""
     mark: FileMark | None = None
     """Mark of the opened file; None for a dropped file."""
     place: str | None = None
-    """Of the CT."""
+    """Path of the CT."""
 
 
 @dataclass(slots=True)
 class _Dropped:
-    """What is known only when a dropped CT has been read."""
+    """Results of reading a dropped CT."""
 
     references: References | None = None
 
 
 class Opening(Subject):
-    """A case is opened by a job; the one on screen stays until the new one has been read."""
+    """Commands that open and close a case; the present case remains on screen until the new one has been read."""
 
     def __init__(
         self,
@@ -68,12 +68,12 @@ class Opening(Subject):
 
     @does(c.OpenPath)
     def open_path(self, command: c.OpenPath) -> str:
-        """Read a file or folder and remember it."""
+        """Open a file or folder, and add it to the list of recent cases."""
         return self._open_path(command.path)
 
     @does(c.OpenFiles)
     def open_files(self, command: c.OpenFiles) -> str:
-        """Read files that nobody will find there again."""
+        """Open files in a temporary folder, such as dropped files; their path is not stored."""
         scans = self._saving.scans
         if scans is not None and is_case_file(command.path):
             return self._open_case_file(Path(command.path), scans, dropped=True)
@@ -83,9 +83,9 @@ class Opening(Subject):
         def read(job: Job) -> Volume:
             volume = self.core.parts.open_volume(command.path, job.progress, job.cancel)
             if volume.source.format == "dicom":
-                from carina.volume.dicom_structures import ct_references  # the readers of DICOM are slow to load
+                from carina.volume.dicom_structures import ct_references  # slow to import
 
-                # The files go once they have been read: a target's file is compared with this later.
+                # The temporary files are deleted after reading; these references replace them in later comparisons.
                 watch = Watch(job.progress, job.cancel)
                 dropped.references = ct_references(Path(command.path), volume, watch)
             return volume
@@ -177,7 +177,10 @@ class Opening(Subject):
         return self._open_demo(name, record.case_id)
 
     def _open_without_place(self, record: CaseRecord) -> str:
-        """Its CT was dropped, or lies in a case file that was: it may be cached, in the case, or known by another."""
+        """Open a stored case without a path of its CT, which was dropped or was in a dropped case file.
+
+        The CT may be in the cache, in the case file, or at the path that another case states.
+        """
         scans, records = self._saving.scans, self._saving.records
         no_ct = UsageError(
             "the location of this case's CT is not known: drop the CT here or choose it to continue", code="case.no-ct"
@@ -203,7 +206,7 @@ class Opening(Subject):
 
     @does(c.OpenDemo)
     def open_demo(self, command: c.OpenDemo) -> str:
-        """Read or make a bundled case."""
+        """Open a bundled CT, or generate the phantom."""
         return self._open_demo(command.name)
 
     def _open_demo(self, name: str, case_id: str | None = None) -> str:
@@ -214,7 +217,7 @@ class Opening(Subject):
 
     @does(c.BeginAnew)
     def begin_anew(self, _command: c.BeginAnew) -> str:
-        """Another case of the open CT, as if nothing had been kept of it."""
+        """Begin a new case of the open CT, without the stored content of earlier cases."""
         with self.core.lock:
             case = self.core.needed_case()
             place = self._saving.place_of(case)
@@ -222,7 +225,7 @@ class Opening(Subject):
 
     @does(c.OpenVolume)
     def open_volume(self, command: c.OpenVolume) -> str:
-        """Take a volume as it is."""
+        """Open a volume that is already in memory."""
         volume: Volume = command.volume
         return self._open(
             "opening the volume", lambda _job: volume, None, given=command.kept, finds=not command.follows
@@ -230,7 +233,7 @@ class Opening(Subject):
 
     @does(c.OpenRecent)
     def open_recent(self, command: c.OpenRecent) -> str:
-        """Open a case of the list; UsageError if it has no such case."""
+        """Open a case of the list; UsageError if the list has no such case."""
         records = self._saving.records
         record = None if records is None else records.find(command.recent_id)
         if record is not None:
@@ -242,12 +245,12 @@ class Opening(Subject):
 
     @does(c.CloseCase)
     def close_case(self, _command: c.CloseCase) -> None:
-        """End all that belongs to it; UsageError while the disk has not taken its latest changes."""
+        """Close the case and end its jobs; UsageError while the disk has not accepted the latest changes."""
         self._saving.refuse_to_lose()
         with self.core.lock:
             self._recording.stop()
             self.core.jobs.cancel_kinds()
-        # What waits for the disk does so without the lock: pictures go on meanwhile.
+        # let_go() may wait for the disk, so it is called without the lock, and images are still rendered.
         self._saving.let_go()
         with self.core.lock:
             self._discard_case()
@@ -256,26 +259,26 @@ class Opening(Subject):
 
     @does(c.Cancel)
     def cancel(self, command: c.Cancel) -> None:
-        """Nothing if the job has ended."""
+        """Cancel a job; do nothing if the job has ended."""
         self.core.jobs.cancel(command.job_id)
 
     @does(c.Undo)
     def undo(self, _command: c.Undo) -> None:
-        """Say so where there is nothing."""
+        """Undo the last change, or notify the user that there is none."""
         self.core.undo()
 
     @does(c.Redo)
     def redo(self, _command: c.Redo) -> None:
-        """Say so where there is nothing."""
+        """Redo the last undone change, or notify the user that there is none."""
         self.core.redo()
 
     @does(c.GoToStep)
     def go_to_step(self, command: c.GoToStep) -> None:
-        """As undo and redo, several at once."""
+        """Restore the state after a step of the history."""
         self.core.go_to_step(command.step)
 
     def _discard_case(self) -> None:
-        """Nothing goes on for the case on screen; with the session locked."""
+        """Stop all computations for the case on screen; the caller holds the session's lock."""
         if self.core.case is not None:
             self.core.case.discard()
 
@@ -296,7 +299,7 @@ class Opening(Subject):
     ) -> str:
         """Open a CT with the stored case ``case_id``; without an id, with the case of this CT that was used last.
 
-        The caller that passes a ``given`` moment stores the case that continues from this moment.
+        With a ``given`` state, the case continues from this state, and the caller stores the case.
         """
         if path is not None and found is None:
             place = str(Path(path).absolute())
@@ -310,10 +313,10 @@ class Opening(Subject):
         def open_it(job: Job) -> None:
             job.check()
             volume = read(job)
-            # From here on there is no way back: a refused or stopped opening leaves the case on screen as it was.
+            # Up to this point a refused or stopped opening leaves the case on screen unchanged.
             job.check()
             with self.core.lock:
-                # Its end belongs to the case that is given back.
+                # The end of the recording belongs to the case that is being closed.
                 self._recording.stop()
             with self._saving.between() as keeping:
                 kept = given
@@ -351,16 +354,16 @@ class Opening(Subject):
                         case.begun_s -= given.steps[-1].at_s
                     keeping.attach(case, found_place)
                     self.core.changed(*ALL_TOPICS, "flights", "start")
-            # A tenth of a second, and pictures come several times faster; the airways take many.
+            # Takes a tenth of a second and makes rendering several times faster; the airway search takes many seconds.
             case.content.prepare()
             self._go_on(case, kept, finds)
 
         return self.core.jobs.start("open", title, work)
 
     def _show(self, job: Job, case: OpenCase) -> None:
-        """In the place of the case on screen; with the session locked."""
+        """Replace the case on screen; the caller holds the session's lock."""
         self._recording.stop()
-        # All others belong to the case on screen.
+        # All other jobs belong to the previous case.
         self.core.jobs.cancel_others(job)
         self._discard_case()
         case.begun_s = self.core.clock()

@@ -1,4 +1,4 @@
-"""The case of a program: opened by the program, or joined in a running Carina."""
+"""Cases of notebooks and scripts: opened in the process of the program, or joined in a running Carina."""
 
 from __future__ import annotations
 
@@ -16,45 +16,45 @@ __all__ = ["OwnCase", "ProgramCase", "do_and_wait", "program_session"]
 
 
 class ProgramCase(Protocol):
-    """What :class:`carina.Case` stands on."""
+    """Interface of the cases that :class:`carina.Case` uses: cases of this process and joined cases."""
 
     @property
     def session(self) -> Session:
-        """In which the case is to be read, as it is now."""
+        """The session with the present state of the case."""
 
     @property
     def path(self) -> Path | None:
-        """The file that it is saved to; None where it has none yet."""
+        """Path of the case file; None if the case has no file yet."""
 
     @property
     def note(self) -> str | None:
-        """Why it cannot be saved in its place; None where it can."""
+        """Reason why the case cannot be saved to its file; None if it can."""
 
     def do(self, command: Command) -> None:
-        """Do a command, and wait for what goes on with it."""
+        """Run a command, and wait for its jobs."""
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
-        """Write it as one whole file."""
+        """Write the case to one file, and return the path."""
 
     def close(self) -> None:
-        """Save the case to its file, and release everything.
+        """Save the case to its file, stop its jobs, and release its memory.
 
         Raises
         ------
         DiskError, UnsavedWorkError
-            If the file cannot be written; everything is released nevertheless.
+            If the file cannot be written; the case is closed nevertheless.
         """
 
 
 class OwnCase:
-    """A case that nobody else has: its session, and the file that it is saved to."""
+    """A case that only this process uses: its session, and the file to which it is saved."""
 
     def __init__(self) -> None:
         self._session = program_session()
         self._named = NamedCase()
 
     def open(self, source: str | Path | Volume, ct: str | Path | None) -> None:
-        """As :meth:`carina.Case.open`."""
+        """Open a CT or a case file (see :meth:`carina.Case.open`)."""
         if isinstance(source, Volume):
             self.do(OpenVolume(source))
         elif is_case_file(source):
@@ -65,17 +65,17 @@ class OwnCase:
 
     @property
     def session(self) -> Session:
-        """As it is."""
+        """The session of the case in this process."""
         return self._session
 
     @property
     def path(self) -> Path | None:
-        """As opened or saved."""
+        """Path from which the case was opened or to which it was saved; None without one."""
         return self._named.path
 
     @property
     def note(self) -> str | None:
-        """Somebody else has that file."""
+        """Reason why the case cannot be saved to its file; None if it can."""
         return self._named.note
 
     def do(self, command: Command) -> None:
@@ -83,7 +83,7 @@ class OwnCase:
         do_and_wait(self._session, command)
 
     def save(self, path: str | Path | None, *, replace: bool) -> Path:
-        """Write the case to its file, or to ``path``."""
+        """Write the case to ``path``, or to its file if ``path`` is None."""
         moment, case = self._session.ask(MomentToKeep()), self._session.snapshot().case
         assert case is not None
         flights = self._session.ask(FlightsToKeep())
@@ -104,19 +104,19 @@ class OwnCase:
 
 
 def program_session(**options: object) -> Session:
-    """Create a session whose pictures this process makes."""
+    """Create a session whose renderer runs in this process."""
     from carina.render import Renderer
 
     return Session(lambda volume, transfer: Renderer(volume, transfer=transfer), **options)  # type: ignore[arg-type]
 
 
 def do_and_wait(session: Session, command: Command) -> None:
-    """Do a command and wait until nothing goes on any more.
+    """Run a command, and wait until no job runs any more.
 
     Raises
     ------
     CarinaError
-        As it was refused, or as the first of the jobs ended that it started.
+        The error of the command, or of the first of its jobs that failed.
     """
     errand = Errand()
     with errand.doing():

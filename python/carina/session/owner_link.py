@@ -1,4 +1,4 @@
-"""The way from a program to the process that owns its case: commands there, and how they ended back."""
+"""Connection from a program to the process that owns its case: it sends commands and receives their results."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ __all__ = ["LinkLostError", "OwnerLink"]
 logger = logging.getLogger(__name__)
 
 ANSWERS_WITHIN_S = 20.0
-"""A process on this machine that does not take a program within this time has no door. Where nobody listens any more
-the system refuses at once; an owner on a busy machine answers late."""
+"""Time limit for the reply of an owner. If no process listens, the system refuses the connection at once; an owner on a
+busy machine replies late."""
 MAX_ANSWER_BYTES = 64 << 20
 CLOSED_CODES = frozenset({"case.closed", "session.no-case"})
-"""What an owner says that has let the case go."""
+"""Error codes of an owner that has closed the case."""
 
 
 class LinkLostError(CarinaError):
-    """The owner has gone, or has let the case go; what was not confirmed may have been done."""
+    """The owner has ended or has closed the case; commands without a confirmation may have been run."""
 
     code = "case.owner-gone"
 
 
 class OwnerLink:
-    """A connection with the owner of a case: :meth:`connect` makes one. Used from one thread at a time.
+    """Connection to the owner of a case, created by :meth:`connect` and used by one thread at a time.
 
     Parameters
     ----------
     socket
-        Open, the first message taken.
+        Open connection, from which the first message has been read.
     close
-        Closes it.
+        Closes the connection.
     """
 
     def __init__(self, socket: ClientConnection, close: Callable[[], None]) -> None:
@@ -63,7 +63,7 @@ class OwnerLink:
 
     @classmethod
     def connect(cls, door: Door, case_id: str) -> OwnerLink | None:
-        """None where nobody answers, or the case is not open there any more."""
+        """Connect to the owner of a case; return None if no process replies or the case is no longer open there."""
         from websockets.exceptions import WebSocketException
         from websockets.sync.client import connect
 
@@ -76,7 +76,7 @@ class OwnerLink:
                         door.url,
                         additional_headers={"Authorization": f"Bearer {door.token}"},
                         compression=None,
-                        # To this machine, whatever the environment says of the way to others.
+                        # The address is on this machine, so a proxy of the environment must not be used.
                         proxy=None,
                         open_timeout=ANSWERS_WITHIN_S,
                         close_timeout=1.0,
@@ -91,14 +91,14 @@ class OwnerLink:
             return cls(socket, opened.pop_all().close)
 
     def do(self, command: Command) -> Settled:
-        """Have a command done, and wait for what goes on with it.
+        """Run a command in the owner's process, and wait for it and its jobs.
 
         Raises
         ------
         LinkLostError
-            If the owner has gone before it said that it is done.
+            If the owner ended before it confirmed the command.
         CarinaError
-            As the command ended there.
+            The error of the command in the owner's process.
         """
         settled = self.settle(command)
         if settled.problems:
@@ -106,12 +106,14 @@ class OwnerLink:
         return settled
 
     def settle(self, *commands: Command, all_jobs: bool = False) -> Settled:
-        """Wait until all that was asked for is done and on the disk, with ``all_jobs`` also what others have started.
+        """Send commands, and wait until they and all earlier ones are done and stored on the disk.
+
+        With ``all_jobs`` the call also waits for jobs that other programs and windows have started.
 
         Raises
         ------
         LinkLostError
-            If the owner has gone.
+            If the owner has ended or closed the case.
         """
         from websockets.exceptions import ConnectionClosed
 
@@ -129,7 +131,7 @@ class OwnerLink:
         raise LinkLostError("the program that had this case open has ended or closed it")
 
     def watch(self, lost: Callable[[OwnerLink], None]) -> None:
-        """Have somebody told, from a thread of their own, when the owner has gone: also while nothing is asked."""
+        """Call ``lost`` from a separate thread as soon as the connection ends, even while no command waits."""
 
         def wait() -> None:
             self._ended.wait()
@@ -138,17 +140,17 @@ class OwnerLink:
         threading.Thread(target=wait, name="carina-owner-gone", daemon=True).start()
 
     def close(self) -> None:
-        """Leave."""
+        """Close the connection."""
         self._close()
 
     def _read(self) -> None:
-        """Until the connection ends."""
+        """Read replies until the connection ends."""
         try:
             for text in self._socket:
                 self._answers.put(read_json(text, Settled))
         except (OSError, msgspec.MsgspecError) as trouble:
             logger.warning("the program that has a case open sent an invalid message: %s", type(trouble).__name__)
-        except Exception as trouble:  # of the library: the connection is at its end, however it came to it
+        except Exception as trouble:  # Any error of the library ends the connection.
             logger.debug("the owner of a case has gone: %s", type(trouble).__name__)
         finally:
             self._answers.put(None)
@@ -156,7 +158,7 @@ class OwnerLink:
 
 
 def raised(problem: Problem) -> CarinaError:
-    """The error that the owner told of."""
+    """Return the error that a problem of the owner describes."""
     if problem.doubtful_mm is not None and problem.way_lps is not None and problem.doubtful is not None:
         return NoEvidenceError(
             problem.message,

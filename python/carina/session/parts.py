@@ -1,4 +1,4 @@
-"""The functions a session drives, as one value: the real ones, or a test's small ones."""
+"""The processing functions that a session calls, as one value that tests can replace by simple functions."""
 
 from __future__ import annotations
 
@@ -79,52 +79,59 @@ def _judge_scopes(*arguments: Any, **options: Any) -> tuple[Verdict, ...]:
 
 
 class RendererFactory(Protocol):
-    """Makes a renderer of a volume: one machine's, or a cluster's."""
+    """Factory of renderers, on one machine or on a cluster."""
 
     def __call__(self, volume: Volume, transfer: TransferFunction) -> SessionRenderer:
-        """A renderer that shows the volume with a transfer function."""
+        """Create a renderer that shows the volume with a transfer function."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """See the contracts of the named public functions."""
+    """Processing functions of a session; the public functions of the same names define their contracts."""
 
     open_volume: Callable[[str, Progress, Cancel], Volume]
     open_demo: Callable[[str, Progress, Cancel], Volume]
     quality_words: Callable[[Volume], tuple[str, ...]]
     find_airways: Callable[..., Airways]
-    """``find_airways(volume, root_lps=, lumen_threshold=, progress=, cancel=)``; ``lumen_zyx=, notes=`` for a mask."""
+    """Segments the airways, or builds their tree from a mask.
+
+    The call is ``find_airways(volume, root_lps=, lumen_threshold=, progress=, cancel=)``, for a mask with the further
+    arguments ``lumen_zyx=, notes=``.
+    """
     transfer_preset: Callable[[str], TransferFunction]
     transfer_from_json: Callable[[dict[str, Any]], TransferFunction]
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
     measure_tree: Callable[..., TreeMeasures] | None = None
-    """``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
+    """Measures branches: ``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
     wall_field: Callable[..., Any] = _wall_field
-    """``wall_field(volume, airways, progress=, cancel=)``."""
+    """Computes the airway wall: ``wall_field(volume, airways, progress=, cancel=)``."""
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
     edit_airways: Callable[..., Airways] = _edit_airways
-    """``edit_airways(volume, airways, edit, progress=, cancel=)``."""
+    """Returns edited airways: ``edit_airways(volume, airways, edit, progress=, cancel=)``."""
     preview_edit: Callable[..., EditPreview] = _preview_edit
-    """``preview_edit(volume, airways, edit)``."""
+    """Returns the preview of an edit: ``preview_edit(volume, airways, edit)``."""
     open_mask: Callable[..., Mask] = _open_mask
-    """``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
+    """Reads a segmentation: ``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
     grow_nodule: Callable[..., Nodule] = _grow_nodule
-    """``grow_nodule(volume, at_lps, wall=, progress=)``."""
+    """Segments a nodule at a point (LPS, mm): ``grow_nodule(volume, at_lps, wall=, progress=)``."""
     plan_route: Callable[..., Plan] = _plan_route
-    """``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
+    """Plans the routes to a nodule: ``plan_route(volume, airways, nodule, scope=, tool=, ...)``."""
     judge_scopes: Callable[..., tuple[Verdict, ...]] = _judge_scopes
-    """``judge_scopes(tree, plan, wall, route=, scopes=, entry_mm=, found=, progress=, cancel=)``."""
+    """Computes the verdicts on a planned route.
+
+    The call is ``judge_scopes(tree, plan, wall, route=, scopes=, entry_mm=, found=, progress=, cancel=)``.
+    """
     map_lungs: Callable[..., LungMap] = _map_lungs
-    """``map_lungs(volume, airways, wall, progress=, found=)``."""
+    """Maps vessels, fissures and lobes: ``map_lungs(volume, airways, wall, progress=, found=)``."""
     reach_atlas: Callable[..., ReachAtlas] = _reach_atlas
-    """``reach_atlas(volume, airways, scope=, tool=, wall=, progress=, cancel=)``."""
+    """Maps an instrument's reach: ``reach_atlas(volume, airways, scope=, tool=, wall=, progress=, cancel=)``."""
     scope_presets: Callable[[], tuple[ScopePreset, ...]] = scope_presets
-    """The instruments that are judged."""
+    """Returns the instruments for which verdicts are computed."""
 
 
 def default_parts() -> Parts:
-    """The real parts of Carina."""
+    """Return the processing functions of Carina."""
     from carina import render, track, volume
 
     def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:

@@ -1,4 +1,4 @@
-"""The small picture by which a person knows a case again."""
+"""Thumbnail of a case, by which the user recognises the case in the list."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
 __all__ = ["small_picture"]
 
 VIEW = "tree"
-"""From outside no two patients' airways are alike; from within, most are."""
+"""The outside view, because the trees of two patients differ visibly, while their inside views look alike."""
 WIDTH, HEIGHT = 320, 240
 STEP_VOX = 1.0
 QUALITY = 82
 
 
 def small_picture(scene: ShownCase) -> bytes:
-    """A JPEG of the airways from outside, as they are looked at now.
+    """Return a JPEG of the airways from outside, with the present view settings.
 
     Raises
     ------
     CarinaError
-        If the renderer has no answer.
+        If the renderer fails.
     """
     import simplejpeg
 

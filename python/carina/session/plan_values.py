@@ -1,4 +1,4 @@
-"""What follows from targets with a size: the plan of each, and what instruments can do on the route that is chosen."""
+"""Values computed from targets with a size: the plan of each target, and the verdicts on the chosen route."""
 
 from __future__ import annotations
 
@@ -30,48 +30,48 @@ if TYPE_CHECKING:
 __all__ = ["CasePlanning", "PlannedTarget", "PlanningInfo", "TargetPlan", "chosen_number", "shown_surface"]
 
 MOST_SHOWN = 36
-"""Voxels along a nodule's box that are shown of it: finer is not seen."""
+"""Largest number of voxels along a side of a nodule's displayed surface; finer detail is not visible."""
 SAME_PLACE_MM = 0.05
 
 
 PlanTask = tuple["Nodule", tuple[tuple[float, float, float], ...], PlanOptions]
-"""What a plan is made from beside the airways: nodule, aims and options. Words about a target change no plan."""
+"""Inputs of a plan besides the airways: nodule, aims and options. Names and notes of a target change no plan."""
 
 
 def task_of(lesion: Lesion) -> PlanTask:
-    """Of a target."""
+    """Return the inputs of the plan of a lesion."""
     return lesion.nodule, lesion.target.aims, lesion.options
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetPlan:
-    """What came of planning for one target."""
+    """Result of planning for one target."""
 
     task: PlanTask
     plan: Plan | None
     problem: str | None
-    """Why there is no plan."""
+    """Reason why there is no plan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MadePlans:
-    """The plans of all targets in the same airways."""
+    """Plans of all targets in the same airways."""
 
     airways: Airways
     wall: Any
     measures: TreeMeasures | None
-    """None where the case measures nothing; then each plan does."""
+    """Measurements of the airways; None if the case measures none, and each plan then measures for itself."""
     plans: tuple[TargetPlan, ...]
 
     def of(self, task: PlanTask) -> TargetPlan | None:
-        """Its plan."""
+        """Return the plan of a task; None if there is none."""
         return next((one for one in self.plans if one.task == task), None)
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class PlannedTarget:
-    """A target with a size, and its plan once it is made."""
+    """A target with a size, and its plan once the plan is available."""
 
     target: Target
     planned: TargetPlan | None
@@ -80,7 +80,7 @@ class PlannedTarget:
 @one_line
 @dataclass(frozen=True, slots=True)
 class PlanningInfo:
-    """The plans of a case's targets, and the verdicts on the route that is chosen."""
+    """Plans of a case's targets, and the verdicts on the chosen route."""
 
     targets: tuple[PlannedTarget, ...]
     standing: Standing
@@ -88,43 +88,43 @@ class PlanningInfo:
     verdicts_standing: Standing
     document: Document
     turns: TurnList | None = None
-    """Of the route that is chosen."""
+    """List of turns of the chosen route."""
     dicom_problem: str | None = None
-    """Why no DICOM file can refer to the CT; None where one can."""
+    """Reason why no DICOM file can refer to the CT; None if one can."""
 
 
 PlanInputs = tuple[Any, ...]
-"""Airways, then the tasks."""
+"""Inputs of all plans: the airways, followed by the plan task of each target."""
 VerdictInputs = tuple[Any, ...]
-"""A plan, the number of a route in it, the airways' wall, and the options."""
+"""Inputs of the verdicts: plan, number of a route in the plan (from 1), airway wall, and plan options."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class CtOrigin:
-    """Where a case's CT came from."""
+    """Origin of the CT of a case."""
 
     place: str | None = None
-    """The file or folder of this machine that it was opened from; None where it was dropped, or made."""
+    """File or folder on this machine from which the CT was opened; None if it was dropped or generated."""
     references: References | None = None
-    """Of a dropped CT in DICOM, what its files say of themselves; never kept."""
+    """References to the DICOM files of a dropped CT; never stored."""
 
 
 class CasePlanning:
-    """The plans of a case's targets, and the verdicts on the route that is chosen.
+    """The plans of a case's targets, and the verdicts on the chosen route.
 
     Parameters
     ----------
     volume, parts, jobs, lock
-        As for every derived value (`carina.session.derived`).
+        The CT, and the processing functions, job runner and lock of the session (`carina.session.derived`).
     changed
-        Told when a plan or a verdict is news.
+        Called when a plan or a verdict has changed.
     measured
-        What airways of the history measured: the same measures that the window shows.
+        Measurements of the airways in the history, which the window also shows.
     """
 
     lungs: CaseLungs
-    """What was mapped of the lungs round the targets."""
+    """The maps of the lungs around the targets."""
 
     def __init__(
         self,
@@ -160,25 +160,25 @@ class CasePlanning:
             settled=changed,
         )
         self._early: tuple[VerdictInputs, tuple[Verdict, ...]] | None = None
-        """Verdicts that are there already while others are being made."""
+        """Verdicts that are available while the job computes further ones."""
         self._document: Document | None = None
         self.origin = CtOrigin()
         self._turns: Cached[tuple[Any, ...], TurnList] = Cached(_turns, same=_same_turns)
 
-    # ------------------------------------------------------------ what is asked
+    # ------------------------------------------------------------ state
 
     def of(self, lesion: Lesion) -> TargetPlan | None:
-        """The plan of a target of the document, if it is there."""
+        """Return the plan of a target of the document; None if it is not available."""
         made = self.made
         return None if made is None else made.of(task_of(lesion))
 
     def standing(self) -> Standing:
-        """What has become of the plans."""
+        """Return the status of the plans."""
         inputs = self._inputs(self._document)
         return "unwanted" if inputs is None else self._plans.standing(inputs)
 
     def verdicts(self) -> tuple[Verdict, ...]:
-        """On the route that is chosen, as far as they are made."""
+        """Return the available verdicts on the chosen route."""
         inputs = self._verdict_inputs()
         if inputs is None:
             return ()
@@ -190,12 +190,12 @@ class CasePlanning:
             return early[1] if early is not None and _same(early[0], inputs) else ()
 
     def verdicts_standing(self) -> Standing:
-        """What has become of them."""
+        """Return the status of the verdicts."""
         inputs = self._verdict_inputs()
         return "unwanted" if inputs is None else self._verdicts.standing(inputs)
 
     def turns(self) -> TurnList | None:
-        """Of the route that is chosen; with what the hand does, once the verdict on the planned scope is there."""
+        """Return the turns of the chosen route, with hand movements once the planned scope's drive is simulated."""
         inputs, made = self._verdict_inputs(), self.made
         if inputs is None or made is None:
             return None
@@ -204,27 +204,27 @@ class CasePlanning:
         return self._turns.of((made.airways.tree, plan, number, driven))
 
     def again(self) -> None:
-        """A person asks: also what was stopped or failed is tried again."""
+        """Repeat planning and verdicts that were stopped or failed, because the user asked for it."""
         self._plans.again()
         self._verdicts.again()
         if self._document is not None:
             self.follow(self._document)
 
-    # ------------------------------------------------------------ what is said
+    # ------------------------------------------------------------ requests
 
     def follow(self, document: Document) -> None:
-        """Plan for what the document has now, with the session locked."""
+        """Request plans and verdicts for the present document; the caller holds the session's lock."""
         self._document = document
         self._plans.want(self._inputs(document))
         self._verdicts.want(self._verdict_inputs())
 
     def discard(self) -> None:
-        """The case is closed."""
+        """Stop planning and release all plans, because the case is being closed."""
         self._plans.discard()
         self._verdicts.discard()
         self._document = self._early = None
 
-    # ------------------------------------------------------------ how it is made
+    # ------------------------------------------------------------ computation
 
     def _settled(self) -> None:
         if self._document is not None:
@@ -239,11 +239,11 @@ class CasePlanning:
 
     @property
     def made(self) -> MadePlans | None:
-        """The plans of the document, once they are there."""
+        """Plans of the present document; None if they are not available."""
         return self._plans.of(self._inputs(self._document))
 
     def wall_of(self, airways: Airways) -> WallField | None:
-        """The wall of airways, where it was made for the plans."""
+        """Return the wall of airways if it was computed for the plans; None otherwise."""
         made = self.made
         same = made is not None and made.airways.lumen_zyx is airways.lumen_zyx
         return made.wall if made is not None and same else None
@@ -303,7 +303,7 @@ class CasePlanning:
         return MadePlans(airways, wall, measures, tuple(plans))
 
     def _measures_of(self, airways: Airways, attempt: Attempt[MadePlans]) -> TreeMeasures | None:
-        """Return what airways measure: as the case has it, as the plans before had it, or measured now."""
+        """Return the measurements of airways, from the earlier plans, from the case, or computed now."""
         before = attempt.before
         if before is not None and before.airways is airways:
             return before.measures
@@ -330,7 +330,7 @@ class CasePlanning:
                 self._early = (inputs, tuple(found))
                 self._changed()
 
-        # The instrument that was planned with first: its answer is the one that is waited for.
+        # The planned instrument comes first, because the user waits for its verdict.
         presets = sorted(self._parts.scope_presets(), key=lambda preset: preset.name != plan.scope.name)
         return self._parts.judge_scopes(
             made.airways.tree,
@@ -371,7 +371,7 @@ def _same(a: VerdictInputs, b: VerdictInputs) -> bool:
 
 
 def chosen_number(document: Document, plan: Plan) -> int | None:
-    """Which of a plan's routes the document's route is, from 1."""
+    """Return the number, from 1, of the plan's route that the document has chosen; None if it is none of them."""
     needle = None if document.route is None else document.route.needle
     if needle is None:
         return None
@@ -383,7 +383,7 @@ def chosen_number(document: Document, plan: Plan) -> int | None:
 
 
 def shown_surface(nodule: Nodule) -> Mesh:
-    """Its boundary, no finer than is seen."""
+    """Return the boundary of a nodule as a mesh in LPS mm, reduced to a displayable resolution."""
     inside, lps_from_ijk = nodule.inside_zyx, np.array(nodule.lps_from_ijk, dtype=np.float64)
     step = -(-max(inside.shape) // MOST_SHOWN)
     if step > 1:

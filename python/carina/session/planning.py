@@ -1,4 +1,4 @@
-"""Targets with a size: how the way to them is planned, and which way is taken."""
+"""Commands for targets with a size: planning of routes, choice of a route, and maps of the lungs."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ __all__ = ["Planning"]
 
 
 class Planning(Subject):
-    """The steps *Target* and *Route* for what lies outside the airways."""
+    """Commands of the steps *Target* and *Route* for targets outside the airways."""
 
     def follow(self, case: OpenCase) -> None:
-        """Plan for what the document has now, with the session locked."""
+        """Request plans and lung maps for the present document; the caller holds the session's lock."""
         case.planning.follow(case.document)
         case.planning.lungs.follow(case.document)
         self.core.changed("plan", "lungs")
 
     @does(c.MapLungs)
     def map_lungs(self, _command: c.MapLungs) -> None:
-        """In the background; what was stopped or failed is tried again."""
+        """Map the lungs around the targets as a job; a stopped or failed job is repeated."""
         case = self.core.needed_case()
         with self.core.lock:
             case.planning.lungs.map_lungs(_airways_of(case))
 
     @does(c.MapReach)
     def map_reach(self, command: c.MapReach) -> None:
-        """The same, for one instrument at a time."""
+        """Map the reach of one instrument as a job; a stopped or failed job is repeated."""
         scope_preset(command.scope)
         tool(command.tool)
         case = self.core.needed_case()
@@ -54,13 +54,13 @@ class Planning(Subject):
 
     @answers(c.LungsOf)
     def lungs_of(self, _question: c.LungsOf) -> LungsInfo:
-        """As far as it is made."""
+        """Return the maps of the lungs that are available."""
         with self.core.lock:
             return self.core.needed_case().planning.lungs.info()
 
     @does(c.SetPlanOptions)
     def set_plan_options(self, command: c.SetPlanOptions) -> None:
-        """Its routes are planned anew; a route that was taken stays until another one is."""
+        """Set the options of a target's plan and plan its routes again; a chosen route remains chosen."""
         scope_preset(command.scope)
         tool(command.tool)
         case = self.core.needed_case()
@@ -83,7 +83,7 @@ class Planning(Subject):
 
     @does(c.DescribeTarget)
     def describe_target(self, command: c.DescribeTarget) -> None:
-        """Its name goes with its route."""
+        """Set name, note and priority of a target; its route gets the same name."""
         case = self.core.needed_case()
         with self.core.lock:
             document, target = case.document, needed_target(case.document, command.target_id)
@@ -102,7 +102,7 @@ class Planning(Subject):
 
     @does(c.ChoosePlannedRoute)
     def choose_planned_route(self, command: c.ChoosePlannedRoute) -> None:
-        """The flight leads to where the scope stands; the needle's line goes with it."""
+        """Choose a planned route; it ends at the standing point of the scope and includes the line of the needle."""
         case = self.core.needed_case()
         with self.core.lock:
             document, target = case.document, needed_target(case.document, command.target_id)
@@ -126,7 +126,10 @@ class Planning(Subject):
 
     @does(c.SeeTurn)
     def see_turn(self, command: c.SeeTurn) -> None:
-        """In free movement, level for the operator: what the window tells of the fork is then what the list tells."""
+        """Place the tip before a turn of the list, in free movement and level for the operator.
+
+        The fork is then shown as the list of turns describes it.
+        """
         case = self.core.needed_case()
         with self.core.lock:
             turns = case.planning.turns()
@@ -141,7 +144,7 @@ class Planning(Subject):
 
     @answers(c.CtFolder)
     def ct_folder(self, _question: c.CtFolder) -> Path:
-        """Where the CT was opened from."""
+        """Return the folder from which the CT was opened."""
         with self.core.lock:
             case = self.core.needed_case()
             problem = dicom_problem(case)
@@ -151,7 +154,7 @@ class Planning(Subject):
 
     @answers(c.PlanningOf)
     def planning_of(self, _question: c.PlanningOf) -> PlanningInfo:
-        """As far as it is made."""
+        """Return the plans and verdicts that are available."""
         with self.core.lock:
             case = self.core.needed_case()
             targets = tuple(
@@ -171,7 +174,7 @@ class Planning(Subject):
 
     @answers(c.PlanToTakeAway)
     def plan_to_take_away(self, question: c.PlanToTakeAway) -> PlanMaterials:
-        """Of the route that is chosen, else of the best."""
+        """Return the material of a plan report for the chosen route, or for the best route if none is chosen."""
         with self.core.lock:
             case = self.core.needed_case()
             document, target = case.document, needed_target(case.document, question.target_id)

@@ -30,10 +30,11 @@ A = TypeVar("A")
 
 
 class Case:
-    """An open chest CT with its airways: what a person decided about it can be undone, and pictures show it.
+    """An open chest CT with its airways, whose changes can be undone and which can be rendered as images.
 
-    What can be done are the commands of :mod:`carina.commands`, the same that the window sends;
-    ``help(carina.commands)`` lists them. Each is done before :meth:`do` returns, also where it takes a while.
+    A case runs the commands of :mod:`carina.commands`, the same commands that the window sends;
+    ``help(carina.commands)`` lists them. :meth:`do` returns only after the command, including its background jobs, has
+    finished.
 
     Examples
     --------
@@ -59,28 +60,35 @@ class Case:
     @classmethod
     @check_arguments(source=file_path(also=Volume), ct=file_path(optional=True))
     def open(cls, source: str | Path | Volume, *, ct: str | Path | None = None) -> Case:
-        """Open a CT and find its airways, or open a case file and go on from there.
+        """Open a CT and find its airways, or open a case file and continue from its state.
 
-        What a Carina window of this person has open is joined: commands are done there, both see what the other does,
-        and the window keeps saving it. Crosshair, zoom, window and light are this program's own. Once that window is
-        closed, or ends, this program takes over and saves as the window did, which a warning says.
+        If a Carina window of this user has the case open, this program joins that window: the window runs the commands,
+        both show every change, and the window continues to save the case. Crosshair, zoom, grey-scale window and light
+        are separate for this program. When the window closes the case or its process ends, this program takes over,
+        saves the case as the window did, and issues a warning.
 
-        Anything else is this program's alone. A case file opens with its history, and nothing is found again. While it
-        is open nobody else writes it; whoever opens it meanwhile can look at it and save it under another name
-        (:attr:`note` says so, as a warning, too). What is done goes into the file at :meth:`save` and at :meth:`close`.
-        A CT stays in memory until :meth:`save`.
+        Otherwise only this program uses the case. A case file opens with its history, and the airways are not searched
+        again. While the case file is open no other program writes to it; another program that opens the file can view
+        it and save it under another name (:attr:`note` and a warning state this). Changes are written to the file by
+        :meth:`save` and :meth:`close`. A case that was opened from a CT is only in memory until :meth:`save`.
 
         Parameters
         ----------
         source
-            A file, a folder, a volume that is open already, or a case: ``NAME.carina``.
+            A file, a folder, an open volume, or a case file ``NAME.carina``.
         ct
-            Where the CT of the case file lies, if it is not where it was.
+            Path of the CT of a case file, if the CT has moved.
+
+        Returns
+        -------
+        Case
+            The open case.
 
         Raises
         ------
         VolumeImportError
-            If the CT or the case is refused; ``case.no-scan`` where the CT of the case is not found.
+            If the CT or the case file cannot be opened; the code is ``case.no-scan`` if the CT of the case is not
+            found.
         """
         if not isinstance(source, str | Path | Volume):
             found = type(source).__name__
@@ -97,7 +105,7 @@ class Case:
             own.close()
             raise
         if own.note is not None:
-            # A window that opened it, or saved it there, a moment ago can be joined by now.
+            # A window may have opened the case or saved it to this file since the first attempt to join.
             with contextlib.suppress(CarinaError, OSError):
                 joined = None if isinstance(source, Volume) else JoinedCase.join(source, ct)
             if joined is not None:
@@ -107,49 +115,59 @@ class Case:
         return cls(own)
 
     def __enter__(self) -> Case:
+        """Return the case for use in a ``with`` statement."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Close the case at the end of a ``with`` statement."""
         self.close()
 
     def __reduce__(self) -> NoReturn:
+        """Refuse to pickle the case."""
         refuse_pickle(self, "save it, and open the file with carina.Case.open in the other process")
 
     def __repr__(self) -> str:
+        """Describe the case without text of its CT."""
         snapshot = self._session.snapshot()
         if snapshot.case is None:
             return "Case(closed)"
         # The text has no file name or series text of the CT, because notebooks are shared with their output.
         return f"Case(airways {snapshot.airways}, {len(self.history())} changes)"
 
-    # ------------------------------------------------------------ doing
+    # ------------------------------------------------------------ commands and undo
 
     @check_arguments(command=instance(Command, "create one of the commands of carina.commands"))
     def do(self, command: Command) -> None:
-        """Do a command, and wait for what goes on with it.
+        """Run a command and wait for the jobs that it starts.
+
+        Parameters
+        ----------
+        command
+            A command of :mod:`carina.commands`.
 
         Raises
         ------
         UsageError
-            If a field is out of its bounds, or what it names is not there. Nothing is changed then.
+            If a field is out of its bounds, or the command names an object that does not exist. The case is unchanged
+            then.
         CarinaError
-            As what goes on with it ends: ``NoResultError`` where there is no path, and so on.
+            If a job of the command fails, such as ``NoResultError`` where there is no path.
         """
         self._case.do(command)
 
     @check_arguments(question=instance(Question, "create one of the questions of carina.commands.questions"))
     def ask(self, question: Question[A]) -> A:
-        """Answer a question of :mod:`carina.commands.questions`; nothing changes."""
+        """Answer a question of :mod:`carina.commands.questions` without changing the case."""
         return self._session.ask(question)
 
     def undo(self) -> None:
-        """Take back the last change; nothing where there is none."""
+        """Undo the last change; do nothing if there is none."""
         self._case.do(Undo())
 
     def redo(self) -> None:
-        """Do the last change taken back again; nothing where there is none."""
+        """Redo the last change that was undone; do nothing if there is none."""
         self._case.do(Redo())
 
     def history(self) -> tuple[str, ...]:
@@ -158,14 +176,15 @@ class Case:
 
     @check_arguments(path=file_path(optional=True), replace=flag)
     def save(self, path: str | Path | None = None, *, replace: bool = False) -> Path:
-        """Write the case as one whole file, ``NAME.carina``; the CT is not in it.
+        """Write the case to one file, ``NAME.carina``; the file does not contain the CT.
 
         Parameters
         ----------
         path
-            Where to; the case belongs there from now on. None is where it was opened from or saved before.
+            Path of the file, which becomes the file of the case. None is the file from which the case was opened or to
+            which it was last saved.
         replace
-            Whether another file that is there already may be replaced.
+            Whether to replace another file that exists at ``path``.
 
         Returns
         -------
@@ -175,9 +194,10 @@ class Case:
         Raises
         ------
         UsageError
-            ``case.no-place``, ``case.exists``, or ``case.read-only`` where somebody else has that file open.
+            ``case.no-place`` if the case has no file and ``path`` is None; ``case.exists`` if another file exists at
+            ``path``; ``case.read-only`` if another program has that file open.
         DiskError
-            If it cannot be written; what was there before stays.
+            If the file cannot be written; an existing file is then unchanged.
         """
         return self._case.save(path, replace=replace)
 
@@ -193,26 +213,26 @@ class Case:
         """
         self._case.close()
 
-    # ------------------------------------------------------------ looking
+    # ------------------------------------------------------------ state and images
 
     @property
     def path(self) -> Path | None:
-        """The file that it is saved to; None where it has none yet."""
+        """Path of the case file; None if the case has no file yet."""
         return self._case.path
 
     @property
     def note(self) -> str | None:
-        """Why it cannot be saved in its place; None where it can."""
+        """Reason why the case cannot be saved to the file from which it was opened; None if it can."""
         return self._case.note
 
     @property
     def state(self) -> Snapshot:
-        """All that was decided and is shown, but the pose; it does not change any more."""
+        """An immutable copy of the present state of the case, without the pose."""
         return self._session.snapshot()
 
     @property
     def volume(self) -> Volume:
-        """The CT."""
+        """The CT of the case; UsageError if the case is closed."""
         case = self._session.snapshot().case
         if case is None:
             raise UsageError("no case is open", code="session.no-case")
@@ -220,7 +240,7 @@ class Case:
 
     @property
     def airways(self) -> Airways:
-        """The airways as they are now; NoResultError where none were found."""
+        """The present airways; NoResultError if none were found."""
         document = self._session.snapshot().document
         if document is None or document.airways is None:
             raise NoResultError(
@@ -230,7 +250,7 @@ class Case:
 
     @property
     def pose(self) -> Pose:
-        """Where the tip is."""
+        """Pose of the scope tip, in LPS and mm; UsageError if the case is closed."""
         info = self._session.pose_info()
         if info is None:
             raise UsageError("no case is open", code="session.no-case")
@@ -238,21 +258,26 @@ class Case:
 
     @check_arguments(view=text_of(80), width=pixels(), height=pixels())
     def render(self, view: str = LEAD_VIEW, *, width: int = 512, height: int = 512) -> Picture:
-        """Render a picture of a view as the window shows it.
+        """Render an image of a view with the settings of the case.
 
         Parameters
         ----------
         view
-            Such as ``airway``, ``axial`` or ``tree``.
+            Name of the view, such as ``airway``, ``axial`` or ``tree``.
         width, height
-            Of the picture, in pixels.
+            Size of the image, in pixels.
+
+        Returns
+        -------
+        Picture
+            The rendered image.
 
         Raises
         ------
         UsageError
-            If no view is called so.
+            If no view has this name.
         NoResultError
-            If the view needs airways or a route, and there are none.
+            If the view needs airways or a route, and the case has none.
         """
         from carina.render import view_row
 

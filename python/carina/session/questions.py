@@ -1,4 +1,4 @@
-"""What is asked about the case while a person points at something: answered at once, and nothing changes."""
+"""Questions about the case while the user points at an image; they are answered at once and change nothing."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ NO_AIRWAYS = "the airways have not been segmented yet: wait, or mark the trachea
 
 
 class CaseQuestions(Subject):
-    """The scan and its airways."""
+    """Questions about the scan and its airways."""
 
     @answers(c.VoxelAt)
     def voxel_at(self, question: c.VoxelAt) -> int | None:
-        """Its number."""
+        """Return the value of the voxel that contains a point; None outside the volume."""
         volume = self.core.needed_case().info.volume
         point = np.asarray(question.lps, dtype=np.float64)
         if not volume.contains_lps(point):
             return None
         nz, ny, nx = volume.shape_zyx
-        # Clipped: a point on the volume's outermost face rounds to the voxel beyond it.
+        # Clipped, because a point on the outermost face of the volume rounds to an index beyond the last voxel.
         i, j, k = np.clip(np.rint(volume.to_ijk(point)).astype(int), 0, (nx - 1, ny - 1, nz - 1))
         return int(volume.hu_zyx[k, j, i])
 
     @answers(c.WallAt)
     def wall_at(self, question: c.WallAt) -> WallPoint:
-        """Its voxel and the nearest branch."""
+        """Return the voxel value and the nearest branch of a point on the wall."""
         lps = question.lps
         value = self.voxel_at(c.VoxelAt(lps))
         with self.core.lock:
@@ -46,25 +46,28 @@ class CaseQuestions(Subject):
 
     @answers(c.LivePathTo)
     def live_path(self, question: c.LivePathTo) -> Any:
-        """From what the tracker has solved already."""
+        """Return the path to a point from the paths that the tracker has already computed."""
         return self._airways().tracker.live_path(question.lps)
 
     @answers(c.PreviewOf)
     def preview_of(self, question: c.PreviewOf) -> Any:
-        """The edit's own lines."""
+        """Return the preview of an edit, computed by the same code as the edit."""
         with self.core.lock:
             volume, airways = self.core.needed_case().info.volume, self._airways()
         return self.core.parts.preview_edit(volume, airways, question.edit)
 
     @answers(c.AirwaysToTakeAway)
     def airways_to_take_away(self, _question: c.AirwaysToTakeAway) -> tuple[Any, Any]:
-        """Both immutable."""
+        """Return the volume and the airways for an export; both are immutable."""
         with self.core.lock:
             return self.core.needed_case().info.volume, self._airways()
 
     @answers(c.LumenBeforeWall)
     def lumen_before_wall(self, question: c.LumenBeforeWall) -> tuple[float, float, float]:
-        """In steps of half a voxel. Without a lumen, a voxel before the wall."""
+        """Return the lumen point before a wall point on a ray, found in steps of half a voxel.
+
+        Without airways, return the point on the ray one voxel before the wall.
+        """
         case = self.core.needed_case()
         airways = case.document.airways
         step_mm = 0.5 * float(min(case.info.volume.spacing_mm))
@@ -78,7 +81,7 @@ class CaseQuestions(Subject):
 
     @answers(c.MeasuresOf)
     def measures_of(self, question: c.MeasuresOf) -> Any:
-        """Of the newest measures, if they are of this tree."""
+        """Return the newest measurements of a branch; None if the present tree has not been measured."""
         airways = self._airways()
         if all(branch.id != question.branch_id for branch in airways.tree.branches):
             raise UsageError(f"the tree has no branch {question.branch_id}", code="session.branch")
@@ -96,21 +99,21 @@ class CaseQuestions(Subject):
 def lumen_before_wall(
     tracker: Any, wall_lps: NDArray[np.float64], lens_lps: NDArray[np.float64], step_mm: float
 ) -> NDArray[np.float64]:
-    """The middle of the lumen that a ray crossed last before it met a wall.
+    """Return the last lumen point on a ray before the wall.
 
     Parameters
     ----------
     tracker
-        Tells with ``inside((n, 3) points)`` which points lie in a lumen voxel.
+        Object whose ``inside((n, 3) points)`` returns which points are in a lumen voxel.
     wall_lps, lens_lps
-        Where the ray met the wall, and where it came from, LPS mm.
+        The wall point and the start of the ray, in LPS mm.
     step_mm
-        How finely the ray is gone back.
+        Step of the search along the ray.
 
     Returns
     -------
     numpy.ndarray
-        (3,) LPS mm. The wall itself where the ray passes through no lumen: then the path is snapped as from a slice.
+        (3,) LPS mm. The wall point itself if the ray crosses no lumen; the path search then moves it into the lumen.
     """
     back = lens_lps - wall_lps
     depth_mm = float(np.linalg.norm(back))
@@ -121,7 +124,7 @@ def lumen_before_wall(
     inside = np.asarray(tracker.inside(ray), dtype=bool)
     if not inside.any():
         return wall_lps
-    # The voxels next to the wall are lumen by a hair: one voxel further in, the path does not cling to the wall.
+    # Voxels at the wall are barely lumen; a point one voxel further in keeps the path away from the wall.
     first = int(np.argmax(inside))
     deeper = min(first + 2, len(ray) - 1)
     point: NDArray[np.float64] = ray[deeper if inside[deeper] else first]

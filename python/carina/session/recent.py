@@ -1,6 +1,6 @@
 """Private settings files: the paths of CTs opened before, and whether the user accepted the safety notice.
 
-The path is needed to open a CT again and is never sent to a client: the wire has an id, a date and a neutral alias.
+The path is needed to open a CT again. It is never sent to a client, which receives an id, a date and a neutral alias.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ class LocalStore:
         self._storage_file = folder / "storage.json"
 
     def __repr__(self) -> str:
+        """Describe the store by its folder."""
         return f"LocalStore({as_words(str(self._recent_file.parent))})"
 
     def recent(self) -> tuple[RecentCase, ...]:
@@ -97,7 +98,7 @@ class LocalStore:
         return old
 
     def forget(self, path: str) -> None:
-        """Take a case out of the list."""
+        """Remove a CT from the list."""
         cases = self.recent()
         left = [case for case in cases if case.path != path]
         if len(left) < len(cases):
@@ -108,19 +109,19 @@ class LocalStore:
         self._write(self._recent_file, {"format": "carina-recent", "version": 2, "cases": entries})
 
     def notice_accepted(self) -> bool:
-        """Whether "not a medical device" was read on this machine."""
+        """Return whether the notice "not a medical device" was accepted on this machine."""
         return self._read(self._notice_file).get("accepted") is True
 
     def accept_notice(self) -> None:
-        """Remember that it was read."""
+        """Store that the user accepted the safety notice."""
         self._write(self._notice_file, {"format": "carina-notice", "version": 1, "accepted": True})
 
     def keeps_cts(self) -> bool:
-        """Whether this person wants opened CTs to be kept, to open faster."""
+        """Return whether opened CTs are cached, so that they open faster."""
         return self._read(self._storage_file).get("keeps_cts") is not False
 
     def keep_cts(self, on: bool) -> None:
-        """Remember whether they are."""
+        """Store whether opened CTs are cached."""
         self._write(self._storage_file, {"format": "carina-storage", "version": 1, "keeps_cts": on})
 
     def _read(self, path: Path) -> dict[str, Any]:
@@ -134,7 +135,7 @@ class LocalStore:
             return {}
         except OSError:
             return {}
-        except ValueError:  # not text
+        except ValueError:  # The file is not text.
             self._move_aside(path)
             return {}
         try:
@@ -168,7 +169,7 @@ class LocalStore:
             )
             self._unwritten.pop(path, None)
         except OSError as error:
-            # Else a notice that was read would be asked for again after every change.
+            # The value is then read from memory; otherwise an accepted notice would be shown again after every change.
             self._unwritten[path] = value
             logger.warning("could not write %s: %s", path.name, error.strerror)
 

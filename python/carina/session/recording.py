@@ -1,4 +1,4 @@
-"""Recording a flight."""
+"""Commands that record a flight."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["FlightRecording", "new_flight"]
 
 
 class FlightRecording(Subject):
-    """Every move of the tip, until it is stopped or the case is closed."""
+    """Recorder of every move of the tip, until the user stops it or the case is closed."""
 
     def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
         super().__init__(core)
@@ -34,24 +34,24 @@ class FlightRecording(Subject):
         self._name = ""
         self._recorded_case: OpenCase | None = None
         self._into: RecordingWriter | None = None
-        """Where it goes to the case."""
+        """Writer of a recording into the case; None if the recording goes to a file."""
         core.before_move = self.tick
 
     @property
     def path(self) -> Path | None:
-        """The file that is being recorded to; None where that is the case's."""
+        """Path of the file of the running recording; None without one, or if it goes into the case."""
         return self._path if self._recorder is not None else None
 
     @property
     def name(self) -> str | None:
-        """The file that is being recorded to, or what the recording is called in the case; None while there is none."""
+        """Path of the running recording's file, or its name in the case; None without a running recording."""
         if self._recorder is None:
             return None
         flight = self._flight()
         return self._name if flight is None else flight.name
 
     def _flight(self) -> RecordingFacts | None:
-        """What the list of the case says of it; None where it goes to a file."""
+        """Return the entry of the recording in the list of flights; None if it goes to a file."""
         case, into = self._recorded_case, self._into
         if case is None or into is None:
             return None
@@ -59,16 +59,16 @@ class FlightRecording(Subject):
 
     @does(c.RecordFlight)
     def start(self, command: c.RecordFlight) -> None:
-        """Begin, in the mode that the tip is in.
+        """Start a recording in the present mode of movement.
 
         Raises
         ------
         UsageError
-            ``session.recording``: if one is being made, or a case that is not kept is to hold it.
+            ``session.recording``: if a recording is running, or if the recording is to go into a case that is not
+            stored.
         CarinaError
             ``machine``: if the file cannot be written.
         """
-
         case = self.core.needed_case()
         if self._recorder is not None:
             raise UsageError("a recording is already running; stop it first", code="session.recording")
@@ -114,17 +114,17 @@ class FlightRecording(Subject):
                 begun = RecordingFacts(into.number, name, "", into.begun_s, 0.0, complete=False)
                 case.flights.listed = (*case.flights.listed, begun)
             if case.navigator.scope_state is not None:
-                # A replay begins with the scope laid anew, so that it can begin at all.
+                # A replay can only start from a scope that is laid into the lumen.
                 self._holding.lay(case, case.navigator.scope_state.insertion_mm)
             self.core.changed("state", "flights")
 
     @does(c.StopRecording)
     def stop_command(self, _command: c.StopRecording) -> None:
-        """Nothing where there is none."""
+        """Stop the recording; do nothing if there is none."""
         self.stop()
 
     def stop(self) -> Path | None:
-        """End the recording; returns where it is, None where there is none."""
+        """Stop the recording, and return the path of its file; None without a recording or a file."""
         with self.core.lock:
             recorder, self._recorder = self._recorder, None
             if recorder is None:
@@ -149,7 +149,7 @@ class FlightRecording(Subject):
         )
 
     def _ended(self, trouble: OSError) -> None:
-        """The file cannot be written any more, with the session locked; the flight goes on."""
+        """Report that the file can no longer be written; the flight continues. The caller holds the session's lock."""
         self._recorder = None
         kept = f"the recording so far is in {self._path}"
         told = disk_trouble(trouble, "the recording stopped: cannot write to", self._path, unchanged=kept)
@@ -157,22 +157,22 @@ class FlightRecording(Subject):
         self.core.changed("state")
 
     def tick(self, _case: OpenCase | None = None) -> None:
-        """Before a move, with the session locked: the time of what follows."""
+        """Record the time before a move; the caller holds the session's lock."""
         if self._recorder is not None:
             self._recorder.tick(self.core.clock())
 
     def note_view(self, case: OpenCase) -> None:
-        """After a change of document or sight, with the session locked."""
+        """Record the view settings after a change of document or sight; the caller holds the session's lock."""
         if self._recorder is not None and self._recorded_case is case:
             self._recorder.note_view(view_words(case.document, case.sight), self.core.clock())
 
 
 def new_flight(case: OpenCase, now_s: float) -> tuple[str, RecordingWriter]:
-    """Name and file of one more flight of a case; with the session locked."""
+    """Return the name and the writer of a new flight of a case; the caller holds the session's lock."""
     known = {one.recording_id for one in case.flights.listed}
     number = case.next_number("flight")
     while number in known:
-        # A file whose numbers were lost: it was salvaged, or another program wrote it.
+        # A repaired file, or a file of another program, may have lost the last number.
         number = case.next_number("flight")
     name = f"Flight {number}"
     return name, RecordingWriter(name, max(0.0, now_s - case.begun_s), number=number)

@@ -104,7 +104,7 @@ class CaseRecord(FrozenValue, frozen=True):
 
 @one_line
 class HeldCase:
-    """A case of this machine that this process owns, until it is released."""
+    """A stored case that this process owns until it releases the case."""
 
     def __init__(self, folder: Path, record: CaseRecord, lock: int, door: Door) -> None:
         self.folder = folder
@@ -125,21 +125,21 @@ class HeldCase:
             write_record(self.folder, self.record)
 
     def clear(self) -> None:
-        """Remove a file that was begun and never saved to, by a disk that then let nothing be removed either."""
+        """Delete a live file to which nothing was saved, which a faulty disk may have left."""
         for path in self.folder.glob(f"{FILE}*"):
             path.unlink()
 
     def put_picture(self, jpeg: bytes, now_s: float) -> None:
-        """Keep a small picture, by which its person knows it again."""
+        """Store the thumbnail of the case."""
         write_whole(self.folder / PICTURE, jpeg, what="the thumbnail of the case", private=True)
         self.note(pictured_s=now_s)
 
     def open_door(self) -> None:
-        """Say where programs join this process, or that they cannot."""
+        """Write how programs join this process, or that they cannot."""
         open_door(self.folder, self._door)
 
     def release(self) -> None:
-        """Another process may own it now."""
+        """Release the lock, so that another process may own the case."""
         lock, self._lock = self._lock, None
         if lock is not None:
             close_door(self.folder)
@@ -147,16 +147,16 @@ class HeldCase:
 
 
 class CaseRecords:
-    """The folders of all cases.
+    """Folders and records of all stored cases.
 
     Parameters
     ----------
     folder
-        In the person's own data; made when the first case is begun.
+        Folder of the cases in the user's data, created with the first case.
     now_s
-        Seconds since 1970.
+        Returns the seconds since 1970.
     documents
-        The person's folder of documents: where a copy is suggested to be.
+        The user's folder of documents, in which named files are suggested; None suggests no path.
     """
 
     def __init__(self, folder: Path, now_s: Callable[[], float], documents: Path | None = None) -> None:
@@ -164,9 +164,10 @@ class CaseRecords:
         self.documents = documents
         self.now_s = now_s
         self.door = Door()
-        """Where programs join this process."""
+        """Address and token with which programs join this process."""
 
     def __repr__(self) -> str:
+        """Describe the records by their number."""
         return f"CaseRecords({len(self.all())} cases)"
 
     @property
@@ -177,8 +178,8 @@ class CaseRecords:
     def all(self) -> tuple[CaseRecord, ...]:
         """Return the records of all cases that have a file, the last used first.
 
-        The order is that of the use numbers, since a clock can be set back. Records of an earlier version, which have
-        none, follow by their times.
+        The order is that of the use numbers, because a clock can be set back. Records of earlier versions, which have
+        no use number, follow in the order of their times.
         """
         found = [_read(path) for path in self._folder.glob(f"*/{RECORD}") if (path.parent / FILE).exists()]
         return tuple(sorted((one for one in found if one), key=lambda one: (one.use_number, one.used_s), reverse=True))
@@ -221,9 +222,9 @@ class CaseRecords:
         Parameters
         ----------
         digest, place
-            As in :class:`CaseRecord`.
+            Digest and path of the CT, as in :class:`CaseRecord`.
         begun_s
-            When the case was begun, in seconds since 1970; None is now.
+            Time when the case was begun, in seconds since 1970; None means now.
         case_id
             Id from :func:`new_case_id` of a case that was shown before it had a record. The record gets another id if a
             case of this machine has the same id or the same neutral alias.
@@ -231,7 +232,7 @@ class CaseRecords:
         Raises
         ------
         OSError
-            If the disk refuses.
+            If the disk refuses the write.
         """
         now_s = self.now_s()
         record = CaseRecord(
@@ -243,7 +244,7 @@ class CaseRecords:
             use_number=self.next_use_number(),
         )
         folder = self._folder / record.case_id
-        # What is said to be saved must not lie in a folder that a power cut takes away.
+        # The folders are flushed to the disk, so that a power failure cannot remove a case that was reported as saved.
         make_folder(self._folder, what="the cases", private=True, lasting=True)
         make_folder(folder, what="the case", private=True, lasting=True)
         write_record(folder, record)
@@ -265,11 +266,11 @@ class CaseRecords:
         return any(True for folder in folders for _ in folder.glob(f"{FILE}*"))
 
     def hold(self, record: CaseRecord) -> HeldCase | None:
-        """Own a case; None where another process does."""
+        """Own a case; return None if another process owns it."""
         folder = self._folder / record.case_id
         held = self._hold(folder, record)
         if held is not None:
-            # Whoever had it until now may have noted more.
+            # The previous owner may have changed the record since.
             held.record = _read(folder / RECORD) or record
         return held
 
@@ -283,15 +284,15 @@ class CaseRecords:
         if held is not True:
             os.close(descriptor)
             return None
-        # One that a crash has left.
+        # Deletes connection details that a crash left.
         close_door(folder)
         return HeldCase(folder, record, descriptor, self.door)
 
     def is_held(self, record: CaseRecord) -> bool:
-        """Whether a process has a case open; it is looked at without taking it, but for a moment."""
+        """Return whether a process has a case open; the check takes the lock for a moment."""
         try:
             descriptor = os.open(self._folder / record.case_id / LOCK, os.O_RDWR)
-        except OSError:  # a folder that nobody can have opened for work
+        except OSError:  # Without a lock file no process has the case open.
             return False
         try:
             return try_lock(descriptor) is False
@@ -309,7 +310,7 @@ class CaseRecords:
         return None
 
     def find(self, case_id: str) -> CaseRecord | None:
-        """Return a case of the list; None where it has no such case."""
+        """Return a case of the list; None if the list has no such case."""
         return next((one for one in self.all() if one.case_id == case_id), None)
 
     def live_path(self, case_id: str) -> Path:
@@ -327,7 +328,8 @@ class CaseRecords:
     def refuse_stored(self, path: Path) -> None:
         """Refuse to save a case under a name in the folder of the stored cases.
 
-        A save replaces its file. The owner of a live file would then write on to the replaced file, and lose changes.
+        A save replaces the file at its path. If that were a live file, its owner would continue to write to the
+        replaced file, and those changes would be lost.
 
         Raises
         ------
@@ -349,7 +351,7 @@ class CaseRecords:
         return self._place(record) / FILE
 
     def door_of(self, record: CaseRecord) -> Door | None:
-        """Where the process that has a case open can be joined; what a crash has left leads nowhere."""
+        """Return how to join the process that has a case open; details that a crash left lead to no process."""
         return read_door(self._place(record))
 
     def num_bytes(self, record: CaseRecord) -> int:
@@ -369,7 +371,7 @@ class CaseRecords:
         return None
 
     def rename(self, record: CaseRecord, alias: str | None) -> bool:
-        """Call a case by a name of its person's; False where a process has it open."""
+        """Set the name of a case; return False if a process has the case open."""
         held = self.hold(record)
         if held is None:
             return False
@@ -399,12 +401,12 @@ class CaseRecords:
                     held.release()
         return rewritten
 
-    # ------------------------------------------------------------ forgetting
+    # ------------------------------------------------------------ forgotten cases
 
     def forgotten(self) -> tuple[CaseRecord, ...]:
         """Return the forgotten cases that can be restored, the last forgotten first."""
         found = [_read(path) for path in (self._folder / FORGOTTEN).glob(f"*/{RECORD}")]
-        # Where Carina was killed between moving and noting.
+        # A process that was killed may have moved the folder without storing the time.
         dated = [msgspec.structs.replace(one, forgotten_s=one.forgotten_s or self.now_s()) for one in found if one]
         return tuple(sorted(dated, key=lambda one: one.forgotten_s or 0.0, reverse=True))
 
@@ -421,7 +423,7 @@ class CaseRecords:
             return False
         try:
             make_folder(self._folder / FORGOTTEN, what="the forgotten cases", private=True)
-            if sys.platform == "win32":  # moves no folder of which a file is open
+            if sys.platform == "win32":  # Windows moves no folder with an open file.
                 held.release()
             place = self._folder / FORGOTTEN / record.case_id
             held.folder.rename(place)
@@ -442,7 +444,7 @@ class CaseRecords:
         return restored
 
     def empty_forgotten(self, older_than_s: float = 0.0) -> int:
-        """Remove for good what was forgotten so long ago; how many cases."""
+        """Delete the cases that were forgotten at least ``older_than_s`` seconds ago, and return their number."""
         removed = 0
         for record in self.forgotten():
             if self.now_s() - (record.forgotten_s or 0.0) >= older_than_s:
@@ -451,7 +453,7 @@ class CaseRecords:
         return removed
 
     def remove(self, case_id: str) -> bool:
-        """Remove a forgotten case for good; False where it was not forgotten, or the disk keeps it."""
+        """Delete a forgotten case; return False if no such case is forgotten, or the disk refuses."""
         record = next((one for one in self.forgotten() if one.case_id == case_id), None)
         if record is None:
             return False
@@ -517,7 +519,7 @@ def _decoded(path: Path) -> CaseRecord | None:
     if record.case_id != path.parent.name:
         other = path.parent.with_name(record.case_id) if re.fullmatch(r"[\w-]+", record.case_id) else None
         if other is not None and other.exists():
-            # A folder with the record of another case is a user's copy, which Carina must not change.
+            # A folder with the record of another case is a copy made by the user, which Carina must not change.
             raise OSError("the record belongs to another folder")
         return None
     return record

@@ -1,4 +1,4 @@
-"""Targets and routes."""
+"""Commands for targets and routes."""
 
 from __future__ import annotations
 
@@ -23,17 +23,19 @@ __all__ = ["Routing"]
 
 
 class Routing(Subject):
-    """Where the flight leads to."""
+    """Commands that add and remove targets and choose the route."""
 
     @does(c.AddTarget)
     def add_target(self, command: c.AddTarget) -> str:
-        """Track to a point, as a job, and take it as the route.
+        """Add a target at a point as a job.
 
-        Outside the lumen, what stands out of the lung there is grown to a target with a size: the ways to it are
-        planned (:mod:`carina.session.planning`), and none is taken until a person takes one.
+        With the cost ``lumen``, a structure at the point that is outside the lumen and denser than lung is segmented as
+        a target with a size. The routes to this target are planned (:mod:`carina.session.planning`), and the session
+        chooses none of them. Without such a structure, the path through the lumen to the point becomes the route. A
+        point at most 5 mm outside the lumen is then moved into the lumen, and the user is notified. A target farther
+        away is stored with the reason why it has no path.
 
-        Through the lumen the point is moved to it where that is within 5 mm, which is said; else the target is kept
-        with the reason why there is no path. With the costs ``walls`` and ``paper`` nothing is moved.
+        With the costs ``walls`` and ``paper`` the point is not moved, and the path to the point becomes the route.
         """
         case = self.core.needed_case()
         case.check_inside(command.lps)
@@ -91,10 +93,10 @@ class Routing(Subject):
         return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
 
     def _is_meant(self, case: OpenCase, target: Target, lesion: Lesion) -> bool:
-        """Whether a click means what was grown there, and not the airway beside it.
+        """Return whether a click selects the segmented lesion rather than the airway beside it.
 
-        Next to an airway run its wall and its vessel, which stand out of the lung as nodules do: there only what is
-        plainly a nodule is taken for one. The other is one click away.
+        The wall and the vessel next to an airway are denser than lung, as nodules are. Near an airway, the lesion is
+        therefore selected only if it is plainly a nodule; the user can select the other with one more click.
         """
         airways = case.document.airways
         if airways is None or is_plain_nodule(lesion.target):
@@ -103,7 +105,7 @@ class Routing(Subject):
 
     @does(c.GrowTarget)
     def grow_target(self, command: c.GrowTarget) -> str:
-        """A place in the airways becomes what was grown where it was clicked."""
+        """Segment the lesion at the clicked point of a target, and replace the target by it."""
         case = self.core.needed_case()
         with self.core.lock:
             name = needed_target(case.document, command.target_id).name
@@ -129,7 +131,7 @@ class Routing(Subject):
         return self.core.jobs.start(f"grow {command.target_id}", f"growing {name}", work)
 
     def _lesion(self, case: OpenCase, target: Target, job: Job) -> tuple[Lesion | None, str | None]:
-        """What lies outside the airways there, or why nothing was found; neither for a place in a lumen."""
+        """Return the lesion at a target, or the reason why none was found; both are None inside the lumen."""
         volume, airways, lps = case.info.volume, case.document.airways, target.lps
         if not volume.is_hu or (airways is not None and in_lumen(volume, airways.lumen_zyx, np.asarray(lps))):
             return None, None
@@ -142,7 +144,7 @@ class Routing(Subject):
             return None, str(trouble)
 
     def _search(self, case: OpenCase, target: Target, job: Job) -> None:
-        """A path that knows no lumen; what is told of it follows the airways, which may have changed meanwhile."""
+        """Add a target with a path that ignores the lumen; its values refer to the airways at the end of the search."""
         searched_in = case.document.airways
         tracked = searched_target(case.info.volume, searched_in, target, progress=job.progress, cancel=job.cancel)
         while True:
@@ -160,7 +162,7 @@ class Routing(Subject):
 
     @does(c.RemoveTarget)
     def remove_target(self, command: c.RemoveTarget) -> None:
-        """A route to it goes with it."""
+        """Delete the target and the present route if it leads to the target."""
         target_id = command.target_id
         case = self.core.needed_case()
         with self.core.lock:
@@ -174,7 +176,7 @@ class Routing(Subject):
 
     @does(c.ChooseRoute)
     def choose_route(self, command: c.ChooseRoute) -> None:
-        """The way to a target or to the end of a branch, or none."""
+        """Choose the route to a target or to the end of a branch, or remove the route."""
         target_id, branch_id = command.target_id, command.branch_id
         case = self.core.needed_case()
         with self.core.lock:
@@ -194,7 +196,7 @@ class Routing(Subject):
 
 
 def _wall_at_hand(case: OpenCase) -> WallField | None:
-    """The airways' wall where it has been made: with it a lesion in an airway is told as such."""
+    """Return the airway wall if it has been computed; the wall identifies lesions inside an airway."""
     airways, made = case.document.airways, case.planning.made
     if made is not None and made.airways is airways:
         wall: WallField = made.wall

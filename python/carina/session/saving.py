@@ -47,9 +47,9 @@ logger = logging.getLogger(__name__)
 
 OPEN_ELSEWHERE = "this CT is already open in another window; changes made here are saved as a separate case"
 HELD_TRIES, HELD_EVERY_S = 4, 0.05
-"""Retries of a lock, because a program that checks whether a case is open takes the lock for a moment."""
+"""Number and interval (s) of attempts to lock a case, because a check by another program locks it briefly."""
 CLOSING_S = 60.0
-"""Time that Carina waits at its end for a disk that does not respond."""
+"""Time, in s, that Carina waits at its end for a disk that does not respond."""
 
 
 @one_line
@@ -69,7 +69,7 @@ class Reopened:
 
 
 class Between:
-    """The change from one case to the next: the next case is found, and then attached or released."""
+    """Switch from one case to the next: the next stored case is found, and then attached or released."""
 
     def __init__(self, saving: Saving) -> None:
         self._saving = saving
@@ -78,7 +78,7 @@ class Between:
         self._named: NamedFile | None = None
         self._claim: NamedLock | None = None
         self._is_new = False
-        """It was copied here just now: what is not shown after all leaves nothing behind."""
+        """Whether the stored case is a new copy; the copy is deleted if the case is not shown after all."""
 
     def begin(self, volume: Volume) -> None:
         """Begin a new case of a CT; the stored cases of the CT are not changed."""
@@ -117,7 +117,7 @@ class Between:
         return self._reopened
 
     def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
-        """Return the stored moment of a CT, wherever its files are now; None where nothing is stored or readable."""
+        """Return the stored state of a CT's case, wherever the CT is now; None if no state is stored or readable."""
         reopened = self.take(self._saving.digest_of(volume), case_id)
         self._saving.say_still_waits(self._digest)
         if reopened is None:
@@ -128,7 +128,7 @@ class Between:
             return moment
         except (OSError, sqlite3.Error, CarinaError) as trouble:
             if isinstance(trouble, CaseFileError) and trouble.code == "case.empty":
-                # A crash right after it was begun: the same file is gone on with.
+                # After a crash right after the beginning of the case, the same file is used again.
                 return None
             self._saving.say_unreadable(reopened.held, trouble)
         self.give_back()
@@ -149,7 +149,7 @@ class Between:
         Returns
         -------
         Moment | None
-            None if no moment was saved in the file.
+            None if no state was saved in the file.
         """
         digest = self._saving.digest_of(volume)
         if digest is None or case.note is not None:
@@ -177,7 +177,7 @@ class Between:
         """Store this case from now on; the caller holds the session's lock."""
         reopened, self._reopened = self._reopened, None
         if reopened is not None and not case.flights.listed:
-            # Else it is the case that was open before: its file may be behind.
+            # A case that was open before has its list in memory, which its file may lack.
             case.flights.listed = tuple(one for one in reopened.flights if one.recording_id not in case.flights.removed)
         named, self._named = self._named, None
         claim, self._claim = self._claim, None
@@ -243,14 +243,14 @@ class Saving(Subject):
                 try:
                     again.take(before.digest, None if before.held is None else before.held.record.case_id)
                 except (OSError, sqlite3.Error, CarinaError) as trouble:
-                    # The case is shown on, so its work is stored on, as a separate case.
+                    # The case remains on screen, so its changes are stored as a separate case.
                     logger.warning("the open case could not be stored again (%s)", type(trouble).__name__)
                 with self.core.lock:
                     again.attach(before.case, before.place)
             raise
 
     def opened(self, record: CaseRecord) -> Reopened | None:
-        """Open a stored case and own it from now on; None where that is not possible, with a message to the user."""
+        """Open a stored case and own it from now on; if this is impossible, notify the user and return None."""
         assert self.records is not None
         assert self._files is not None
         for keeper in self._ending:
@@ -282,7 +282,7 @@ class Saving(Subject):
         except NamedFileConflictError as conflict:
             self.core.emit(Said(str(conflict)))
         except OSError:
-            pass  # the error is reported when the file is written
+            pass  # The error is reported when the file is written.
         return named
 
     def stores(self, path: Path) -> bool:
@@ -296,7 +296,7 @@ class Saving(Subject):
         return None if record is None else self.opened(record)
 
     def reopened_file(self, case: CaseFile, mark: FileMark | None) -> Reopened | None:
-        """Own the stored case that wrote a case file, and return it; None where there is none."""
+        """Own the stored case that wrote a case file, and return this case; None if there is no such case."""
         record = self._record_of(case, mark)
         reopened = None if record is None else self.opened(record)
         if reopened is not None and mark is not None and reopened.held.record.copy_path != str(case.path.absolute()):
@@ -350,7 +350,7 @@ class Saving(Subject):
             self.remove(held)
             raise
         steps, now_s, flights = case.history(), self.records.now_s(), self._flights_in(file)
-        # Nothing of it was done later than now.
+        # Times are chosen so that no step or flight of the case ends in the future.
         last_s = [step.at_s for step in steps] + [one.begun_s + one.length_s for one in flights]
         if mark is not None:
             held.note(
@@ -394,7 +394,7 @@ class Saving(Subject):
         return True
 
     def say_still_waits(self, digest: str | None) -> None:
-        """Tell the user where the opened CT is not the one that a dropped case waits for."""
+        """Notify the user if the opened CT is not that of the dropped case that waits for its CT."""
         awaited, self._awaited = self._awaited, None
         if awaited is not None and digest != awaited:
             self.core.emit(
@@ -421,7 +421,7 @@ class Saving(Subject):
 
     @property
     def open_ct(self) -> Callable[[str, Progress, Cancel], Volume]:
-        """Open a CT of this machine."""
+        """Function that opens a CT of this machine, with the cache if there is one."""
         kept = None if self._files is None else self._files.open_ct
         return self.core.parts.open_volume if kept is None else kept
 
@@ -488,12 +488,12 @@ class Saving(Subject):
         return None if documents is None else str(documents / f"{suggested_file_name(alias, case_id)}{CASE_SUFFIX}")
 
     def refuse_to_lose(self) -> None:
-        """Before the case is closed for another one, or for none; not with the session locked.
+        """Refuse to close the case while its latest changes are in no file; not to be called with the session locked.
 
         Raises
         ------
         UsageError
-            ``case.not-saved``: if the disk has not taken the latest changes, and they were saved nowhere else.
+            ``case.not-saved``: if the disk has not accepted the latest changes, and they were not saved elsewhere.
         """
         kept = self._kept
         if kept is None or kept.settle() or kept.is_elsewhere:
@@ -579,12 +579,12 @@ class Saving(Subject):
 
     @property
     def info(self) -> SavingInfo:
-        """What is saved, for the window."""
+        """State of saving, for the window."""
         kept = self._kept
         return SavingInfo() if kept is None else kept.info
 
     def _hear(self, event: Event) -> None:
-        """Something has changed; with the session locked."""
+        """Pass a change of the open case to its keeper; called with the session locked."""
         kept = self._kept
         if kept is not None and isinstance(event, Changed) and self.core.case is kept.case and not kept.is_telling:
             kept.changed(event.topics)
@@ -597,7 +597,7 @@ class Saving(Subject):
         kept = self._kept
         return kept is None or kept.settle()
 
-    # ------------------------------------------------------------ what is asked
+    # ------------------------------------------------------------ state for other objects
 
     def rename(self, case_id: str, alias: str | None) -> bool:
         """Rename the open case; return False if another case is open."""
@@ -608,31 +608,31 @@ class Saving(Subject):
         return True
 
     def place_of(self, case: OpenCase) -> str | None:
-        """Where the CT of the open case was opened from."""
+        """Return the path from which the CT of the open case was opened; None if it is unknown."""
         kept = self._kept
         return None if kept is None or kept.case is not case else kept.place
 
     @property
     def scans(self) -> CaseScans | None:
-        """Looks for the CTs of case files."""
+        """Search for the CTs of case files; None if case files cannot be opened."""
         return None if self._files is None else self._files.scans
 
     @property
     def cache(self) -> CtCache | None:
-        """The CTs that are kept to open faster."""
+        """The cache of CTs; None without a cache."""
         return None if self._files is None else self._files.cache
 
-    # ------------------------------------------------------------ for whoever joins
+    # ------------------------------------------------------------ programs that join
 
     @property
     def open_case(self) -> tuple[str, int] | None:
-        """Id and number of the open case; None where none is kept."""
+        """ID and number of the open case; None if no case is open or the case is not stored."""
         kept = self._kept
         return None if kept is None or kept.held is None else (kept.held.record.case_id, kept.case.number)
 
     @does(c.KeepNow)
     def keep_now(self, _command: c.KeepNow) -> None:
-        """With what others are doing at this moment."""
+        """Write all changes to the disk now, including changes by other windows and programs."""
         case, kept = self.core.needed_case(), self._kept
         if kept is None or kept.case is not case:
             raise UsageError("this case is no longer open here", code="case.closed")
@@ -644,7 +644,10 @@ class Saving(Subject):
 
     @answers(c.FlightToTakeAway)
     def flight_to_take_away(self, question: c.FlightToTakeAway) -> str:
-        """Return the lines of a recorded flight; the call waits for the disk, so without the session's lock."""
+        """Return the lines of a recorded flight.
+
+        The call waits for the disk, so the caller must not hold the session's lock.
+        """
         return self.flight_text(question.number)
 
     def flight_text(self, number: int) -> str:
@@ -658,11 +661,11 @@ class Saving(Subject):
             raise CarinaError(kept.info.problem or NOT_RESPONDING, code="case.not-saved")
         return kept.flight_text(number)
 
-    # ------------------------------------------------------------ a place of its own
+    # ------------------------------------------------------------ the named file
 
     @answers(c.MomentToKeep)
     def moment_to_keep(self, _question: c.MomentToKeep) -> Moment:
-        """For whoever keeps the case in a file of their own."""
+        """Return the present state of the case, for a caller that stores the case in a file of its own."""
         case = self.core.needed_case()
         with self.core.lock:
             return moment_of(case)
@@ -701,7 +704,7 @@ class Saving(Subject):
                 raise
             except OSError as trouble:
                 raise disk_trouble(trouble, "cannot save the case to", path) from trouble
-            # Whoever opens the file from now on finds out that it is open here.
+            # The record must be on the disk before a program that opens the file looks up whether the case is open.
             kept.settle()
             was_replaced = "" if saved.replaced is None else f"; the replaced file is kept as {saved.replaced.name}"
             self.core.emit(Said(f"saved as {path}{_without(saved.num_missing)}{was_replaced}"))
@@ -710,7 +713,7 @@ class Saving(Subject):
 
 
 def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
-    """Return the labels and times of a case's steps, which no other case has."""
+    """Return the labels and times of a case's steps, which together identify the case."""
     return tuple((step.label, step.at_s) for step in case.history())
 
 

@@ -1,4 +1,4 @@
-"""An immutable picture of what the views should show now; the render thread works from it without locks."""
+"""An immutable snapshot of everything that the views show; the render thread reads it without locks."""
 
 from __future__ import annotations
 
@@ -28,70 +28,70 @@ __all__ = ["SessionRenderer", "ShownCase"]
 
 
 class SessionRenderer(Protocol):
-    """Methods that a session calls on a renderer, which is that of one machine or of a cluster."""
+    """Methods of a renderer, on one machine or on a cluster, that a session calls."""
 
     def render(self, view: Any, *, stop: CancelToken | None = None) -> Picture:
-        """One picture; safe beside the other methods. It may be given up once ``stop`` is cancelled."""
+        """Render one image while other methods may run; a cancelled ``stop`` may abort the rendering."""
 
     def pick(self, view: Any, column: int, row: int) -> Hit | None:
-        """The first wall under a pixel of an airway view."""
+        """Return the first wall under a pixel of an airway view."""
 
     def set_transfer(self, transfer: TransferFunction) -> None:
-        """Show the volume with another transfer function."""
+        """Set the transfer function with which the volume is shown."""
 
     def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None, tree: AirwayTree | None = None) -> None:
-        """The airway lumen, for the wall and the outside view, and its tree, for what is fixed to anatomy."""
+        """Set the airway lumen for the wall and the outside view, and its tree for anatomical annotations."""
 
     def prepare(
         self,
         progress: Callable[[str, float | None], None] | None = None,
         cancel: Callable[[], bool] | None = None,
     ) -> None:
-        """Build what makes pictures fast; until then they are slow and the same."""
+        """Build the data for fast rendering; without these data images are rendered slowly but identically."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ShownCase:
-    """Everything that the pictures of this moment depend on."""
+    """All inputs from which the images of a case are rendered, at one time."""
 
     case_number: int
-    """Grows with each case opened."""
+    """Number that increases with each opened case."""
     content_number: int
-    """Grows when the transfer function or the lumen that the renderer shows has changed."""
+    """Number that increases when the renderer shows another transfer function or another lumen."""
     renderer: SessionRenderer
     pose: Pose
     pose_id: int
     pose_s: float
-    """When this pose came to be, on the session's clock."""
+    """Time at which the tip reached this pose, in s of the session's clock."""
     look: Look
     sight: Sight
     has_lumen: bool
     frames: PathFrames | None = None
-    """The route, as the views along it want it."""
+    """Camera frames along the route, for the views along the route; None without a route."""
     path_mm: float | None = None
-    """The tip's place on the route; None in free movement."""
+    """Distance of the tip along the route, in mm; None in free movement."""
     picture_turned: bool = False
     """See :attr:`carina.navigate.Navigator.picture_turned`."""
     content_is_newest: bool = True
-    """The renderer has the transfer function and the lumen that were decided on; else it is being given them."""
+    """Whether the renderer shows the document's transfer function and lumen; otherwise a job is updating it."""
     lumen: LumenOutline | None = None
-    """The lumen that was decided on, for the outlines in planes: they never wait for the renderer."""
+    """Outline of the document's lumen for planar views, which does not depend on the renderer's update."""
     layers: ShownLayers | None = None
-    """What lies round the targets, where a person asked for it."""
+    """Structures around the targets, if the user requested them."""
     wanted_layers: tuple[LayerName, ...] = LAYERS
-    """Those of them that the window shows."""
+    """Layers that the window shows."""
 
     @property
     def shown_lps(self) -> PointLps:
-        """The point that slices and tri-plane show: the crosshair, or the tip."""
+        """The point, in LPS and mm, that slices and tri-plane show: the crosshair, or else the tip."""
         if self.sight.crosshair_lps is not None:
             return self.sight.crosshair_lps
         x, y, z = self.pose.position_lps
         return float(x), float(y), float(z)
 
     def key(self, view: str) -> Hashable:
-        """What this view's picture depends on; equal keys mean equal pictures. None where there is nothing to show."""
+        """Return a key of all inputs of a view's image, so that equal keys mean equal images; None without an image."""
         row = VIEWS[view]
         if not self.has(row.needs):
             return None
@@ -99,50 +99,62 @@ class ShownCase:
             self.case_number,
             view,
             self.content_number if row.by_transfer else None,
-            # The object: a lumen is known by its identity, and this keeps it from being another's.
+            # The key contains the lumen object itself, so that its identity cannot be reused by another object.
             self.lumen if row.outlined else None,
             *((self.layers, self.wanted_layers) if row.outlined else ()),
             *row.depends_on(self._settings(row)),
         )
 
     def has(self, needs: Iterable[render.Need]) -> bool:
-        """Whether all that a view needs is there."""
+        """Return whether everything that a view needs is available."""
         there = {"airways": self.has_lumen, "route": self.frames is not None}
         return all(there[need] for need in needs)
 
     def outline_of(self, view: str, picture: Picture) -> OutlineLines | None:
-        """The outline of the lumen in a picture of this scene; None where the view has none, or no lumen is known."""
+        """Return the outline of the lumen in an image of this scene; None if the view has none or no lumen is known."""
         if not VIEWS[view].outlined or self.lumen is None or picture.lps_from_pixel is None:
             return None
         if not np.isfinite(picture.lps_from_pixel).all():
-            # A fault of the renderer: whoever encodes the picture says so.
+            # The renderer returned an invalid matrix; the encoder of the image reports this fault.
             return None
         height, width = picture.rgb.shape[:2]
         data = self.lumen.encoded(picture.lps_from_pixel, width, height)
         return OutlineLines(b"", complete=False) if data is None else OutlineLines(data, complete=True)
 
     def layers_of(self, view: str, picture: Picture) -> tuple[LayerLines, ...]:
-        """What lies round the targets in a picture of this scene, as far as it was asked for and is wanted."""
+        """Return the outlines of the requested and visible layers around the targets in an image of this scene."""
         matrix = picture.lps_from_pixel
         if not VIEWS[view].outlined or self.layers is None or matrix is None or not np.isfinite(matrix).all():
             return ()
         return self.layers.lines(matrix, self.wanted_layers)
 
     def can_be_final(self, view: str) -> bool:
-        """Whether a view's picture shows what was decided on, and will not be made again by itself."""
+        """Return whether a view's image shows the document's content, so that no update of it will follow."""
         return self.content_is_newest or not VIEWS[view].by_transfer
 
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
-        """The view as the renderer takes it. ``full_width`` keeps a zoomed slice's extent in a smaller picture."""
+        """Return the renderer's definition of a view.
+
+        Parameters
+        ----------
+        view
+            Name of the view.
+        width, height
+            Size of the image, in pixels.
+        step_vox
+            Step along the rays, in voxels.
+        full_width
+            Width in pixels of the final image, if this image is a smaller preview that must show the same region.
+        """
         row = VIEWS[view]
         settings = self._settings(row)
         return row.spec(replace(settings, width=width, height=height, full_width=full_width, step_vox=step_vox))
 
     def _settings(self, row: render.ViewRow) -> render.ViewSettings:
-        """What a view of this scene is looked at with, whatever its size."""
+        """Return the settings of a view of this scene, without the image size."""
         scope = None if self.look.scope is None else scope_preset(self.look.scope)
         outline = self.look.outline
-        # Views of their own window and thickness keep them.
+        # Views with a fixed window or slab thickness ignore those of the sight.
         own: dict[str, Any] = {} if row.windowed else {"window": None}
         own |= {} if row.slab == "window" else {"slab": THIN}
         return render.ViewSettings(
@@ -154,14 +166,14 @@ class ShownCase:
             picture_turned=self.picture_turned,
             fov_deg=self.look.fov_deg,
             field=ImageField(outline) if scope is None else replace(scope.field, outline=outline),
-            # A plane that is dragged must not take the camera along.
+            # The camera must not move when the user drags a plane.
             look_at="volume",
             path=self.frames,
             path_mm=self._path_place_mm() if row.zoom == "path" and self.frames is not None else 0.0,
         )
 
     def _path_place_mm(self) -> float:
-        """The tip's place on the route, or the nearest."""
+        """Return the distance of the tip along the route in mm, or of the route point that is nearest to the tip."""
         assert self.frames is not None
         if self.path_mm is not None:
             return self.path_mm

@@ -1,7 +1,7 @@
-"""The session, which owns the state of a case: commands that can be undone, jobs, and the pose.
+"""The session of a case: its commands with undo, its background jobs and the pose of the scope tip.
 
-The window, the command line, notebooks and tests drive the same session. It knows neither a server nor Ray: the
-renderer comes by argument, and whoever wants to know about changes subscribes.
+The web server, the command line, notebooks and tests use the same session class. The session depends neither on the
+server nor on Ray: the caller passes a renderer factory, and objects that need events subscribe to the session.
 """
 
 from __future__ import annotations
@@ -46,30 +46,31 @@ A = TypeVar("A")
 
 
 class Session:
-    """State and jobs of one workstation, with one door for commands and one for questions.
+    """State and jobs of one workstation; :meth:`do` runs commands and :meth:`ask` answers questions.
 
     Parameters
     ----------
     renderer_factory
-        Makes the renderer of a volume.
+        Creates the renderer of a volume.
     parts
-        The functions it drives; the real ones unless told.
+        The processing functions that the session calls; by default those of Carina.
     store
-        Recent cases and the safety notice; None keeps nothing.
+        Storage of the recent cases and of the accepted safety notice; None stores nothing.
     submit
-        Runs a function in the background; a thread pool of its own unless told.
+        Runs a function in the background; by default a thread pool of the session.
     clock
-        Seconds, monotonic.
+        Returns monotonic time in seconds.
     today
-        The date, ISO, for the list of recent cases.
+        Returns the date in ISO format, for the list of recent cases.
     records, files
-        Where cases are kept, and how their files are made and opened; without both nothing is kept.
+        Registry of the stored cases, and the functions that create and open their files; if either is None, the
+        session stores no case.
 
     Notes
     -----
-    All methods may be called from any thread. Listeners are called in the order of the events, from the thread that
-    caused them and while the session is locked: they must hand the event on and return. Commands raise CarinaError;
-    long ones are jobs, return their id, and report trouble as events.
+    All methods may be called from any thread. The session calls its listeners in the order of the events, from the
+    thread that caused the event and with the session locked, so a listener must only forward the event and return.
+    Commands raise CarinaError. Long commands start a job, return its ID, and report errors as events.
     """
 
     def __init__(
@@ -94,7 +95,8 @@ class Session:
         self._cases = CaseList(core, self._saving, recording.stop)
         core.saving = lambda: self._saving.info
         opening = Opening(core, finding, recording, holding, self._saving)
-        # In this order: a recording's time before what follows, an edit's airways before who reads them.
+        # Order: a recording stores its time before other updates; packed airways are unpacked before other code reads
+        # them.
         core.before_document += [recording.tick, editing.unfold]
         core.after_document += [
             editing.fold, measuring.follow, recording.note_view, holding.follow, keys.follow, finding.follow,
@@ -117,33 +119,36 @@ class Session:
         self._handlers.update(dict.fromkeys(STRAIGHT_TO_THE_PILOT, core.fly))
 
     def __repr__(self) -> str:
+        """Describe the session by the neutral title of its case."""
         case = self._core.case
         return f"Session({'no case' if case is None else case.neutral_title})"
 
-    # ------------------------------------------------------------ the two doors
+    # ------------------------------------------------------------ commands and questions
 
     def do(self, command: Command, *, window: int | None = None) -> str | None:
-        """Do a command of :mod:`carina.commands`.
+        """Run a command of :mod:`carina.commands`.
 
         Parameters
         ----------
         command
-            What is asked.
+            The command to run.
         window
-            Who asks: what only sets the sight changes that window's, and it alone is told what goes wrong later. None
-            asks for all of them.
+            Number of the window that sends the command. A command that changes only the sight changes the sight of this
+            window, and later errors of the command are reported only to this window. None changes the sight of all
+            windows.
 
         Returns
         -------
         str or None
-            The id of the job that goes on with it, or of the key frame that is new.
+            ID of the job that continues the command, or of the new key frame.
 
         Raises
         ------
         UsageError
-            If a field is out of its bounds, no case is open, or what it names is not there. Nothing is changed then.
+            If a field is out of its bounds, no case is open, or the command names an object that does not exist. The
+            session is unchanged then.
         NoResultError
-            If the case has no answer to it, such as a path where there is none.
+            If the case has no result for the command, such as a path where there is none.
         """
         handler = self._handlers.get(type(command))
         if handler is None or not isinstance(command, Command):
@@ -155,12 +160,14 @@ class Session:
             return cast("str | None", handler(command))
 
     def ask(self, question: Question[A]) -> A:
-        """Answer a question of :mod:`carina.commands.questions`; nothing changes.
+        """Answer a question of :mod:`carina.commands.questions` without changing the session.
 
         Raises
         ------
-        UsageError, NoResultError
-            As :meth:`do`.
+        UsageError
+            If a field is out of its bounds, no case is open, or the question names an object that does not exist.
+        NoResultError
+            If the case has no result for the question.
         """
         handler = self._handlers.get(type(question))
         if handler is None or not isinstance(question, Question):
@@ -170,29 +177,29 @@ class Session:
     # ------------------------------------------------------------ undo
 
     def undo(self) -> None:
-        """Take back the last change."""
+        """Undo the last change."""
         self._core.undo()
 
     def redo(self) -> None:
-        """Do the last change taken back again."""
+        """Redo the last change that was undone."""
         self._core.redo()
 
     def history(self) -> tuple[str, ...]:
         """Return the labels of the changes that can be undone, the oldest first."""
         return self._core.history()
 
-    # ------------------------------------------------------------ what others read
+    # ------------------------------------------------------------ state for other objects
 
     def snapshot(self, window: int | None = None) -> Snapshot:
-        """All but the pose, as a window sees it; unless told, the one that was looked through last."""
+        """Return the state without the pose, as one window shows it; by default, the window that was used last."""
         return self._core.snapshot(window)
 
     def pose_info(self) -> PoseInfo | None:
-        """Return the newest pose and where it is; None without a case."""
+        """Return the newest pose and its position in the airways; None without a case."""
         return self._core.pose_info()
 
     def key_frames_info(self) -> KeyFramesInfo:
-        """Return the key frames as the windows show them."""
+        """Return the key frames in the form that the windows show."""
         return self._keys.info()
 
     def scene(self, window: int | None = None) -> ShownCase | None:
@@ -201,41 +208,54 @@ class Session:
 
     @property
     def devices(self) -> Devices:
-        """What devices say, and the frames in which the tip follows them."""
+        """Receiver of device samples; it computes the motion of the tip from these samples."""
         return self._devices
 
-    # ------------------------------------------------------------ life
+    # ------------------------------------------------------------ listeners and shutdown
 
     def subscribe(
         self, listener: Callable[[Event], None], *, window: int | None = None, watches: bool = False
     ) -> Callable[[], None]:
-        """Be told of every event; returns the function that ends it.
+        """Add a listener for all events, and return the function that removes it.
 
-        A window, which names itself by a number, has a sight of its own until then, and is not told what concerns
-        another one alone. One that only ``watches`` may do nothing but set its own sight, for ever, and sees the case
-        that is open now and no other; UsageError if none is.
+        Parameters
+        ----------
+        listener
+            Function that is called with each event.
+        window
+            Number of the window that listens. Until the window is removed it has its own sight, and it does not receive
+            events that concern only another window.
+        watches
+            Whether the window is a permanent observer: it may change only its own sight, and it sees only the case that
+            is open now.
+
+        Raises
+        ------
+        UsageError
+            If an observer subscribes while no case is open.
         """
         return self._core.subscribe(listener, window, watches=watches)
 
     @property
     def jobs(self) -> JobRunner:
-        """Running jobs."""
+        """The runner of background jobs."""
         return self._core.jobs
 
     @property
     def cases(self) -> CaseList:
-        """The cases of this person, and what is kept beside them."""
+        """The list of the user's cases, and the cache of CTs."""
         return self._cases
 
     @property
     def store(self) -> LocalStore | None:
-        """Recent cases and the safety notice."""
+        """Storage of the recent cases and of the accepted safety notice; None if nothing is stored."""
         return self._core.store
 
     def close(self, within_s: float = CLOSING_S) -> None:
-        """End a recording, stop all jobs and end the threads.
+        """Stop a recording and all jobs, and end the threads.
 
-        The call waits up to ``within_s`` for a disk that does not respond; :meth:`unsaved` then returns the lost work.
+        The call waits up to ``within_s`` seconds for a disk that does not respond; ``cases.unsaved()`` then returns the
+        lost work.
         """
         self._recording.stop()
         self._saving.close(within_s)

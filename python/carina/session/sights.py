@@ -1,4 +1,4 @@
-"""How the windows look at an open case: each has a sight of its own."""
+"""Sights of the windows that show an open case: each window has its own."""
 
 from __future__ import annotations
 
@@ -15,25 +15,37 @@ class Sights:
     """The sight of each window; guarded by the session's lock."""
 
     latest: Sight
-    """Of the window that was looked through last: kept with the case, and what a window begins with."""
+    """Sight of the window that was used last; it is stored with the case, and new windows start with it."""
     _of_windows: dict[int, Sight] = field(default_factory=dict)
 
     def begin(self, window: int) -> None:
-        """A window looks at the case from now on."""
+        """Add a window, which starts with the latest sight."""
         self._of_windows[window] = self.latest
 
     def end(self, window: int) -> None:
-        """Forget a window; nothing if it never began."""
+        """Remove a window; do nothing if it is unknown."""
         self._of_windows.pop(window, None)
 
     def of(self, window: int | None) -> Sight:
-        """A window's; the latest for whoever is none."""
+        """Return the sight of a window; the latest sight for None or for an unknown window."""
         return self.latest if window is None else self._of_windows.get(window, self.latest)
 
     def change(self, window: int | None, change: Callable[[Sight], Sight], *, is_kept: bool = True) -> bool:
-        """Look otherwise through a window, which is the latest then if that is kept, or through all.
+        """Change the sight of one window, or of all windows if ``window`` is None.
 
-        False if it is as before.
+        Parameters
+        ----------
+        window
+            Number of the window.
+        change
+            Returns the new sight; it returns the same object if nothing changes.
+        is_kept
+            Whether the new sight of a window also becomes the latest sight.
+
+        Returns
+        -------
+        bool
+            Whether a sight has changed.
         """
         if window is not None:
             before = self.of(window)
@@ -50,5 +62,5 @@ class Sights:
 
 
 def following_tip(sight: Sight) -> Sight:
-    """The same after the tip has moved: slices that were panned follow it again, and the cut-plane in any case."""
+    """Return the sight after a move of the tip: panned slices follow the tip again, and the cut-plane always does."""
     return sight.centred([view for view in sight.zoom if sight.crosshair_lps is None or VIEWS[view].at_tip])

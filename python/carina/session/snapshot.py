@@ -52,7 +52,7 @@ Topic = Literal["state", "tree", "route", "pose", "start", "views", "key_frames"
 @one_line
 @dataclass(frozen=True, slots=True)
 class CaseSnapshot:
-    """The open volume."""
+    """The open volume and its display settings."""
 
     volume: Volume
     quality: tuple[str, ...]
@@ -63,7 +63,7 @@ class CaseSnapshot:
 
     @property
     def off(self) -> tuple[FeatureOff, ...]:
-        """What this volume cannot do."""
+        """Features that this volume does not support."""
         return self.scale.off
 
 
@@ -77,89 +77,89 @@ class FlightPlace(FrozenValue, frozen=True):
 @one_line
 @dataclass(frozen=True, slots=True)
 class PoseInfo:
-    """The newest pose and where it is."""
+    """The newest pose and its position in the airways."""
 
     pose_id: int
     pose: Pose
     mode: Literal["free", "path", "scope"]
     path_mm: float | None
     branch: Branch | None
-    """The branch that it lies in; None outside the airways."""
+    """Branch that contains the pose; None outside the airways."""
     lumen_mm: float | None
-    """Diameter of the nearest section of the branch away from its forks; None until the airways are measured."""
+    """Diameter, in mm, of the nearest section of the branch away from its forks; None before the measurement."""
     inside: bool
     scope: ScopeState | None = None
-    """The scope in the lumen, in mode *scope*."""
+    """Scope in the lumen, in mode *scope*."""
     scope_tip_mm: float | None = None
-    """Diameter of its tip."""
+    """Outer diameter of the scope's tip, in mm."""
     key_frames_s: float | None = None
-    """The time in the flight through key frames, while that is what moved the tip."""
+    """Time of the tip in the flight through the key frames, in s; None if another cause moved the tip last."""
     flight: FlightPlace | None = None
-    """The time in a recorded flight, while that is what moved the tip."""
+    """Position of the tip in a recorded flight; None if another cause moved the tip last."""
     by_device: bool = False
-    """A device moved the tip last."""
+    """Whether a device moved the tip last."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class WallPoint:
-    """A point of the wall, and what the scan and the tree say about it."""
+    """A point of the wall with its voxel value and its branch."""
 
     lps: tuple[float, float, float]
     voxel_value: int | None
-    """Of the voxel it lies in; None outside the volume."""
+    """Value of the voxel that contains the point; None outside the volume."""
     branch: Branch | None
-    """The branch whose centreline is nearest; None without a tree."""
+    """Branch with the nearest centreline; None without a tree."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class MaskQuestion:
-    """What must be said of a mask of another tool before it can be taken as the airways."""
+    """Question to the user about an imported mask, which must be answered before the mask can define the airways."""
 
     title: str
-    """The file's name."""
+    """Name of the file."""
     problem: Literal["label", "grid"]
     labels: tuple[MaskLabel, ...] = ()
-    """It holds these structures: which is the airway?"""
+    """Structures in the mask, of which the user must choose the airway."""
     suggested: int | None = None
-    """The label whose name says so."""
+    """Label whose name denotes the airway; None if none or several do."""
     expected: str | None = None
-    """The scan's grid, where the mask is on another one: is it to be resampled?"""
+    """Grid of the scan, if the mask has another grid and the user must allow resampling."""
     found: str | None = None
     share_inside: float | None = None
-    """How much of the structure lies in the scan, 0 to 1."""
+    """Fraction of the structure that lies inside the scan, 0 to 1."""
 
 
 class SavingInfo(FrozenValue, frozen=True):
     """What of the case is on the disk. Times are seconds since 1970."""
 
     keeps: bool = False
-    """The case is kept; false for one that nobody could find again, and where nothing is kept."""
+    """Whether the case is stored; False for a case that cannot be found again, or if nothing is stored."""
     saved_s: float | None = None
-    """When it was written last."""
+    """Time of the last write."""
     begun_s: float | None = None
-    """When the case was begun."""
+    """Time when the case was begun."""
     problem: Words | None = None
-    """Why nothing can be written at present."""
+    """Reason why nothing can be written at present; None if writing works."""
     copied_s: float | None = None
-    """When the copy was written that a person asked for."""
+    """Time when the named file was last written."""
     copy_name: Words | None = None
     copy_folder: Words | None = None
     copy_problem: Words | None = None
-    """Why the named file was not written at the last attempt."""
+    """Reason why the named file was not written at the last attempt."""
     copy_conflict: Literal["changed", "other-case", "not-a-case", "missing", "open-elsewhere"] | None = None
     """Kind of the conflict if the named file has content that this window did not write; the user decides."""
     beside: Words | None = None
     """Free path beside the named file during a conflict; None without a conflict."""
     suggested: Words | None = None
-    """A place for the copy, where it has none."""
+    """Suggested path of the named file, if the case has none."""
     title: Words | None = None
-    """What its person calls it."""
+    """Name that the user gave to the case."""
     continued_s: float | None = None
-    """The case was continued: when it had been used before."""
+    """Time of the last use before a stored case was opened again; None for a new case."""
     continued_changes: Annotated[int, msgspec.Meta(ge=0, le=2**31)] = 0
-    """How many changes it had then."""
+    """Number of changes of a stored case when it was opened again."""
 
     def with_(self, **values: Any) -> SavingInfo:
         """Return a copy with other values in some fields."""
@@ -177,26 +177,26 @@ class FlightInfo(FrozenValue, frozen=True):
     """A flight that was recorded into the case."""
 
     number: FlightNumber
-    """By which commands name it."""
+    """Number by which commands identify the flight."""
     name: Words
     words: Words
-    """What a person says about it."""
+    """Description by the user."""
     begun_s: float | None
-    """Seconds since 1970."""
+    """Start of the recording, in seconds since 1970."""
     length_s: float
-    """0 while it is being recorded."""
+    """Length in s; 0 while the flight is being recorded."""
     state: Literal["recording", "complete", "cut-off"]
-    """*cut-off*: Carina was stopped while it recorded; it goes as far as it came."""
+    """*cut-off*: Carina was stopped during the recording; the flight contains what was written until then."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """All but the pose."""
+    """The state of a session without the pose."""
 
     case: CaseSnapshot | None = None
     case_number: int = 0
-    """Grows with each case opened."""
+    """Number that increases with each opened case."""
     neutral_title: str = ""
     """Neutral alias of the case; ``saving.title`` is the name that the user gave."""
     stage: Stage = "empty"
@@ -208,22 +208,22 @@ class Snapshot:
     undo_label: str | None = None
     redo_label: str | None = None
     steps: tuple[Step[Document], ...] = ()
-    """All that was done and can be taken back, or done again."""
+    """All steps of the history, those that are undone included."""
     position: int = 0
-    """How many of them hold."""
+    """Number of steps that are not undone."""
     transfer_presets: tuple[str, ...] = ()
     measures: TreeMeasures | None = None
-    """What the document's airways measure; None until it is known."""
+    """Measurements of the document's airways; None until they are available."""
     mask_question: MaskQuestion | None = None
     saving: SavingInfo = SavingInfo()
     flights: tuple[FlightInfo, ...] = ()
-    """What was recorded into the case, in its order."""
+    """Flights recorded into the case, in their order."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class DevicesInfo:
-    """Input devices, and how they move the tip."""
+    """Input devices, and the way in which they move the tip."""
 
     control: Literal["absolute", "relative", "path"]
     controls: DeviceControls
@@ -235,18 +235,18 @@ class ShownKeyFrame(FrozenValue, frozen=True):
 
     key_id: Identifier
     name: Words
-    """As a person called it, or its branch."""
+    """Name that the user gave, or else the name of the branch."""
     own_name: bool
     branch_id: BranchId | None
-    """The branch that it lies in."""
+    """Branch that contains the pose."""
     speed_mm_s: float | None
-    """On the way here; null takes that of all."""
+    """Speed of the leg to this key frame; null means the speed of the whole flight."""
     time_s: float
-    """When the flight passes it, to the last bit: there it is at the key frame itself."""
+    """Exact time, in s, at which the flight passes this key frame; the pose is then exactly that of the key frame."""
     leg_mm: float | None
-    """Length of the way here; null for the first, and while there is no flight."""
+    """Length of the leg to this key frame; null for the first key frame and without a flight."""
     through_airways: bool
-    """Whether that way follows the airways."""
+    """Whether the leg to this key frame follows the airways."""
 
 
 class KeyFramesInfo(KeyFrameFlying, frozen=True):
@@ -254,15 +254,15 @@ class KeyFramesInfo(KeyFrameFlying, frozen=True):
 
     frames: tuple[ShownKeyFrame, ...]
     duration_s: float
-    """0 while there are fewer than two."""
+    """Duration in s; 0 with fewer than two key frames."""
     problem: Words | None
-    """Why they cannot be flown."""
+    """Reason why there is no flight; null if there is one."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """Something changed; ask the session for it."""
+    """Report that parts of the state have changed, which listeners then read from the session."""
 
     topics: frozenset[Topic]
 
@@ -270,7 +270,7 @@ class Changed:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something could not be done; stays until read."""
+    """Report that an operation failed; the window shows it until the user dismisses it."""
 
     code: str
     message: str
@@ -280,21 +280,21 @@ class Trouble:
 @one_line
 @dataclass(frozen=True, slots=True)
 class NotEvident:
-    """An edit was not made, since the CT shows no airway along its whole way; asked for again it can be drawn by hand.
+    """Report that a branch was not added, because the CT does not show an airway along its whole path.
 
-    Comes in the place of :class:`Trouble`.
+    This event is sent instead of :class:`Trouble`. The user may request the branch again as drawn by hand.
     """
 
     job_id: str
     lps: tuple[float, float, float]
-    """What was asked for."""
+    """Requested end point of the branch, in LPS mm."""
     error: NoEvidenceError
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class StartMarked:
-    """The pen's button marked where a path is to begin; whoever adds targets says so with them."""
+    """Report that the pen's button marked the start point of a path, which the client passes with the next target."""
 
     lps: tuple[float, float, float]
 
@@ -302,6 +302,6 @@ class StartMarked:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Something worth a line."""
+    """Report with a short message for the user."""
 
     message: str

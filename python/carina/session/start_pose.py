@@ -1,4 +1,4 @@
-"""Where a flight begins, and from where a place in the airways is looked at."""
+"""Start pose of a flight, and poses that show a point in the airways."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ if TYPE_CHECKING:
 __all__ = ["pose_at_root", "pose_before_airways", "pose_before_place"]
 
 CAUDAL_LPS = (0.0, 0.0, -1.0)
-# A place is looked at from the farthest of these ways before it from where it is in view.
+# Distances, in mm, of the camera before a point; the largest one with a free line of sight is used.
 STAND_BACK_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
-# The place itself may lie in the wall or beyond the lumen's blind end.
+# Untested end of the line of sight, in mm: the point itself may be in the wall or beyond a blind end.
 WALL_MM = 1.5
 
 
 def pose_before_airways(volume: Volume) -> Pose:
-    """A pose for the first pictures, while the trachea is not known: amid the upper chest, looking caudally.
+    """Return a pose for the first images, while the trachea is unknown.
 
-    A fifth of the volume's height below its top. It is replaced by :func:`pose_at_root`, unless a person has moved.
+    The camera is in the upper chest, at one fifth of the volume's height below its top, and looks caudally. The pose is
+    replaced by :func:`pose_at_root` unless the user has moved the tip.
     """
     nz, ny, nx = volume.shape_zyx
     corners = volume.to_lps(
@@ -36,13 +37,13 @@ def pose_before_airways(volume: Volume) -> Pose:
     at = volume.centre_lps.copy()
     at[2] = top - 0.2 * (top - bottom)
     if not volume.contains_lps(at):
-        # Oblique grids: the column through the middle may leave the box below its highest corner.
+        # In oblique grids the vertical line through the centre may be outside the volume at this height.
         at = volume.centre_lps
     return Pose.looking([float(v) for v in at], CAUDAL_LPS)
 
 
 def pose_at_root(airways: Airways) -> Pose:
-    """At the root, looking along the first branch; anterior up (operator at the head)."""
+    """Return the pose at the root that looks along the first branch; anterior is up (operator at the head)."""
     root = airways.tree.root
     look = root.points[-1] - root.points[0]
     at = [float(v) for v in airways.root_lps]
@@ -54,24 +55,24 @@ def pose_at_root(airways: Airways) -> Pose:
 def pose_before_place(
     airways: Airways, volume: Volume, lps: tuple[float, float, float], branch_id: int | None
 ) -> Pose | None:
-    """A pose in the lumen that looks at a place of a branch, from the side of the root.
+    """Return a pose in the lumen that looks at a point of a branch from the side of the root.
 
-    It stands on the way from the root, at most 12 mm before the place, and where the straight line to it lies in the
-    lumen; where none does, 2 mm before it.
+    The camera is on the route from the root, at most 12 mm before the point, where the straight line to the point lies
+    in the lumen; if there is no such position, 2 mm before the point.
 
     Parameters
     ----------
     airways, volume
-        The airways, and the CT that they are of.
+        The airways, and the CT from which they were segmented.
     lps
-        The place, LPS mm.
+        The point, in LPS and mm.
     branch_id
-        The branch that it belongs to; the nearest where it is None or no longer there.
+        ID of the branch of the point; None or an unknown ID means the nearest branch.
 
     Returns
     -------
     Pose or None
-        None where the place is the root itself: there is nothing before it.
+        None if the point is the root itself, because the route has no position before it.
     """
     place = np.asarray(lps, dtype=np.float64)
     tree = airways.tree

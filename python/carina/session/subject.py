@@ -1,4 +1,4 @@
-"""What commands do stands beside others of their subject; the decorators here tie each to its class."""
+"""Registration of command handlers: decorators that assign methods to command and question classes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Subject:
-    """Commands and questions about one thing, and what they keep between two of them.
+    """Handlers of related commands and questions, with the state that they share.
 
     Parameters
     ----------
     core
-        The open case, its lock, jobs and listeners.
+        Core of the session: the open case, its lock, its jobs and its listeners.
     """
 
     def __init__(self, core: SessionCore) -> None:
@@ -30,12 +30,12 @@ class Subject:
 
 
 def does(command: type[Command]) -> Callable[[F], F]:
-    """This method does a command; it may return the id of the job that goes on with it."""
+    """Mark a method as the handler of a command; the method may return the ID of the job that continues it."""
     return _marked(command)
 
 
 def answers(question: type[Question[Any]]) -> Callable[[F], F]:
-    """This method answers a question, and changes nothing."""
+    """Mark a method as the handler of a question, which must not change the session."""
     return _marked(question)
 
 
@@ -48,6 +48,6 @@ def _marked(asked: type[Any]) -> Callable[[F], F]:
 
 
 def handlers_of(subject: object) -> dict[type[Any], Callable[[Any], Any]]:
-    """The marked methods of a subject, by what they handle."""
+    """Return the marked methods of an object by the command or question class that they handle."""
     methods = (getattr(type(subject), name) for name in dir(type(subject)))
     return {m.handles: getattr(subject, m.__name__) for m in methods if hasattr(m, "handles")}

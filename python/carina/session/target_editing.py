@@ -1,4 +1,4 @@
-"""Edits of targets with a size: their boundary, their aims, and targets from files."""
+"""Commands that edit targets with a size: boundary, aims, spheres and import from files."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ __all__ = ["TargetEditing"]
 
 
 class TargetEditing(Subject):
-    """Each is a step of undo; the plan follows."""
+    """Commands that edit targets with a size; each forms one undo step, and the plan is then computed again."""
 
     @does(c.ResizeTarget)
     def resize(self, command: c.ResizeTarget) -> str:
-        """By distance, everywhere alike."""
+        """Resize a target to a diameter by moving its boundary by the same distance everywhere."""
         return self._edit(
             command.target_id,
             "resize",
@@ -41,7 +41,7 @@ class TargetEditing(Subject):
 
     @does(c.BrushTarget)
     def brush(self, command: c.BrushTarget) -> str:
-        """Ball by ball along the stroke."""
+        """Add or remove a ball at each point of a stroke."""
 
         def stroke(nodule: Nodule, case: OpenCase) -> Nodule:
             for point in command.stroke_lps:
@@ -52,7 +52,7 @@ class TargetEditing(Subject):
 
     @does(c.AimTarget)
     def aim(self, command: c.AimTarget) -> None:
-        """Propose the aims of a target: its middle first, and its periphery on request."""
+        """Set the aims of a target: its middle, or proposed points that include its periphery."""
         case = self.core.needed_case()
         with self.core.lock:
             target, lesion = self._lesion(case, command.target_id)
@@ -62,7 +62,7 @@ class TargetEditing(Subject):
 
     @does(c.MarkSphere)
     def mark_sphere(self, command: c.MarkSphere) -> None:
-        """Nothing is grown."""
+        """Add a sphere as a target, without segmentation of the CT."""
         case = self.core.needed_case()
         case.check_inside(command.lps)
         nodule = sphere(case.info.volume, command.lps, command.diameter_mm)
@@ -83,7 +83,7 @@ class TargetEditing(Subject):
         named = int(structure) if structure is not None and structure.isdecimal() else structure
 
         def work(job: Job) -> None:
-            from carina.plan import target_from_file  # its readers are slow to load
+            from carina.plan import target_from_file  # slow to import
 
             try:
                 told = target_from_file(
@@ -118,7 +118,7 @@ class TargetEditing(Subject):
                 with self.core.lock:
                     job.check()
                     target, now = self._lesion(case, target_id)
-                    # Another edit may have come meanwhile: this one is made to what is there now.
+                    # If another edit has changed the target meanwhile, this edit is repeated on the present target.
                     if now.nodule is lesion.nodule:
                         told = now.target.with_nodule(changed)
                         self._put(case, replace(target, lesion=replace(now, target=told)), title)

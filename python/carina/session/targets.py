@@ -1,4 +1,4 @@
-"""Targets and routes in new airways: the same places, tracked again."""
+"""Targets and routes after a change of the airways: each path is searched again for the same points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
 
 NO_START = "mark the start point of the path first: there are no airways to begin in"
 SNAP_MM = 5.0
-"""A target outside the lumen is moved to it within this distance, and said."""
+"""Largest distance, in mm, over which a target outside the lumen is moved into it; the user is notified."""
 
 
 def searched_target(
@@ -41,7 +41,7 @@ def searched_target(
     Raises
     ------
     UsageError
-        If neither the target nor the airways say where the path begins.
+        If neither the target nor the airways define the start of the path.
     """
     if target.root_lps is None and airways is None:
         raise UsageError(NO_START, code="track.no-root")
@@ -79,10 +79,10 @@ def searched_target(
 def tracked_target(airways: Airways | None, target: Target) -> Target:
     """Return the target with its path through ``airways``, or with the reason why there is none.
 
-    A path that was searched without the lumen stays as it is: only what is told of it depends on the airways.
+    A path that was searched without the lumen is unchanged; only values that compare it with the airways are updated.
     """
     if target.lesion is not None:
-        # Its routes are planned beside the document.
+        # Routes to a lesion are part of its plan, which is not stored in the document.
         return target
     if target.cost != "lumen":
         if target.route is None:
@@ -102,18 +102,18 @@ def tracked_target(airways: Airways | None, target: Target) -> Target:
         route = route_to_target(airways.tree, path, target.target_id, target.name)
     except TrackingError as trouble:
         return replace(bare, problem=str(trouble))
-    # Not moved: the point itself was asked for and is used. Moved: the lumen voxel that the path ends in.
+    # Without a move the target itself is used; after a move, the last lumen voxel of the path.
     used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
     return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)
 
 
 def needed_target(document: Document, target_id: str) -> Target:
-    """Return the target of that number.
+    """Return the target with this ID.
 
     Raises
     ------
     UsageError
-        ``session.target``: if it is not there any more.
+        ``session.target``: if the target has been deleted.
     """
     for target in document.targets:
         if target.target_id == target_id:
@@ -122,7 +122,7 @@ def needed_target(document: Document, target_id: str) -> Target:
 
 
 def renamed_route(route: ChosenRoute | None, tree: AirwayTree) -> ChosenRoute | None:
-    """A route with the names that its branches have now; nothing else about it changes."""
+    """Return a route with the present names of its branches; nothing else about the route changes."""
     if route is None or not route.lumen_known:
         return route
     names = {branch.id: branch.name for branch in tree.branches}
@@ -134,14 +134,14 @@ def renamed_route(route: ChosenRoute | None, tree: AirwayTree) -> ChosenRoute | 
 
 
 def followed_route(airways: Any, chosen: ChosenRoute | None, targets: tuple[Target, ...]) -> ChosenRoute | None:
-    """The route that was chosen, in changed airways; None where what it led to is gone.
+    """Return the chosen route in changed airways; None if its target or branch no longer exists.
 
-    A route that runs as before keeps its path, so that the flight along it goes on.
+    A route with unchanged points keeps its path object, so that the flight along it continues.
     """
     if chosen is None:
         return None
     if chosen.needle is not None and chosen.target_id is not None:
-        # The plan is made anew; meanwhile the scope stands where it stood.
+        # The plan is computed again; meanwhile the route ends at the present standing point of the scope.
         try:
             found = route_to_parking(airways.tree, chosen.needle, chosen.target_id, chosen.title)
         except NoResultError:

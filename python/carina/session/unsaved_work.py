@@ -99,14 +99,14 @@ class UnsavedWork:
 
 
 def unsaved_labels(saved: Moment | None, moment: Moment, *, renamed: bool = False) -> tuple[str, ...]:
-    """Return the labels of the changes to a case since a saved moment, the oldest first.
+    """Return the labels of the changes to a case since it was saved, the oldest first.
 
     Parameters
     ----------
     saved
-        The moment that was saved last; None if no moment was saved.
+        State of the case that was saved last; None if none was saved.
     moment
-        The present moment of the case.
+        The present state of the case.
     renamed
         Whether the name of the case is unsaved as well.
     """
@@ -137,7 +137,7 @@ def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> N
     why
         Reason why the file cannot be written.
     saved, moment
-        The moment in the file, and the present moment of the case.
+        State of the case in the file, and its present state.
 
     Raises
     ------
@@ -162,11 +162,11 @@ def check_saved(path: Path, why: str, saved: Moment | None, moment: Moment) -> N
 
 
 class _KnownSteps:
-    """Steps of a saved moment, to be found in another moment of the same case.
+    """Steps in a saved state of a case, to be found in another state of the same case.
 
     A step is the same if its label, time and command are equal: a later change of one gesture replaces the step.
-    A step without a command is equal to any, because a file does not hold every command. Documents are not compared,
-    because findings of the machine change them without a step.
+    A step without a command is equal to any, because a file does not store every command. Documents are not
+    compared, because background jobs change them without a step.
     """
 
     def __init__(self, steps: Sequence[Step[Document]]) -> None:
