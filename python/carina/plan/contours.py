@@ -1,4 +1,4 @@
-"""Rasterisation of a structure set's outlines to shares of a CT's voxels."""
+"""Rasterisation of a structure set's outlines to the share of each CT voxel that they enclose."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def drawn_in(
 
 
 def _axis_across(points: Sequence[NDArray[np.float64]]) -> int:
-    """Which of i, j, k is the same for all points of each outline."""
+    """Return the voxel axis (0, 1, 2 for i, j, k) that is perpendicular to all outlines."""
     spread = np.max([np.ptp(one, axis=0) for one in points], axis=0)
     axis = int(np.argmin(spread))
     if spread[axis] > PLANE:

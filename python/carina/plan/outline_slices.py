@@ -22,8 +22,10 @@ ENCLOSED = 0.999
 SAME_OVERLAP = 0.9
 """Least intersection over union of two outlines that are one boundary drawn twice."""
 SAME_APART_VOX, SAME_APART_OVERLAP = 1.0, 0.7
-"""Outlines that are less than one voxel apart on average are one boundary: a CT does not show a thinner wall. Their
-overlap must be at least this, so that small hollows stay holes."""
+"""Largest mean distance in voxels and least overlap of two outlines that are one boundary.
+
+A CT does not show a wall that is thinner than one voxel. The least overlap keeps small hollows as holes.
+"""
 UNCLEAR_OVERLAP = 0.75
 """Largest overlap of a hole: nested outlines that overlap more may be a thin wall or two observers, and are refused."""
 CLOSES_VOX = 0.005

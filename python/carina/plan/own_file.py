@@ -32,7 +32,7 @@ class OwnFile:
         Raises
         ------
         UsageError
-            If it cannot be read (code ``plan.own-file``).
+            If the file cannot be read (code ``plan.own-file``).
         """
         file = Path(path)
         try:
@@ -46,7 +46,7 @@ class OwnFile:
             raise UsageError(words, code="plan.own-file") from error
 
     def refusal(self, what: str, expected: str, found: object) -> UsageError:
-        """To be raised."""
+        """Return the error for a field with a wrong value."""
         return UsageError(f"{self.where}: {what}: expected {expected}; found {found!r}", code="plan.own-file")
 
     def check(self, form: str, version: int, names: Iterable[str]) -> None:
@@ -62,14 +62,14 @@ class OwnFile:
             raise self.refusal("names", f"only {', '.join(sorted(known))}", strange)
 
     def text(self, name: str) -> str:
-        """Words."""
+        """Return the field ``name``, a text that is not empty."""
         found = self.document.get(name)
         if not (isinstance(found, str) and 0 < len(found.strip()) <= MOST_LETTERS):
             raise self.refusal(name, f"words, at most {MOST_LETTERS} letters", found)
         return found
 
     def text_or_none(self, name: str) -> str | None:
-        """Words, or nothing."""
+        """Return the field ``name``, a text that is not empty, or None."""
         return None if self.document.get(name) is None else self.text(name)
 
     def flag(self, name: str, expected: str) -> bool:
@@ -96,7 +96,7 @@ class OwnFile:
         return float(found)
 
     def pair_or_none(self, name: str, most: float) -> tuple[float, float] | None:
-        """Two numbers from 0 up, or nothing."""
+        """Return the field ``name``, two numbers from 0 up, or None."""
         found = self.document.get(name)
         if found is None:
             return None
