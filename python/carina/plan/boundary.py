@@ -96,6 +96,7 @@ core's rise.
 
 
 def no_boundary() -> NoResultError:
+    """Return the error for a click without a nodule boundary."""
     return NoResultError(
         f"no boundary was found within {HALVES_MM[-1] - EDGE_MM:.0f} mm: this looks like consolidation, the chest "
         "wall, the heart or the diaphragm rather than a nodule; click in the middle of the nodule, or set "
@@ -276,9 +277,11 @@ class Boundary:
         return cut, own
 
     def rim(self, inside: Mask, mm: float) -> Mask:
+        """Return the mask of the voxels outside a mask that are within a distance of it, mm."""
         return (distance_from(inside, self.box.step_mm, mm) <= mm) & ~inside
 
     def reaches_faces(self, mask: Mask) -> bool:
+        """Return whether a mask touches the faces of the box."""
         return any(mask.take(end, axis=axis).any() for axis in range(3) for end in (0, -1))
 
     def _glass_hu(self) -> float | None:
@@ -322,6 +325,7 @@ class Boundary:
 
     @property
     def is_near_faces(self) -> bool:
+        """Whether the nodule is near the faces of the box, or the edge of the CT cuts too much of it."""
         margin = int(np.ceil(EDGE_MM / self.box.step_mm))
         inner = np.zeros_like(self.inside)
         inner[margin:-margin, margin:-margin, margin:-margin] = True

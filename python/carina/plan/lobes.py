@@ -110,7 +110,6 @@ def lobes(
     NoResultError
         If there is no lung in the CT (``plan.no_lung``) or no bronchus of a lobe in the tree (``plan.no_lobe``).
     """
-
     report = progress_function(progress)
 
     def say(what: str, share: float) -> None:

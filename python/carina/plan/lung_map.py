@@ -145,7 +145,6 @@ def map_lungs(
     CancelledError
         If ``progress`` raised it.
     """
-
     report = progress_function(progress)
 
     def say(what: str, share: float) -> None:
