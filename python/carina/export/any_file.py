@@ -92,8 +92,7 @@ def export_airways(
 
     ``.json`` (``carina-tree``), ``.vtp``, ``.swc``, ``.mrk.json``: the tree. ``.nii.gz``, ``.nii``, ``.nrrd``,
     ``.mha``: the lumen on the CT's grid. ``.stl``, ``.ply``, ``.obj``, ``.glb``: the lumen's surface. All coordinates
-    are
-    in LPS, mm.
+    are in LPS, mm.
 
     Parameters
     ----------

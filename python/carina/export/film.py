@@ -33,7 +33,7 @@ MAX_EMBEDDED_BYTES = 20_000_000
 @one_line
 @dataclass(frozen=True, slots=True)
 class Film:
-    """Written video."""
+    """Video file that `write_film` has written."""
 
     name: str
     """Name of the file, without its folder."""

@@ -72,7 +72,7 @@ def export_format(path: Path | str, *, kind: ExportKind | None = None) -> Export
     path
         File name; the case of its suffix does not matter.
     kind
-        Contents to which the search is limited.
+        Kind of contents; other formats are ignored.
 
     Raises
     ------

@@ -31,8 +31,7 @@ def write_mesh(path: Path | str, mesh: Mesh, *, note: str | None = None, badges:
     """Write a surface in the format of the suffix: ``.stl``, ``.ply``, ``.obj`` or ``.glb``.
 
     STL, PLY and OBJ contain LPS millimetres, and their header states this. GLB requires metres with +y up: its vertices
-    are
-    also LPS millimetres, and its only node rotates and scales them (patient's head up, front towards the viewer).
+    are also LPS millimetres, and its only node rotates and scales them (patient's head up, front towards the viewer).
 
     Parameters
     ----------

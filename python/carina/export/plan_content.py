@@ -1,4 +1,4 @@
-"""Contents common to all files of a plan: named targets, the way of the scope, the needle, and texts.
+"""Contents common to all files of a plan: named targets, the path of the scope, the needle, and texts.
 
 All coordinates are in LPS, mm. The texts state what is not known about a plan.
 """
@@ -60,7 +60,7 @@ class DrawnRoute:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether part of the way was drawn by hand, is a bridge, or may not be an airway."""
+        """Whether part of the route was drawn by hand, is a bridge, or may not be an airway."""
         return bool(self.route.doubts)
 
 
@@ -156,7 +156,7 @@ def _to_line_mm(points: Points, place: Points) -> float:
 
 
 def _is_past(points: Points, n: int, tip: Points) -> bool:
-    """Return whether a point of the way is farther along the way than the tip."""
+    """Return whether point ``n`` of the route is farther along the route than the tip."""
     return float((points[n] - tip) @ (points[n] - points[n - 1])) > 0.0
 
 

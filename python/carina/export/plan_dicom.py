@@ -238,8 +238,7 @@ def new_object(
     identity
         ``"from the CT"`` copies name, number, birth date, sex and the study's dates and numbers; ``"none"`` leaves them
         empty and marks the object as de-identified. Every object that refers to a CT contains the UIDs of the CT's
-        study,
-        series and images, without which it could not be displayed over the CT.
+        study, series and images, without which it could not be displayed over the CT.
     modality, series_number, series_words
         Modality, number and description of the object's series.
     now
@@ -249,8 +248,7 @@ def new_object(
     ------
     UsageError
         If ``identity`` is unknown, is ``"from the CT"`` without a CT, or the patient's name or number in the CT is in
-        an
-        unknown character set.
+        an unknown character set.
     """
     if identity not in ("from the CT", "none"):
         raise UsageError(f'identity: expected "from the CT" or "none"; found {identity!r}', code="plan.identity")
@@ -293,7 +291,7 @@ def new_object(
 
 
 def _plain(value: Any) -> str | list[str]:
-    """Return a value as text or texts, independent of the CT's character set; a name keeps its component groups."""
+    """Return a value as text or texts, independent of the CT's character set, with all component groups of a name."""
     if isinstance(value, MultiValue):
         return [str(one) for one in value]
     return "" if value is None else str(value)

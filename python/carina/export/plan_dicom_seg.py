@@ -65,8 +65,7 @@ def write_target_seg(
     """Write targets as a binary DICOM segmentation on the CT's grid, one segment per target.
 
     A voxel of the CT belongs to the segment if at least half of it is nodule. The measures of the nodule, which are
-    more
-    precise than voxels, are in the segment's description.
+    more precise than voxels, are in the segment's description.
 
     Parameters
     ----------

@@ -100,9 +100,8 @@ def export_plan(
 
     ``.mrk.json``: targets, routes, needles and scope positions for 3D Slicer. ``.seg.nrrd``: the target as a
     segmentation for 3D Slicer, one target per file. ``.seg.dcm``: the targets as a DICOM segmentation that refers to
-    the
-    CT's images. ``.sr.dcm``: the measures of the targets as a DICOM report. :func:`carina.export_airways` writes the
-    airways.
+    the CT's images. ``.sr.dcm``: the measures of the targets as a DICOM report. :func:`carina.export_airways` writes
+    the airways.
 
     Parameters
     ----------
@@ -122,8 +121,7 @@ def export_plan(
         Existing ``.seg.dcm`` of the same targets, to which a ``.sr.dcm`` refers.
     identity
         ``"none"`` writes no data of the patient except the CT's UIDs; ``"from the CT"`` copies name, number, birth
-        date,
-        sex and the study's numbers.
+        date, sex and the study's numbers.
     badges
         Lasting notes of the case; for ``.mrk.json``.
     now

@@ -50,9 +50,8 @@ def write_plan_markups(
     """Write plans as 3D Slicer markups in LPS, mm.
 
     The markups: a point list *Targets*; for each target the lists *Scope positions* (final positions of the scope's
-    tip)
-    and *Needle entries* (where the needle enters the airway's wall); for each route a curve along the airways to the
-    scope's position and a line from there to the aim. A route with doubts is red, and its name states this.
+    tip) and *Needle entries* (where the needle enters the airway's wall); for each route a curve along the airways to
+    the scope's position and a line from there to the aim. A route with doubts is red, and its name states this.
 
     Parameters
     ----------

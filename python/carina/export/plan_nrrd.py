@@ -33,8 +33,7 @@ def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target")
     """Write a nodule as a segmentation of one segment for 3D Slicer, in LPS, mm.
 
     The grid is that of the nodule's boundary (cubic voxels along the patient's axes), which preserves the nodule's
-    shape if
-    the CT's slices are thick. Slicer displays it over the CT by its position.
+    shape if the CT's slices are thick. Slicer displays it over the CT by its position.
 
     Parameters
     ----------

@@ -54,15 +54,14 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
     Point data: ``Radius`` (mm). Cell data: ``BranchId``, ``ParentId`` (-1 at the root), ``Generation``, ``Bridge`` (1
     across an obstruction), ``DrawnByHand`` (1 if the branch was drawn by hand where the CT shows no airway),
     ``NameConfidence`` (-1 if unknown), ``Name`` and ``Kind`` (texts). Field data: ``Space`` LPS, ``Unit`` mm, ``Note``
-    for
-    the drawn parts, ``Badges`` for the lasting notes of the case.
+    for the drawn parts, ``Badges`` for the lasting notes of the case.
 
     Raises
     ------
     CarinaError
         If the file cannot be written; a former file stays unchanged.
     """
-    from xml.sax.saxutils import quoteattr  # loads HTTP and mail libraries
+    from xml.sax.saxutils import quoteattr  # imported on use: it loads HTTP and mail libraries
 
     branches = tree.branches
     points = np.concatenate([branch.points for branch in branches])

@@ -278,8 +278,7 @@ class VideoWriter:
         try:
             if self._container is not None:
                 # Closing writes the last bytes, which are not needed and for which the disk may have no space. PyAV
-                # raises
-                # errors of its own for a refused write, so OSError alone would not suffice.
+                # raises errors of its own for a refused write, so OSError alone would not suffice.
                 with contextlib.suppress(Exception):
                     self._container.close()
         finally:

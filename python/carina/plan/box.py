@@ -168,7 +168,7 @@ def lung_median_hu(smooth: Values) -> float:
 
 def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
     """Return the part of a mask that is connected to a voxel by faces; empty if the mask does not contain the voxel."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
     seed = tuple(int(k) for k in reversed(at))
@@ -181,7 +181,7 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
 
     Voxels beyond the faces of the box do not count as outside.
     """
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     found = np.zeros(mask.shape, dtype=np.float32)
     if not mask.any():
@@ -232,7 +232,7 @@ def enclosed(mask: Mask) -> Mask:
 
 def from_faces(mask: Mask) -> Mask:
     """Return the part of a mask that is connected to the faces of the box."""
-    import SimpleITK as sitk  # slow to load
+    import SimpleITK as sitk  # imported on use: it loads slowly
 
     padded = np.pad(mask, 1, constant_values=True)
     image = sitk.GetImageFromArray(padded.astype(np.uint8))

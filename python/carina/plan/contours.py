@@ -187,7 +187,7 @@ def _notes_on_stack(
 
 
 def _off_mm(stack: OutlineStack, share: NDArray[np.float32], start: int, slice_mm: float, *, is_between: bool) -> float:
-    """Additional uncertainty of a boundary that was not drawn on every slice."""
+    """Return the additional uncertainty in mm of a boundary that was not drawn on every slice."""
     if is_between:
         return 0.5 * slice_mm * max(stack.step, 1.0)
     num = int((share > 0.0).any(axis=(1, 2)).sum())

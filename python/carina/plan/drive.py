@@ -243,7 +243,7 @@ class MoveRecorder:
                 self.advance(math.copysign(ADVANCE_MM, steps))
 
     def driven(self, way: DriveWay, *, stopped_mm: float, why: str | None) -> DrivenRoute:
-        """Return the whole drive as a value.
+        """Return the recorded moves and states as a `DrivenRoute`.
 
         Parameters
         ----------

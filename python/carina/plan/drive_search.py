@@ -2,7 +2,7 @@
 
 Each attempt steers by one rule. The tip is turned towards a point of the route ahead, in steps of 5 degrees and only if
 the tip points too far off. At a fork some rules pull the lever towards the opening while the tip passes the fork. An
-attempt that enters a wrong branch or is blocked is cut back to its last part in the route, and the next attempt starts
+attempt that enters a wrong branch or is blocked is cut back to its last part on the route, and the next attempt starts
 there with another, randomly drawn rule, until an attempt arrives or the effort is spent. The result is the moves of one
 attempt from its beginning; the elastic model executed each of them (docs/decisions/0122).
 """
@@ -65,8 +65,7 @@ class _Rule:
     """Choice of the point that the tip turns to.
 
     ``visible`` is the farthest visible point of the route, ``ahead`` a point at a fixed distance ahead. ``opening`` is
-    the
-    opening of the branch to be entered if a fork is near, else the visible point.
+    the opening of the branch to be entered if a fork is near, else the visible point.
     """
     far_mm: float = 25.0
     clear_mm: float = 1.0
@@ -119,7 +118,7 @@ class _Rule:
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """Stored attempt, up to the last point at which it was in the route."""
+    """Stored attempt, up to the last point at which the tip was on the route."""
 
     along_mm: float
     stations: tuple[_Attempt, ...]
@@ -227,8 +226,7 @@ def condense_drive(
     """Return a drive with fewer moves that still arrives.
 
     Moves are left out, last ones first, and the move before them advances farther instead. Each shorter drive is
-    simulated
-    again. A drive that did not arrive is returned unchanged.
+    simulated again. A drive that did not arrive is returned unchanged.
 
     Parameters
     ----------

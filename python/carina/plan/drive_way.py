@@ -30,8 +30,7 @@ class DriveWay:
 
     Distances in a drive are measured along the smooth route, which is a few millimetres shorter than the branches'
     centrelines. Distances in results are measured along the centrelines, as in `PlannedRoute.along_mm` and in the list
-    of
-    turns; `told_mm` converts them.
+    of turns; `told_mm` converts them.
 
     Parameters
     ----------

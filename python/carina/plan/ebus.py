@@ -65,7 +65,7 @@ class Landmark:
     """Place in the airways from which a lymph node station is examined, and the direction of the probe there."""
 
     station: str
-    """Station: 4R, 4L, 7, 10R, 10L, 11Rs, 11Ri, 11L; in a mirrored chest also 11R, 11Ls, 11Li."""
+    """Name of the station: 4R, 4L, 7, 10R, 10L, 11Rs, 11Ri, 11L; in a mirrored chest 11R, 11Ls, 11Li."""
     seen_from: str
     """Name of the airway as text."""
     branch_id: int | None

@@ -138,7 +138,7 @@ def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values
 
 def _large_sheets(mask: Mask, step_mm: float) -> Mask:
     """Return the pieces of plate that are large enough; gaps of one voxel are bridged for the size."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
     labels: Any = sitk.GetArrayFromImage(
@@ -151,7 +151,7 @@ def _large_sheets(mask: Mask, step_mm: float) -> Mask:
 
 
 def _with_faint_parts(sheets: Mask, faint: Mask) -> Mask:
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(faint.astype(np.uint8)), True))
     keep = np.zeros(int(labels.max()) + 1, dtype=bool)

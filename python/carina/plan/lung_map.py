@@ -26,7 +26,7 @@ __all__ = ["LungMap", "MappedMask", "map_lungs"]
 Mask = NDArray[np.bool_]
 
 SURE = 0.8
-"""Mean confidence below which a stretch of vessel is drawn as doubtful; it equals 1.3 times the least curvature."""
+"""Mean confidence below which a stretch of vessel is drawn as doubtful, as at 1.3 times the least curvature."""
 RIM_MM = 3.0
 """Width in mm removed at the outside of the closed lungs, where the chest wall looks like vessels."""
 LUNG_HU = 250.0

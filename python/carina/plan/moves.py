@@ -18,7 +18,7 @@ class Move:
     turn_deg: float
     """Change of roll in degrees, clockwise as seen by the operator."""
     flexion_deg: float
-    """Flexion in degrees to which the lever is set (not a change); above 0 is the instrument's up."""
+    """Flexion in degrees that the lever is set to (not a change); above 0 the tip bends to the instrument's up side."""
     advance_mm: float
     """Advance in mm; below 0 the scope is withdrawn."""
 

@@ -46,8 +46,7 @@ def grow_nodule(
         A point in the nodule, LPS mm; within 4 mm of its densest part, or in its cavity.
     wall
         The airways' wall (`carina.wall_field`). With it, tissue that protrudes into an airway is segmented as a lesion
-        of
-        its own, and a click into a lumen without a lesion is refused.
+        of its own, and a click into a lumen without a lesion is refused.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown. It may raise CancelledError.
@@ -63,9 +62,8 @@ def grow_nodule(
         If ``at_lps`` is not a point, or is outside the CT.
     NoResultError
         If nothing there is denser than the lung (code ``plan.no-nodule``); if the dense part does not end within 5 cm,
-        as
-        in a consolidation, the chest wall or the heart (``plan.no-boundary``); if the point is in an airway and nothing
-        protrudes into it there (``plan.in-airway``); or if it is outside the body (``plan.outside-body``).
+        as in a consolidation, the chest wall or the heart (``plan.no-boundary``); if the point is in an airway and
+        nothing protrudes into it there (``plan.in-airway``); or if it is outside the body (``plan.outside-body``).
     CancelledError
         If ``progress`` raised it.
 

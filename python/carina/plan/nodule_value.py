@@ -81,9 +81,8 @@ class Nodule:
     touches: tuple[str, ...]
     """Structures that the nodule was cut from.
 
-    ``pleura`` is chest wall, mediastinum or diaphragm, which the CT does not distinguish; ``vessel`` a vessel; ``edge
-    of the
-    CT`` means that the scan ends in the nodule.
+    ``pleura`` is chest wall, mediastinum or diaphragm, which the CT does not distinguish; ``vessel`` a vessel;
+    ``edge of the CT`` means that the scan ends in the nodule.
     """
     inside_zyx: Mask
     """(nz, ny, nx) mask in a box of its own."""

@@ -24,7 +24,7 @@ SAME_OVERLAP = 0.9
 SAME_APART_VOX, SAME_APART_OVERLAP = 1.0, 0.7
 """Largest mean distance in voxels and least overlap of two outlines that are one boundary.
 
-A CT does not show a wall that is thinner than one voxel. The least overlap keeps small hollows as holes.
+A CT does not show a wall that is thinner than one voxel. The least overlap ensures that small hollows stay holes.
 """
 UNCLEAR_OVERLAP = 0.75
 """Largest overlap of a hole: nested outlines that overlap more may be a thin wall or two observers, and are refused."""

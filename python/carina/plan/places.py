@@ -1,4 +1,4 @@
-"""Points of the airways' centrelines where a scope may stand, and their relation to one target."""
+"""Positions on the airways' centrelines that a scope may have, and their relation to one target."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class NearestPlace:
 
 
 class Ways:
-    """All centreline points of a tree, and the demands of the way to each point on a scope.
+    """Centreline points of a tree, with the width, bends and doubts of the path from the root to each point.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Ways:
         self.branch: NDArray[Any] = joined([np.full(len(b.points), b.id) for b in branches])
         self.along_mm: Points = joined([along[b.id] for b in branches])
         self.width: NDArray[np.object_] = joined([widths[b.id] for b in branches])
-        """(n,) `RouteWidth` of the way to each point."""
+        """(n,) `RouteWidth` of the path from the root to each point."""
         self.radius: Points = joined([b.wall_distance for b in branches])
 
     def of_branch(self, n: int) -> Branch:
@@ -116,7 +116,7 @@ class Ways:
         return self._row[int(self.branch[n])]
 
     def asks(self, n: int, section_mm: float | None) -> Demands:
-        """Return the demands of the way to point ``n``.
+        """Return width, bend and doubts of the path to point ``n``, which a scope must pass.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class Ways:
 
 
 class Places(Ways):
-    """All centreline points of a tree and their relation to one nodule."""
+    """Centreline points of a tree and their relation to one nodule."""
 
     def __init__(
         self,
@@ -285,7 +285,7 @@ class Places(Ways):
         )
 
     def carina_mm(self, branch: Branch) -> float | None:
-        """Return the distance in mm from the root to the main carina on the way to a branch; None if there is none."""
+        """Return the distance in mm from the root to the main carina on the path to a branch; None if there is none."""
         inside = 0.0
         for one in self._tree.lineage(branch.id):
             if one.name in {"RMB", "LMB"}:
@@ -324,13 +324,13 @@ def _along(tree: AirwayTree) -> dict[int, Points]:
 
 
 def _bends(lineage: tuple[Branch, ...] | list[Branch], section_mm: float) -> tuple[Points, Points, Points]:
-    """Return the sharpest turn up to each place along a way.
+    """Return the sharpest turn up to each place along a path.
 
     Returns
     -------
     at, worst, where
-        Distances along the way in mm, 1 mm apart; sharpest turn over ``section_mm`` up to there in degrees; distance at
-        which it occurs.
+        Distances along the path in mm, 1 mm apart; sharpest turn over ``section_mm`` up to there in degrees; distance
+        at which it occurs.
     """
     points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])

@@ -184,7 +184,10 @@ class _Fork:
 
 
 def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
-    """Return the forks on a way, grouped by closeness; a branch with a single child is no fork."""
+    """Return the forks of a route; forks at most `TOGETHER_MM` apart form one group.
+
+    The end of a branch with a single child is not a fork.
+    """
     groups: list[list[_Fork]] = []
     at_mm = 0.0
     for mother, daughter in itertools.pairwise(lineage):

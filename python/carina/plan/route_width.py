@@ -1,4 +1,4 @@
-"""Narrowest diameter of the way to each point of a tree, with its error (docs/decisions/0130).
+"""Narrowest diameter of the path from the root to each point of a tree, with its error (docs/decisions/0130).
 
 Where the airways were measured, the diameter is that of the largest ball that passes their sections
 (`carina.track.TreeMeasures.passage`). Where they could not be measured (drawn branches, bridges, the last thin ones,
@@ -126,7 +126,7 @@ def matches_tree(measures: TreeMeasures, tree: AirwayTree) -> bool:
 def widths_on_the_way(
     tree: AirwayTree, wall: WallField | None, measures: TreeMeasures | None, spacing_mm: float
 ) -> dict[int, Widths]:
-    """Return for each branch the narrowest diameter of the way to each of its points, (n,) of `RouteWidth`.
+    """Return for each branch the narrowest diameter of the path to each of its points, (n,) of `RouteWidth`.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def _places(
 
 
 def _cumulated(places: _Places, along: Points, before: RouteWidth | None) -> Widths:
-    """Return the narrowest width up to each point of a centreline, including the way before the branch.
+    """Return the narrowest width up to each point of a centreline, including the path before the branch.
 
     A point without a place of its own also uses the next place: where a branch leaves its parent, the branch's first
     section is some distance along the branch, and a scope at the point is in the branch already.

@@ -71,7 +71,7 @@ class ScoreWeights:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """Worst value along a way, and its place."""
+    """Worst value along a path from the root, and its place."""
 
     value: float
     at_mm: float
@@ -80,15 +80,15 @@ class Worst:
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """Demands of a way on a scope."""
+    """Width, bend and doubts of a path from the root, which a scope must pass."""
 
     width: RouteWidth
-    """Narrowest diameter of the way."""
+    """Narrowest diameter of the path."""
     bend_deg: Worst
     """Sharpest turn in degrees over the length of rigid tip and bending section, and the place where it ends."""
     doubts: tuple[str, ...]
     trust: float
-    """Probability that the whole way is airway; 1 without doubts."""
+    """Probability that the whole path is airway; 1 without doubts."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,7 +81,7 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
 def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: float, *, add: bool = True) -> Nodule:
     """Add a ball to a nodule, or remove a ball from it.
 
-    After a removal only the largest connected part is kept.
+    After a removal only the largest connected part remains.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
 """Short clip of the flight to each turn, which ends with the picture of the turn.
 
 A clip is a strip of few, small frames, which an HTML page plays without other software. The frames are rendered like
-the
-still pictures, without the artificial mottling and micro relief.
+the still pictures, without the artificial mottling and micro relief.
 """
 
 from __future__ import annotations

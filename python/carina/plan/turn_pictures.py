@@ -212,8 +212,7 @@ def _belongs(tree: AirwayTree, turn: Turn, walls_lps: Points) -> tuple[NDArray[n
     """Return the masks of the walls (h, w, 3) of the branch to enter or its descendants, and of other branches.
 
     A wall belongs to the branch with the nearest surface: least distance from the centreline, less the radius. The
-    branch
-    to enter begins where its centreline leaves the lumen of all other branches.
+    branch to enter begins where its centreline leaves the lumen of all other branches.
     """
     below = {turn.to_branch_id}
     # Parents precede their children in the tree.

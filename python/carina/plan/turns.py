@@ -235,7 +235,7 @@ class TurnList(Tabular):
         """Return the list as lines: each turn, then the final position."""
         lines = []
         for n, turn in enumerate(self.turns):
-            # At the carina the set depth is exact, whichever point is the origin of distances.
+            # At the carina the depth is the one that the user set, whichever point is the origin of distances.
             depth = self.carina_depth_mm if turn.at_main_carina else self.depth_mm(turn.from_carina_mm)
             lines.append(turn.words(operator, depth_mm=depth, first=n == 0))
         where = place_words(

@@ -51,10 +51,10 @@ POINTS, BARELY = 0.5, 0.1
 The second is small, because a needle pass can be repeated.
 """
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
-"""Sizes in mm of the substitute for an instrument about as wide as the airway.
+"""Sizes in mm for an instrument about as wide as the airway, whose drive is simulated with a thinner substitute.
 
-They are the difference between airway and substitute, the least size of the substitute, and the width above the
-instrument's size below which the substitute is used.
+The substitute is thinner than the airway by the first size, and has at least the second size. It is used if the airway
+is wider than the instrument by less than the third size.
 """
 UNFOUND = 0.5
 """Share reported if a scope fits along the route but no drive was found; the search may have missed one (k)."""
@@ -285,7 +285,7 @@ class _Figures:
 
     checks: tuple[Check, ...]
     driven_as: ScopePreset | None
-    """Instrument whose drive is simulated, perhaps a thinner substitute; None if no drive is needed or possible."""
+    """Instrument whose drive is simulated, or a thinner substitute; None if no drive is needed or possible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,11 +295,11 @@ class _Drive:
     route: DrivenRoute | None
     checks: tuple[Check, ...]
     bend: Check | None = None
-    """Replacement of the check of the bend, if its figures leave the answer open and drives decide."""
+    """Check of the bend that replaces the check by figures; None if the drive did not arrive."""
 
 
 class _Bench:
-    """Judge of instruments on one route."""
+    """Judgement of instruments on one route: checks by figures, then a simulated drive."""
 
     def __init__(
         self,

@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 
 THIN_SIGMA_MM = 0.7
-"""Width in mm of the Gaussian before the curvature is computed; together with it comes the blur of the CT."""
+"""Width in mm of the Gaussian before the curvature is computed; the blur of the CT adds to this width."""
 RISE_HU = 60.0
 """Least rise of a vessel over the lung in HU, after smoothing by 0.5 mm."""
 LEAST_HU = 40.0
@@ -78,8 +78,7 @@ def thin_vessels(
     """Return the voxels of bright lines, and the confidence of each voxel.
 
     The curvature of a line is negative in two directions across it and small along it. A plate (a fissure, the pleura)
-    has
-    one such direction, and a wall of a lumen has two unequal ones.
+    has one such direction, and a wall of a lumen has two unequal ones.
 
     Parameters
     ----------
@@ -173,7 +172,7 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
 
 def _long_pieces(mask: Mask, step_mm: float) -> Mask:
     """Return the pieces whose bounding box has a diagonal of at least `LEAST_LENGTH_MM`."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True))
     at = np.nonzero(labels)
@@ -203,7 +202,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
     on_share
         Receives the share done; it may raise CancelledError.
     """
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     if not vessel.any():
         return VesselTree(())
@@ -247,7 +246,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
 
 def _arrival(vessel: Mask, depth: Values, labels: NDArray[Any]) -> Values:
     """Return the arrival time of a front from each piece's widest voxel, faster in the middle; infinite outside."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     flat, of = depth.reshape(-1), labels.reshape(-1)
     inside = np.flatnonzero(of)

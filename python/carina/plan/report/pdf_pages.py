@@ -1,4 +1,4 @@
-"""Report as PDF, if the optional package reportlab is installed."""
+"""Export of a report as PDF; requires the optional package reportlab."""
 
 from __future__ import annotations
 

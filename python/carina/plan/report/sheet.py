@@ -139,7 +139,7 @@ class PlanSheet:
     turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
     """Picture of each turn, or empty."""
     turn_clips: tuple[TurnClip | None, ...] = field(repr=False)
-    """Clip of the way to each turn, or empty; None for a stretch without length."""
+    """Clip of the flight to each turn, or empty; None for a stretch without length."""
     forks: tuple[Fork, ...]
     operator: Operator
     place: TargetPlace
@@ -225,7 +225,7 @@ def make_sheet(
     turns, turn_pictures
         List of turns (`carina.plan.turn_list`) and a picture of each turn (`carina.plan.turn_pictures`), or none.
     turn_clips
-        Clip of the way to each turn (`carina.plan.turn_clips`), played over its picture, or none.
+        Clip of the flight to each turn (`carina.plan.turn_clips`), played over its picture, or none.
     notes
         The planner's own notes, shown unchanged.
     patient

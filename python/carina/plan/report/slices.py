@@ -100,7 +100,7 @@ def needle_slice(
     right = way / length if length > 1e-6 else axis / float(np.linalg.norm(axis))
     beside = axis - (axis @ right) * right
     if np.linalg.norm(beside) < 0.05:
-        # The needle follows the airway's axis, so any plane through the needle will do.
+        # The needle follows the airway's axis, so any plane through the needle is suitable.
         beside = np.cross(right, np.eye(3)[int(np.argmin(np.abs(right)))])
     # This direction brings the airway in from the upper left.
     down = beside / float(np.linalg.norm(beside))

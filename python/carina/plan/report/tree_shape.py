@@ -18,7 +18,7 @@ __all__ = ["ShapedBranch", "TreeShape", "tree_shape"]
 
 Points = NDArray[np.float64]
 EVERY_MM = 2.5
-"""Distance in mm of the points that are kept of a centreline."""
+"""Distance in mm between the retained points of a centreline."""
 
 
 @one_line

@@ -63,7 +63,7 @@ def whole_sheet(
     patient
         Name or number to be printed; none if None.
     clips
-        Whether to render a short clip of the way to each turn, which only the HTML page plays.
+        Whether to render a short clip of the flight to each turn, which only the HTML page plays.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.

@@ -1,4 +1,4 @@
-"""Text of values in a report, the same in all of its parts."""
+"""Functions that format values as text for all parts of a report."""
 
 from __future__ import annotations
 
