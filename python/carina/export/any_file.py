@@ -30,6 +30,13 @@ def is_tree_file(path: Path | str) -> bool:
 def check_export(path: Path | str, volume: Volume) -> None:
     """Check, before the search, that the airways of a volume can be written to a file of this name.
 
+    Parameters
+    ----------
+    path
+        File name with a suffix that Carina writes.
+    volume
+        The CT.
+
     Raises
     ------
     UsageError

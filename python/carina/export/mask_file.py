@@ -20,6 +20,13 @@ MASK_SUFFIXES = GRID_SUFFIXES
 def check_mask_file(path: Path | str, volume: Volume) -> None:
     """Check, before the search, that a mask of a volume can be written to a file of this name.
 
+    Parameters
+    ----------
+    path
+        File name.
+    volume
+        The CT.
+
     Raises
     ------
     UsageError

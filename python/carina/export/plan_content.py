@@ -79,6 +79,11 @@ class DrawnTarget:
 def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
     """Return plans by the names of their targets; the name of a single plan is "Target".
 
+    Parameters
+    ----------
+    plan
+        A plan, or several by the names of their targets.
+
     Raises
     ------
     UsageError
@@ -99,6 +104,13 @@ def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
 
 def drawn_plans(plan: Plan | Mapping[str, Plan], tree: AirwayTree) -> tuple[DrawnTarget, ...]:
     """Return plans as lines and texts.
+
+    Parameters
+    ----------
+    plan
+        A plan, or several by the names of their targets.
+    tree
+        The airway tree that the plans were made on.
 
     Raises
     ------

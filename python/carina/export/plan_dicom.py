@@ -298,7 +298,13 @@ def _plain(value: Any) -> str | list[str]:
 
 
 def code_item(value: str, scheme: str, meaning: str) -> Dataset:
-    """Return a coded concept (PS3.3 8.8)."""
+    """Return a coded concept (PS3.3 8.8).
+
+    Parameters
+    ----------
+    value, scheme, meaning
+        Code value, designator of the coding scheme, and meaning of the code.
+    """
     item = Dataset()
     item.CodeValue, item.CodingSchemeDesignator, item.CodeMeaning = value, scheme, meaning
     return item
@@ -311,6 +317,13 @@ def decimals(values: Sequence[float] | NDArray[np.float64]) -> list[DSfloat]:
 
 def check_text(text: str, what: str) -> str:
     """Check a text for an element of 64 characters, and return it.
+
+    Parameters
+    ----------
+    text
+        The text.
+    what
+        Name of the text in the error message.
 
     Raises
     ------
@@ -327,6 +340,13 @@ def check_text(text: str, what: str) -> str:
 
 def named_nodules(targets: Nodule | Mapping[str, Nodule], doing: str) -> dict[str, Nodule]:
     """Return nodules by name; the name of a single nodule is "Target".
+
+    Parameters
+    ----------
+    targets
+        A nodule, or several by name.
+    doing
+        Beginning of the error messages: what the caller was doing.
 
     Raises
     ------

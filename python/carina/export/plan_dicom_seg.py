@@ -136,7 +136,15 @@ def write_target_seg(
 
 
 def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
-    """Return the mask (nz, ny, nx) of the CT's voxels of which at least half is nodule."""
+    """Return the mask (nz, ny, nx) of the CT's voxels of which at least half is nodule.
+
+    Parameters
+    ----------
+    nodule
+        The nodule; its parts outside the CT are ignored.
+    volume
+        The CT.
+    """
     found = np.zeros(volume.shape_zyx, dtype=bool)
     at = np.argwhere(nodule.inside_zyx)
     if not len(at):

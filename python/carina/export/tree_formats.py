@@ -56,6 +56,15 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
     ``NameConfidence`` (-1 if unknown), ``Name`` and ``Kind`` (texts). Field data: ``Space`` LPS, ``Unit`` mm, ``Note``
     for the drawn parts, ``Badges`` for the lasting notes of the case.
 
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of the case (``carina.volume.badges_of``).
+
     Raises
     ------
     CarinaError
@@ -141,6 +150,15 @@ def write_swc(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
 
     A fork is one node, so a child begins with the point after its parent's last one.
 
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of the case, written as comments.
+
     Raises
     ------
     CarinaError
@@ -170,6 +188,15 @@ def write_markups(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] 
 
     The name and description of a drawn or bridged branch state that the CT does not show it, and its curve is thin and
     amber. Each description contains the lasting notes of the case.
+
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of the case (``carina.volume.badges_of``).
 
     Raises
     ------

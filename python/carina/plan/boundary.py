@@ -277,7 +277,15 @@ class Boundary:
         return cut, own
 
     def rim(self, inside: Mask, mm: float) -> Mask:
-        """Return the mask of the voxels outside a mask that are within a distance of it, mm."""
+        """Return the mask of the voxels outside a mask that are within a distance of it, mm.
+
+        Parameters
+        ----------
+        inside
+            (nz, ny, nx) mask.
+        mm
+            Largest distance from the mask.
+        """
         return (distance_from(inside, self.box.step_mm, mm) <= mm) & ~inside
 
     def reaches_faces(self, mask: Mask) -> bool:

@@ -201,7 +201,13 @@ def _error(
 def cut_out(
     inside: Mask, lps_from_ijk: NDArray[np.float64]
 ) -> tuple[Mask, NDArray[np.float64], tuple[float, float, float]]:
-    """Return a mask cropped to two empty voxels round it, the transform of the crop, and the centroid in LPS mm."""
+    """Return a mask cropped to two empty voxels round it, the transform of the crop, and the centroid in LPS mm.
+
+    Parameters
+    ----------
+    inside, lps_from_ijk
+        (nz, ny, nx) mask, not empty, and (4, 4) transform of its grid.
+    """
     zyx = np.argwhere(inside)
     low = np.maximum(zyx.min(axis=0) - 2, 0)
     high = zyx.max(axis=0) + 3
@@ -213,7 +219,15 @@ def cut_out(
 
 
 def diameters(inside: Mask, step_mm: float) -> tuple[float, float]:
-    """Return the longest diameter in the largest axial slice and the longest diameter perpendicular to it, in mm."""
+    """Return the longest diameter in the largest axial slice and the longest diameter perpendicular to it, in mm.
+
+    Parameters
+    ----------
+    inside
+        (nz, ny, nx) mask of cubic voxels along LPS.
+    step_mm
+        Voxel size.
+    """
     best = inside[int(np.argmax(inside.sum(axis=(1, 2))))]
     # Only edge voxels of the slice: all voxels of a mass would give millions of pairs.
     rows = np.argwhere(surface(np.stack([best] * 3))[1]).astype(float) * step_mm

@@ -167,7 +167,15 @@ def lung_median_hu(smooth: Values) -> float:
 
 
 def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
-    """Return the part of a mask that is connected to a voxel by faces; empty if the mask does not contain the voxel."""
+    """Return the part of a mask that is connected to a voxel by faces; empty if the mask does not contain the voxel.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) mask.
+    at
+        Index (z, y, x) of the voxel.
+    """
     import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
@@ -180,6 +188,13 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     """Return the distance in mm from each mask voxel to the nearest outside voxel, less half a voxel; 0 outside.
 
     Voxels beyond the faces of the box do not count as outside.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) mask of cubic voxels.
+    step_mm
+        Voxel size.
     """
     import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
@@ -202,7 +217,17 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
 
 
 def distance_from(mask: Mask, step_mm: float, reach_mm: float) -> NDArray[np.float32]:
-    """Return the distance in mm of each outside voxel to a mask, less half a voxel; infinite beyond ``reach_mm``."""
+    """Return the distance in mm of each outside voxel to a mask, less half a voxel; infinite beyond ``reach_mm``.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) mask of cubic voxels.
+    step_mm
+        Voxel size.
+    reach_mm
+        Largest distance that is computed.
+    """
     found = np.full(mask.shape, np.inf, dtype=np.float32)
     if mask.any():
         part = extent(mask, int(np.ceil(reach_mm / step_mm)) + 2)
@@ -262,7 +287,15 @@ def surface(mask: Mask) -> Mask:
 
 
 def uphill(values: Values, at: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the local maximum that a steepest ascent over the 26 neighbours reaches from a voxel."""
+    """Return the local maximum that a steepest ascent over the 26 neighbours reaches from a voxel.
+
+    Parameters
+    ----------
+    values
+        (nz, ny, nx) values.
+    at
+        Index (z, y, x) of the first voxel.
+    """
     while True:
         window = tuple(slice(max(k - 1, 0), k + 2) for k in at)
         part = values[window]

@@ -30,6 +30,17 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     """Return the part of ``whole`` on the lung's side of the wall, and the wall; None if no wall is near.
 
     The wall's surface is a paraboloid fitted to the lung's boundary round the nodule, without the nodule itself.
+
+    Parameters
+    ----------
+    box
+        Box of the CT.
+    smooth
+        (nz, ny, nx) smoothed values of the box, HU.
+    whole
+        (nz, ny, nx) mask of the dense voxels connected to the nodule.
+    seed
+        Index (z, y, x) of a voxel in the nodule.
     """
     step = box.step_mm
     dense = smooth > WALL_HU

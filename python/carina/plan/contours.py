@@ -48,6 +48,10 @@ def drawn_in(
 
     Parameters
     ----------
+    volume
+        The CT.
+    contours
+        Outlines of the structure, points in LPS mm.
     may_be_between
         Accept outlines that lie between the CT's slices. The caller must know that the outlines and the CT have one
         frame of reference. Otherwise outlines between the slices indicate another CT.

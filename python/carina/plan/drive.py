@@ -313,6 +313,13 @@ def moves_between(driven: DrivenRoute, from_mm: float, to_mm: float) -> tuple[Mo
 
     A move that extends beyond an end is cut there: its second part has the same flexion and no turn. Turns and lever
     settings at ``from_mm`` are included; those at ``to_mm`` are not, except for a last move that only aims.
+
+    Parameters
+    ----------
+    driven
+        Drive of a verdict.
+    from_mm, to_mm
+        Insertions, as in ``ends_mm``.
     """
     found: list[Move] = []
     begins = driven.start_mm

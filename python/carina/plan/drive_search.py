@@ -132,6 +132,11 @@ class _Kept:
 def place_at_start(way: DriveWay, wall: WallField, scope: ScopePreset) -> ScopeDrive:
     """Place a new scope in the upper trachea, where a drive begins.
 
+    Parameters
+    ----------
+    way, wall, scope
+        The route, the wall of the airways and the instrument.
+
     Raises
     ------
     UsageError
@@ -143,7 +148,13 @@ def place_at_start(way: DriveWay, wall: WallField, scope: ScopePreset) -> ScopeD
 
 
 def start_mm(way: DriveWay, drive: ScopeDrive) -> float:
-    """Return the distance along the route in mm at which the scope is placed."""
+    """Return the distance along the route in mm at which the scope is placed.
+
+    Parameters
+    ----------
+    way, drive
+        The route, and the scope that has not been placed.
+    """
     before_fork = float(way.forks_mm[0]) - START_BEFORE_FORK_MM if len(way.forks_mm) else START_MM
     return max(min(START_MM, before_fork, 0.5 * way.park_mm), drive.entry_mm)
 

@@ -148,7 +148,15 @@ class DriveWay:
         return found
 
     def holds(self, tip: Points, along_mm: float) -> bool:
-        """Return whether a tip is in the route's own lumen and not behind a wall in a neighbouring one."""
+        """Return whether a tip is in the route's own lumen and not behind a wall in a neighbouring one.
+
+        Parameters
+        ----------
+        tip
+            (3,) position of the tip, LPS mm.
+        along_mm
+            Distance of the tip along the route.
+        """
         share = np.linspace(0.0, 1.0, 9)
         line = tip + share[:, None] * (self.at(along_mm) - tip)
         return bool((self.wall.distance_mm(line) > 0.0).all())

@@ -53,7 +53,15 @@ class FissureBox:
         return found
 
     def on_grid(self, shape: tuple[int, ...], lps_from_ijk: NDArray[np.float64], step_mm: float) -> Mask:
-        """Return the mask on a coarser grid; a coarse voxel is true if it contains a voxel of a fissure."""
+        """Return the mask on a coarser grid; a coarse voxel is true if it contains a voxel of a fissure.
+
+        Parameters
+        ----------
+        shape, lps_from_ijk
+            Shape (nz, ny, nx) and (4, 4) transform of the coarser grid.
+        step_mm
+            Voxel size of the coarser grid.
+        """
         ijk = np.argwhere(self.mask)[:, ::-1] * self.box.step_mm + self.box.lps_from_ijk[:3, 3]
         at = np.rint((ijk - lps_from_ijk[:3, 3]) / step_mm).astype(np.intp)[:, ::-1]
         at = at[((at >= 0) & (at < np.array(shape))).all(axis=1)]

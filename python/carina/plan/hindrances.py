@@ -25,6 +25,11 @@ NUM_SAMPLES = 400
 def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
     """Refuse airways or a target that belong to another CT.
 
+    Parameters
+    ----------
+    volume, airways, nodule
+        The CT, the airways, and the nodule of the target.
+
     Raises
     ------
     UsageError
@@ -45,7 +50,15 @@ def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
 
 
 def notes_of_target(volume: Volume, airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> tuple[str, ...]:
-    """Return notes on a target and the airways near it; they apply whether or not there is a route."""
+    """Return notes on a target and the airways near it; they apply whether or not there is a route.
+
+    Parameters
+    ----------
+    volume, airways, nodule
+        The CT, the airways, and the nodule of the target.
+    nearest
+        Place in the airways nearest to the target; None if there is none.
+    """
     found = []
     shown_hu = _mean_hu(volume, nodule)
     if shown_hu is not None and shown_hu < 0.5 * (LUNG_HU + nodule.density_hu):
@@ -72,7 +85,15 @@ def notes_of_tools(scope: ScopePreset, tool: Tool) -> tuple[str, ...]:
 
 
 def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, tool: Tool) -> str:
-    """Return why there is no route, and what would help, as text."""
+    """Return why there is no route, and what would help, as text.
+
+    Parameters
+    ----------
+    airways, nodule, tool
+        The airways, the nodule of the target, and the tool.
+    nearest
+        Place in the airways nearest to the target; None if there is none.
+    """
     if nearest is None or len(airways.tree.branches) < 2:
         return "no route: the airway tree has no branches; find the airways first"
     place = f"{nearest.branch_name}, {nearest.gap_mm:.0f} mm from the nodule"

@@ -185,7 +185,13 @@ def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Poin
 
 
 def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
-    """Return a leg with the effect of the needle's errors: its share of hits and the least length in the target."""
+    """Return a leg with the effect of the needle's errors: its share of hits and the least length in the target.
+
+    Parameters
+    ----------
+    scene, leg
+        Nodule, tissues and needle; leg of a needle without errors.
+    """
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     distance = float(np.linalg.norm(aim - tip))
     least = leg.in_target_mm
@@ -198,7 +204,13 @@ def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
 
 
 def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
-    """Compute `last_leg` for a needle without errors; the share of hits is 1."""
+    """Compute `last_leg` for a needle without errors; the share of hits is 1.
+
+    Parameters
+    ----------
+    scene, tip_lps, forward, aim_lps
+        As for `last_leg`.
+    """
     nodule, wall, around, tool = scene.nodule, scene.wall, scene.around, scene.tool
     aim = np.array(nodule.centre_lps) if aim_lps is None else np.asarray(aim_lps, dtype=np.float64)
     off = aim - tip_lps
@@ -254,7 +266,15 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
 
 
 def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
-    """Return a leg with the share of hits for a target that may be anywhere in a ball of radius ``moved_mm``."""
+    """Return a leg with the share of hits for a target that may be anywhere in a ball of radius ``moved_mm``.
+
+    Parameters
+    ----------
+    scene, leg
+        Nodule, tissues and needle; leg of the needle.
+    moved_mm
+        Largest movement of the target.
+    """
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors, moved_mm=moved_mm)
     return replace(leg, hit_share_moved=share)

@@ -29,7 +29,7 @@ LOBE_NAMES = ("RUL", "RML", "RLL", "LUL", "LML", "LLL")
 """Names of the labels 1 to 6; label 0 is outside the lungs."""
 STEP_MM = 2.0
 FISSURE_SLOWS = 12.0
-"""Factor by which a visible fissure slows the front: it counts as this many times its thickness of lung."""
+"""Factor by which a visible fissure slows the fast-marching front that assigns voxels to lobes."""
 UNSEEN_MM, SEEN_MM = 9.0, 3.0
 """Standard deviations in mm of a lobe border's position.
 
@@ -199,7 +199,7 @@ def lung_grid(box: Box) -> tuple[Mask, NDArray[np.float64]]:
     every = round(STEP_MM / box.step_mm)
     matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     matrix[:3, 3] = box.lps_from_ijk[:3, 3]
-    # Chest wall and mediastinum within the closed lungs block the front; vessels do not.
+    # Chest wall and mediastinum within the closed lungs block the fast-marching front; vessels do not.
     tissue = box.known[::every, ::every, ::every] & (box.hu_zyx[::every, ::every, ::every] > -300.0)
     solid = ball_distance(tissue, STEP_MM) > 5.0
     # The box includes some millimetres of chest wall and mediastinum round the lungs.
@@ -236,7 +236,7 @@ def _pieces(mask: Mask) -> NDArray[np.uint32]:
 
 
 def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) -> Values:
-    """Return the arrival time of a front from some voxels, computed in the bounding box of their components."""
+    """Return the arrival time of a fast-marching front from some voxels, in the bounding box of their components."""
     import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     part = extent(np.isin(pieces, np.unique(pieces[tuple(at.T)])), 1)

@@ -205,7 +205,15 @@ def _loops(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def coverage(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the share of each voxel (rows, columns) inside a closed outline (n, 2), columns first."""
+    """Return the share of each voxel (rows, columns) inside a closed outline (n, 2), columns first.
+
+    Parameters
+    ----------
+    points
+        (n, 2) outline, columns first; the last point joins the first.
+    shape
+        Number of rows and columns.
+    """
     rows, columns = shape
     found = np.zeros(shape)
     x0, y0 = points.T

@@ -111,7 +111,15 @@ class RouteWidth:
 
 
 def ball_error_mm(diameter_mm: Points | float, spacing_mm: float) -> Any:
-    """Return the error of the largest ball, as `RouteWidth.error_mm`; ``spacing_mm`` is the largest of the CT."""
+    """Return the error of the largest ball, as `RouteWidth.error_mm`; ``spacing_mm`` is the largest of the CT.
+
+    Parameters
+    ----------
+    diameter_mm
+        Diameter of the ball, or an array of diameters.
+    spacing_mm
+        Largest spacing of the CT.
+    """
     return BALL_SHARE * diameter_mm + BALL_SLICES * spacing_mm
 
 

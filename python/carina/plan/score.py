@@ -102,7 +102,17 @@ class Judge:
     """Distance in mm beyond the scope's tip that the tool reaches."""
 
     def parts(self, leg: LastLeg, narrowest_mm: float, nodule: Nodule) -> dict[str, float]:
-        """Return the parts of the score, each 0 (best) to 1 (`ScoreWeights`)."""
+        """Return the parts of the score, each 0 (best) to 1 (`ScoreWeights`).
+
+        Parameters
+        ----------
+        leg
+            Needle path of the route.
+        narrowest_mm
+            Narrowest diameter of the route.
+        nodule
+            The target.
+        """
         near = 0.0 if self.margin_mm <= 0.0 or leg.vessel_mm is None else 1.0 - leg.vessel_mm / self.margin_mm
         found = {
             "misses": 1.0 - leg.hit_share,
@@ -124,6 +134,13 @@ class Judge:
         """Return whether the scope reaches a place, the probability, and the reasons against it.
 
         The criteria are width, bend, doubts about the airways and, with a leg, the tool's reach.
+
+        Parameters
+        ----------
+        way
+            Width, bend and doubts of the path to the place.
+        leg
+            Needle path from the place; None ignores the tool's reach.
         """
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust

@@ -73,7 +73,15 @@ class Surroundings:
         return grow_tree(self.box, self.vessel, self.sure)
 
     def read(self, of: NDArray[Any], points_lps: NDArray[np.float64]) -> NDArray[Any]:
-        """Return the values of an array of the box at the nearest voxels of points, (n,); undefined outside the box."""
+        """Return the values of an array of the box at the nearest voxels of points, (n,); undefined outside the box.
+
+        Parameters
+        ----------
+        of
+            (nz, ny, nx) array of the box.
+        points_lps
+            (n, 3) LPS mm.
+        """
         found: NDArray[Any] = of[tuple(np.clip(self._ijk(points_lps), 0, np.array(of.shape[::-1]) - 1).T[::-1])]
         return found
 

@@ -119,6 +119,15 @@ def target_of(
 def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[Drawn, tuple[str, ...]]:
     """Return one connected part of a mask, and notes on the parts that were left out.
 
+    Parameters
+    ----------
+    volume
+        The CT.
+    drawn
+        Shares of its voxels.
+    at_lps
+        (3,) point in LPS mm that selects the part; None if there is only one.
+
     Raises
     ------
     NoResultError

@@ -23,7 +23,17 @@ DARK_RGB: Colour = (8, 10, 12)
 
 
 def draw_edge(rgb: Rgb, field: Field, width_px: float, colour: Colour) -> None:
-    """Draw a line along the contour 0.5 of a field, on a dark rim."""
+    """Draw a line along the contour 0.5 of a field, on a dark rim.
+
+    Parameters
+    ----------
+    rgb
+        (height, width, 3) picture, changed in place.
+    field
+        (height, width) values whose contour at 0.5 is drawn.
+    width_px, colour
+        Width and colour of the line.
+    """
     down, across = np.gradient(field)
     away = np.abs(field - 0.5) / np.maximum(np.hypot(down, across), 1e-3)
     _blend(rgb, 0.7 * np.clip(0.5 * width_px + 1.5 - away, 0.0, 1.0), DARK_RGB)
@@ -31,7 +41,17 @@ def draw_edge(rgb: Rgb, field: Field, width_px: float, colour: Colour) -> None:
 
 
 def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None:
-    """Draw hour ticks, a wedge at the opening, the hours of the other openings, and the turn as text."""
+    """Draw hour ticks, a wedge at the opening, the hours of the other openings, and the turn as text.
+
+    Parameters
+    ----------
+    rgb
+        (height, width, 3) picture, changed in place.
+    turn, operator
+        The turn, and the position of the operator for the hours.
+    colour
+        Colour of the opening to enter.
+    """
     height = rgb.shape[0]
     dial = _Dial(rgb)
     size = 2 if dial.scale >= 0.75 else 1

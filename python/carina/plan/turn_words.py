@@ -19,7 +19,19 @@ def hour_words(hour: int | None) -> str:
 
 
 def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: float | None, first: bool) -> str:
-    """Return a distance along the route as the beginning of a line."""
+    """Return a distance along the route as the beginning of a line.
+
+    Parameters
+    ----------
+    from_carina_mm
+        Distance from the main carina; None if there is no main carina.
+    from_fork_mm
+        Distance from the previous fork.
+    depth_mm
+        Depth at nose or mouth; None if it is not known.
+    first
+        Whether the turn is the first one of the route.
+    """
     if from_carina_mm is None:
         since = "from the start of the route" if first else "past the previous fork"
         return f"At {from_fork_mm:.0f} mm {since}"

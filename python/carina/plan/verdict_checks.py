@@ -32,7 +32,7 @@ LONGEST_ENTRY_MM = 250.0
 @one_line
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that an instrument must be able to do."""
+    """Result of one check of an instrument on a route."""
 
     name: Literal["diameter", "bend", "length", "channel", "drive", "pointing"]
     answer: Answer
@@ -44,7 +44,17 @@ class Check:
 
 
 def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Check:
-    """Return whether a scope is thinner than the narrowest place of a route."""
+    """Return whether a scope is thinner than the narrowest place of a route.
+
+    Parameters
+    ----------
+    width
+        Narrowest diameter of the route.
+    scope
+        The instrument.
+    errors
+        Whether to consider the errors of the figures.
+    """
     if errors:
         needs, share = scope.fit_mm, width.chance(scope)
         place, margin = width.place_words, f", and {FIT_MARGIN_MM:g} mm measured excess (s)"
@@ -59,7 +69,17 @@ def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Ch
 
 
 def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
-    """Return whether the scope's lever bends as far as the route does over the length of its bending section."""
+    """Return whether the scope's lever bends as far as the route does over the length of its bending section.
+
+    Parameters
+    ----------
+    way
+        The route.
+    scope
+        The instrument.
+    errors
+        Whether to consider the error of the angle.
+    """
     if scope.flexion_deg is None or scope.bending_mm is None:
         words = "its flexion or bending section is not known"
         return Check("bend", "unknown", None, words, "flexion and bending section unknown")
@@ -82,7 +102,17 @@ def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
 
 
 def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> Check:
-    """Return whether the scope is long enough."""
+    """Return whether the scope is long enough.
+
+    Parameters
+    ----------
+    way
+        The route.
+    scope
+        The instrument.
+    entry_mm
+        Distance from nose or mouth to the beginning of the tree; None if it is not known.
+    """
     basis = f"working length ({_basis(scope)})"
     if scope.length_mm is None:
         return Check("length", "unknown", None, "its working length is not known", basis)
@@ -116,7 +146,15 @@ def answer_of(share: float) -> Answer:
 
 
 def passes(spare: float, sigma: float) -> float:
-    """Return the probability that a difference with a Gaussian error is above 0."""
+    """Return the probability that a difference with a Gaussian error is above 0.
+
+    Parameters
+    ----------
+    spare
+        The difference.
+    sigma
+        Standard deviation of its error; 0 for an exact difference.
+    """
     if sigma <= 0.0:
         return 1.0 if spare >= 0.0 else 0.0
     return 0.5 * (1.0 + math.erf(spare / sigma / math.sqrt(2.0)))

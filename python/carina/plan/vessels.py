@@ -245,7 +245,10 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
 
 
 def _arrival(vessel: Mask, depth: Values, labels: NDArray[Any]) -> Values:
-    """Return the arrival time of a front from each piece's widest voxel, faster in the middle; infinite outside."""
+    """Return the arrival time of a fast-marching front from each piece's widest voxel; infinite outside.
+
+    The front is faster in the middle of a vessel.
+    """
     import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     flat, of = depth.reshape(-1), labels.reshape(-1)

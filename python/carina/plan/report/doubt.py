@@ -43,7 +43,19 @@ def uncertain(
     turns: TurnList | None,
     verdicts: tuple[Verdict, ...],
 ) -> tuple[str, ...]:
-    """Return sentences about the uncertainties of a plan, the most important ones first."""
+    """Return sentences about the uncertainties of a plan, the most important ones first.
+
+    Parameters
+    ----------
+    volume, airways, plan
+        The CT, its airways and the plan.
+    route
+        Route that the report describes; None if the plan has none.
+    turns
+        List of turns of the route; None if it was not computed.
+    verdicts
+        Verdicts of instruments on the route.
+    """
     found = [movement_words(plan) + _aimed_again(route), *_of_target(plan.nodule)]
     if route is not None:
         found += [f"{doubt}." for doubt in _doubts(route)]

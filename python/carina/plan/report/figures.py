@@ -81,7 +81,15 @@ def _frame(width: float, height: float) -> Stroke:
 
 
 def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
-    """Return the tissues on the needle path as a bar in mm from the scope's tip, with the reach of the needle."""
+    """Return the tissues on the needle path as a bar in mm from the scope's tip, with the reach of the needle.
+
+    Parameters
+    ----------
+    leg, tool
+        Needle path and its tool.
+    width
+        Width of the drawing.
+    """
     total = max(leg.crossed[-1].end_mm, tool.reach_mm) if leg.crossed else tool.reach_mm
     scale = (width - 20.0) / total
     rows = _label_rows(leg.crossed, scale)
@@ -142,7 +150,17 @@ def _label_rows(crossed: Sequence[Crossed], scale: float) -> list[int]:
 
 
 def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: float, height: float) -> Drawing:
-    """Return a drawing of the airway tree from the front or the patient's left, with route, forks and target."""
+    """Return a drawing of the airway tree from the front or the patient's left, with route, forks and target.
+
+    Parameters
+    ----------
+    shape, forks
+        Shape of the tree with the route, and the numbered forks of the route.
+    side
+        ``front`` or ``left``.
+    width, height
+        Size of the drawing.
+    """
     right, down, (left_letter, right_letter) = SIDES[side]
     everything = np.concatenate([*(one.points_lps for one in shape.branches), shape.vertices_lps])
     flat = np.stack([everything @ right, everything @ down], axis=1)

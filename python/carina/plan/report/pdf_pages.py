@@ -18,6 +18,15 @@ Paper = Literal["A4", "Letter"]
 def pdf_pages(sheet: PlanSheet, parts: tuple[Section, ...], *, paper: Paper) -> bytes:
     """Return sections as the bytes of a PDF; equal sheets give equal bytes.
 
+    Parameters
+    ----------
+    sheet
+        Contents of the report, for the head and foot of each page.
+    parts
+        The sections.
+    paper
+        Paper size.
+
     Raises
     ------
     CarinaError

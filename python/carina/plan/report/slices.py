@@ -72,7 +72,15 @@ class _Over:
 def target_slices(
     renderer: Renderer, nodule: Nodule, leg: LastLeg | None, lumen: LumenOutline
 ) -> tuple[SlicePicture, ...]:
-    """Return axial, coronal and sagittal slices through the middle of a target, at one scale."""
+    """Return axial, coronal and sagittal slices through the middle of a target, at one scale.
+
+    Parameters
+    ----------
+    renderer
+        Renderer of the CT.
+    nodule, leg, lumen
+        Target, needle path (None without a route) and outline of the airways.
+    """
     centre = np.array(nodule.centre_lps)
     extent = max(LEAST_MM, nodule.long_mm + ROOM_MM)
     if leg is not None:
@@ -84,7 +92,17 @@ def target_slices(
 def place_slices(
     renderer: Renderer, place_lps: tuple[float, float, float], nodule: Nodule, lumen: LumenOutline
 ) -> tuple[SlicePicture, ...]:
-    """Return three close-up slices through a place, without a needle and with a marker."""
+    """Return three close-up slices through a place, without a needle and with a marker.
+
+    Parameters
+    ----------
+    renderer
+        Renderer of the CT.
+    place_lps
+        (3,) LPS mm.
+    nodule, lumen
+        Target, and outline of the airways.
+    """
     over = _Over(nodule, None, lumen)
     return tuple(_slice(renderer, plane, place_lps, PROOF_MM, over, cross_lps=place_lps) for plane in get_args(Plane))
 
@@ -92,7 +110,17 @@ def place_slices(
 def needle_slice(
     renderer: Renderer, nodule: Nodule, leg: LastLeg, forward: Sequence[float], lumen: LumenOutline
 ) -> SlicePicture:
-    """Return the slice through the needle and, if possible, the airway's axis; the needle points to the right."""
+    """Return the slice through the needle and, if possible, the airway's axis; the needle points to the right.
+
+    Parameters
+    ----------
+    renderer
+        Renderer of the CT.
+    nodule, leg, lumen
+        Target, needle path and outline of the airways.
+    forward
+        (3,) direction of the airway at the tip, LPS.
+    """
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     way = aim - tip
     length = float(np.linalg.norm(way))

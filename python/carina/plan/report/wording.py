@@ -49,7 +49,17 @@ def text_width(text: str, size: float) -> float:
 
 
 def lines_of(text: str, size: float, width: float) -> list[str]:
-    """Return text in lines that fit a width, broken at spaces, or inside a word that is longer than a line."""
+    """Return text in lines that fit a width, broken at spaces, or inside a word that is longer than a line.
+
+    Parameters
+    ----------
+    text
+        The text.
+    size
+        Font size.
+    width
+        Width of a line, in the unit of the font size.
+    """
     lines: list[str] = []
     for word in text.split():
         if lines and text_width(f"{lines[-1]} {word}", size) <= width:
