@@ -28,7 +28,7 @@ def is_tree_file(path: Path | str) -> bool:
 
 
 def check_export(path: Path | str, volume: Volume) -> None:
-    """Check, before the search, that the airways of a volume can be written to a file of this name.
+    """Check, before the airways are searched, that they can be written to a file of this name.
 
     Parameters
     ----------

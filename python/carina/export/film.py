@@ -92,7 +92,7 @@ def write_film(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Film:
-    """Fly through the airways and write what the scope sees as a video.
+    """Render a flight through the airways and write the frames as a video.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def write_film(
     lumen_zyx
         The airway lumen, for the closed wall.
     tree
-        The airway tree, to which the endoscopic look fixes its decoration.
+        The airway tree, with which the endoscopic look shows rings, the membranous wall and ridges of forks.
     rate_hz
         Frames per second, 1 to 240.
     speed_mm_s

@@ -18,7 +18,7 @@ MASK_SUFFIXES = GRID_SUFFIXES
 
 
 def check_mask_file(path: Path | str, volume: Volume) -> None:
-    """Check, before the search, that a mask of a volume can be written to a file of this name.
+    """Check, before the airways are searched, that their mask can be written to a file of this name.
 
     Parameters
     ----------

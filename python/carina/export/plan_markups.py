@@ -176,7 +176,7 @@ def _markup(
     return {
         "type": kind,
         "name": name,
-        # For users who read the file; Slicer ignores it.
+        # The description is for users who read the file; Slicer ignores it.
         "description": words,
         "coordinateSystem": "LPS",
         "coordinateUnits": "mm",

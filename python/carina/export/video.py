@@ -112,7 +112,7 @@ def _within(level: tuple[int, int], size: tuple[int, int], rate_hz: float) -> bo
 
 
 class _Told(io.RawIOBase):
-    """Wrapper of the draft file that stores disk errors, because PyAV does not report their reason."""
+    """Wrapper of the temporary file that stores disk errors, because PyAV does not report their reason."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -149,7 +149,7 @@ class _Told(io.RawIOBase):
 
 
 class _DraftReader(io.RawIOBase):
-    """Second reader of a draft that is being written, with a separate position."""
+    """Second reader of the temporary file while it is being written, with a separate position."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._at = file, 0
@@ -213,7 +213,7 @@ class VideoWriter:
         self._file = _Told(self._draft.file)
         self._container: Any = None
         with self._disk_told():
-            # The index is stored before the pictures, so that a browser plays the video while it loads.
+            # The index is stored before the frames, so that a browser can play the video while it loads.
             first = suffix == ".mp4" and hasattr(os, "pread")
             options = {"movflags": "+faststart"} if first else {}
             self._container = av.open(
@@ -227,7 +227,7 @@ class VideoWriter:
         return f"VideoWriter({self._path.name!r}, {width}x{height}, num_frames={self.num_frames})"
 
     def _reader(self, _url: str, _flags: int, _options: dict[str, str]) -> _DraftReader:
-        """Open the draft a second time for the library, which moves the pictures behind the index."""
+        """Open the temporary file a second time for PyAV, which moves the frames behind the index."""
         return _DraftReader(self._draft.file)
 
     @property

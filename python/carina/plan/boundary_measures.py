@@ -90,7 +90,7 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
     share = (grown.box.hu_zyx - lung_hu) / ((core_hu if rim_hu is None else rim_hu) - lung_hu)
     if rim_hu is not None:
         share = np.minimum(share, MOST_SHARE)
-    # The density of the core, of calcification or of bubbles does not show where the edge is.
+    # Deep voxels count fully: the density of core, calcification or bubbles does not show where the edge is.
     share = np.where(depth > CORE_MM, 1.0, share)
     if grown.cavity.any():
         # The nodule's volume is the volume inside its outer surface.

@@ -385,7 +385,7 @@ class _Attempt:
             self._changed_mm = self.recorder.state.insertion_mm
 
     def _hook(self, fork: float, rule: _Rule) -> bool:
-        """Return whether the lever is being pulled into the branch beyond a fork, and pull it."""
+        """Pull the lever towards the branch beyond a fork; return whether the lever is pulled or held now."""
         if self._hooked_fork is not None:
             if self.along_mm < self._hooked_fork + rule.hook_until_mm and self._blocked < HOOK_BLOCKED_STEPS:
                 if self._hooked_deg < rule.hook_flexion_deg:

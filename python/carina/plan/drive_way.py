@@ -1,4 +1,4 @@
-"""Route of a simulated drive: points along it, its forks, and the distance of clear sight ahead."""
+"""Route of a simulated drive: points along the route, its forks, and the farthest point visible from the tip."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NUM_ON_LINE = 14
 
 
 class DriveWay:
-    """Route up to the position of the tip.
+    """Route of a drive, up to the final position of the tip.
 
     Distances in a drive are measured along the smooth route, which is a few millimetres shorter than the branches'
     centrelines. Distances in results are measured along the centrelines, as in `PlannedRoute.along_mm` and in the list

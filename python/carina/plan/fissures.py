@@ -145,7 +145,7 @@ def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values
 
 
 def _large_sheets(mask: Mask, step_mm: float) -> Mask:
-    """Return the pieces of plate that are large enough; gaps of one voxel are bridged for the size."""
+    """Return the pieces of plate that are large enough; pieces with a gap of one voxel count as one piece."""
     import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)

@@ -19,7 +19,7 @@ __all__ = ["rooms_mm"]
 Points = NDArray[np.float64]
 
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.5, 0.5, 0.25, 0.12, 0.06)
-"""Steps in mm by which the ball is moved while it grows; no step is larger than the ball, so it never passes a wall.
+"""Steps in mm by which the ball is moved while it grows, so that the ball never passes through a wall.
 
 At a fork the centreline cuts the corner up to 2 mm beside the middle.
 """
