@@ -30,7 +30,7 @@ STEP_DEG = 5.0
 ADVANCE_MM = 1.0
 """Step in mm in which a move advances the scope; a step that the wall blocks is not repeated."""
 TURN_DEG_PER_S, FLEX_DEG_PER_S, ADVANCE_MM_PER_S = 60.0, 60.0, 10.0
-"""Speeds at which a drive is shown (common knowledge, k)."""
+"""Speeds at which a drive is shown (common knowledge)."""
 
 
 @one_line

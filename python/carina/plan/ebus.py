@@ -29,9 +29,15 @@ EBUS_LIMITS = (
 )
 
 TRACHEA_MM = 15.0
-"""Distance above the main carina for station 4R: second to fourth space between cartilages (Wang 3, needle map; k)."""
+"""Distance above the main carina for station 4R: second to fourth space between cartilages.
+
+The place is Wang 3 on Wang's map for needles; the distance is common knowledge.
+"""
 TRACHEA_LEFT_MM = 6.0
-"""Distance above the main carina for station 4L: the first or second space between cartilages (Wang 4; k)."""
+"""Distance above the main carina for station 4L: first or second space between cartilages (common knowledge).
+
+The place is Wang 4 on Wang's map for needles.
+"""
 MAIN_SHARE = 0.6
 """Share of a main bronchus's length at which stations 7 and 10 are examined."""
 BEYOND_MM = 4.0

@@ -24,7 +24,10 @@ OWN_AIR = 0.9
 """Least share of the airway's own air in the air beside a lesion; a nodule beside an airway touches lung."""
 NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
 BASE_OFF_MM = 0.5
-"""Additional uncertainty in mm of the boundary, because the base of the lesion is assumed at the wall (k)."""
+"""Additional uncertainty in mm of the boundary, because the base of the lesion is assumed at the wall.
+
+The value is common knowledge, not measured.
+"""
 
 
 def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.float64]) -> Nodule | None:

@@ -37,7 +37,10 @@ The first is for a border from airways alone (measured on patients with masks of
 benchmarks/carina_bench/plan_around.py), the second for a border at a visible fissure.
 """
 FAR_SHARE = 0.35
-"""Least ratio of the first deviation to the distance from the nearest airway; a short tree gives poor borders (k)."""
+"""Least ratio of the first deviation to the distance from the nearest airway; a short tree gives poor borders.
+
+The value is common knowledge, not measured.
+"""
 RIM_MM, WALL_HU = 6.0, -400.0
 """Width in mm and least density in HU of the tissue at the outside of the lungs that is wall.
 

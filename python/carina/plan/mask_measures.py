@@ -23,7 +23,7 @@ __all__ = ["Drawn", "drawn_nodule", "measured_mask"]
 Mask = NDArray[np.bool_]
 
 DRAWN_OFF = 0.5
-"""Error of a drawn boundary, in voxels of the CT (edge length of the cube of equal volume): common knowledge (k)."""
+"""Error of a drawn boundary in voxels of the CT, by common knowledge (a voxel is the cube of equal volume)."""
 SOLID_SHARE = 0.6
 """Share of solid voxels behind the edge below which a nodule with a solid part is part-solid."""
 MARGIN_MM = 4.0

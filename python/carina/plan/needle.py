@@ -30,7 +30,7 @@ TIPS_AT_ONCE = 32
 class NeedleErrors:
     """Standard deviations of the needle's direction and position from the planned ones.
 
-    The defaults are common knowledge, not measured (k).
+    The defaults are common knowledge, not measured.
     """
 
     angle_deg: float = 4.0

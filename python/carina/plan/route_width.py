@@ -32,7 +32,7 @@ SURE = 0.9
 EXCESS_SIGMA_MM = 0.15
 """Standard deviation in mm of a scope's true size.
 
-Ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the deviation is our estimate).
+Ten scopes exceed their stated tip by 0.19 to 0.66 mm, by a published source; the deviation is our estimate.
 """
 DEVIATIONS_90 = 1.645
 """Number of standard deviations on each side of the mean that contain 90 % of a normal distribution."""

@@ -26,9 +26,9 @@ DEEP_MM = 8.0
 SURE = 0.9
 """Least probability of *reaches*; at a probability of at most 1 less this value the outlook is *does not reach*."""
 BEND_SIGMA_DEG = 8.0
-"""Standard deviation in degrees of the angle that a route requires of the bending section (k)."""
+"""Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 DEPTH_SIGMA_MM = 0.5
-"""Standard deviation in mm of the position of the target's edge along the needle (k)."""
+"""Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
 MEDIASTINUM_MM = 2.0
 """Largest length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
 

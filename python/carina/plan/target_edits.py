@@ -27,7 +27,7 @@ RESIZED, BRUSHED, SPHERE = (
     "a sphere set by hand: the CT shows no boundary that was used",
 )
 SPHERE_OFF_MM = 2.0
-"""Additional uncertainty in mm of a sphere's boundary, beyond that of a drawn boundary (k)."""
+"""Additional uncertainty in mm of a sphere's boundary, beyond that of a drawn boundary (common knowledge)."""
 
 
 def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:

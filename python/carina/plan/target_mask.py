@@ -26,7 +26,7 @@ PIECE_MM = 5.0
 def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: ArrayLike | None = None) -> Nodule:
     """Return the nodule of a mask on a CT's own grid.
 
-    The volume is that of the mask; the error is that of a drawn boundary, half a voxel on all sides (k).
+    The volume is that of the mask; the error is that of a drawn boundary, half a voxel on all sides (common knowledge).
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Library of instruments for the working channel of a scope, with the basis of each figure.
+"""Library of instruments for the working channel of a scope, with the basis of each value.
 
 The basis is as in the library of scopes: ``s`` was read in a source, ``k`` is common knowledge that was not checked
-against the manufacturer's data. An unknown figure is None, never a guess. `tool_from_file` reads the user's own
+against the manufacturer's data. An unknown value is None, never a guess. `tool_from_file` reads the user's own
 instruments.
 """
 
@@ -20,7 +20,7 @@ __all__ = ["DEFAULT_TOOL", "Tool", "tool", "tool_from_file", "tool_from_json", "
 
 DEFAULT_TOOL = "needle-21g"
 CLEARANCE_MM = 0.1
-"""Least difference in mm between the diameters of channel and tool (k)."""
+"""Least difference in mm between the diameters of channel and tool (common knowledge)."""
 FORMAT, VERSION = "carina-tool", 1
 _MOST = {"outer_mm": 10.0, "reach_mm": 100.0, "rigid_mm": 100.0, "flexion_loss_deg": 180.0}
 
@@ -44,9 +44,9 @@ class Tool:
     rigid_mm: float | None
     """Length of the longest part that does not bend."""
     basis: str
-    """Basis of the figures: ``s``, ``k``, or a text that states the basis of each."""
+    """Basis of the values: ``s`` (source), ``k`` (common knowledge), or a text that states the basis of each."""
     source: str | None = None
-    """Source of the figures that are marked ``s``."""
+    """Source of the values that are marked ``s``."""
     flexion_loss_deg: float | None = None
     """Loss of the scope's greatest flexion with the tool in the channel, degrees."""
 

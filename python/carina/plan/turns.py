@@ -199,7 +199,7 @@ class TurnList(Tabular):
     That point is about one radius of the trachea above the ridge. None if the tree has no main carina.
     """
     notes: tuple[str, ...] = ()
-    """Notes on the figures."""
+    """Notes on the distances and depths."""
 
     def _columns(self) -> Columns:
         own: dict[str, ColumnKind] = {

@@ -1,8 +1,8 @@
 """Verdict on whether an instrument reaches the end of a route and can point its tool at the target.
 
-The checks by figures come first (`carina.plan.verdict_checks`). For an instrument that passes them, a drive along the
-route is simulated in the wall of the airways, from the trachea to the end of the route, where the tip is pointed at the
-target.
+Checks without a simulation come first (`carina.plan.verdict_checks`). For an instrument that passes them, a drive along
+the route is simulated in the wall of the airways, from the trachea to the end of the route, where the tip is pointed at
+the target.
 """
 
 from __future__ import annotations
@@ -57,7 +57,10 @@ The substitute is thinner than the airway by the first size, and has at least th
 is wider than the instrument by less than the third size.
 """
 UNFOUND = 0.5
-"""Share reported if a scope fits along the route but no drive was found; the search may have missed one (k)."""
+"""Share reported if a scope fits along the route but no drive was found; the search may have missed one.
+
+The value is common knowledge, not measured.
+"""
 EFFORT_A_TRY = 1000.0
 """Search effort for which one shorter drive is tried."""
 LEVER_EFFORT = 0.3
@@ -84,7 +87,7 @@ class Verdict:
     hold: ScopeHold | None
     """Roll and lever that point at the target; None if the scope did not arrive."""
     driven: DrivenRoute | None
-    """Simulated drive; None if the figures alone decide, or too little is known about the instrument."""
+    """Simulated drive; None if checks without a simulation decide, or too little is known about the instrument."""
     would: str | None
     """Changes with which the instrument would reach the target, as text; None if none is needed."""
 
@@ -155,11 +158,11 @@ def judge_scopes(
     entry_mm
         Distance from nose or mouth to the beginning of the tree; None leaves the check of the length open.
     errors
-        Whether to consider the errors of the figures; False treats all figures as exact.
+        Whether to consider the errors of measurements and instrument data; False treats them as exact.
     effort
         Limit of each search for a drive (`search_drive`).
     found
-        Called with each verdict as soon as it is known: first those by figures alone, then those with a drive.
+        Called with each verdict as soon as it is known: first those without a simulated drive, then those with one.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -281,7 +284,7 @@ def judge_scope(
 
 @dataclass(frozen=True, slots=True)
 class _Figures:
-    """Results of the checks by figures."""
+    """Results of the checks that need no simulated drive."""
 
     checks: tuple[Check, ...]
     driven_as: ScopePreset | None
@@ -295,11 +298,11 @@ class _Drive:
     route: DrivenRoute | None
     checks: tuple[Check, ...]
     bend: Check | None = None
-    """Check of the bend that replaces the check by figures; None if the drive did not arrive."""
+    """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive."""
 
 
 class _Bench:
-    """Judgement of instruments on one route: checks by figures, then a simulated drive."""
+    """Judgement of instruments on one route: checks without a simulation, then a simulated drive."""
 
     def __init__(
         self,
@@ -346,7 +349,7 @@ class _Bench:
         return _Figures(checks, driven_as)
 
     def undriven(self, scope: ScopePreset, figures: _Figures) -> Verdict:
-        """Return the verdict by figures alone; the reached distance is that of the scope laid along the route."""
+        """Return the verdict without a drive; the reached distance is that of a scope laid along the route."""
         reached_mm = 0.0
         if figures.checks[1].answer != "unknown":
             # A scope that is too wide to enter reaches nothing.
@@ -355,7 +358,7 @@ class _Bench:
         return _verdict(scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
 
     def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
-        """Return the verdict by figures and a drive."""
+        """Return the verdict from the checks and a simulated drive."""
         checks = drive.checks
         if figures.driven_as is not scope:
             doubt = "if it fits"

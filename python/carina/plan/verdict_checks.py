@@ -1,6 +1,6 @@
-"""Checks of an instrument on a route by figures alone: width, bend, length, and the tool in the channel.
+"""Checks of an instrument on a route without a simulated drive: width, bend, length, and tool in the channel.
 
-Each check lists its figures with their basis; an unknown figure gives *unknown*, never a default.
+Each check lists its data with their basis; a missing datum gives the answer *unknown*, never a default value.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ Answer = Literal["yes", "perhaps", "no", "unknown"]
 SURE = 0.9
 """Least share for *yes*; at a share of at most 1 less this value the answer is *no*."""
 BEND_SIGMA_DEG = 8.0
-"""Standard deviation in degrees of the angle that a route requires of the bending section (k)."""
+"""Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 LONGEST_ENTRY_MM = 250.0
-"""Largest distance in mm from the nose to the upper trachea in an adult (k)."""
+"""Largest distance in mm from the nose to the upper trachea in an adult (common knowledge)."""
 
 
 @one_line
@@ -40,7 +40,7 @@ class Check:
     """Probability of the answer *yes* within the errors; None if it cannot be computed."""
     words: str
     basis: str
-    """Basis of the answer: figures of the instrument with ``s`` or ``k``, and measurements."""
+    """Basis of the answer: data of the instrument with ``s`` (source) or ``k`` (common knowledge), and measurements."""
 
 
 def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Check:
@@ -53,7 +53,7 @@ def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Ch
     scope
         The instrument.
     errors
-        Whether to consider the errors of the figures.
+        Whether to consider the errors of measurement and instrument data.
     """
     if errors:
         needs, share = scope.fit_mm, width.chance(scope)
@@ -123,7 +123,7 @@ def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> C
             f"{park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
             f"leaves {spare:.0f} mm from nose or mouth to that point"
         )
-        # In adults the nose is at most about 320 mm from the carina (k).
+        # In adults the nose is at most about 320 mm from the carina (common knowledge).
         return Check(
             "length", "yes" if spare >= LONGEST_ENTRY_MM else "no" if spare < 0 else "perhaps", None, words, basis
         )

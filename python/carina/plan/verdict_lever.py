@@ -1,4 +1,4 @@
-"""Check of a bend by drives with a shorter lever, where figures leave the answer open.
+"""Check of a bend by simulated drives with a shorter lever, where a comparison of angles leaves the answer open.
 
 `bend_check` compares the angle that a route requires with the angle of the lever. If the errors leave the answer open,
 this comparison is stricter than reality, because the airway's wall bends a scope too. Therefore drives are simulated
@@ -38,7 +38,7 @@ def lever_check(
     effort: float,
     cancel: Callable[[], bool] | None = None,
 ) -> Check:
-    """Return the check of a bend, decided by drives if the figures leave it open.
+    """Return the check of a bend, decided by simulated drives if the comparison of angles leaves it open.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def lever_check(
     figures
         Result of `bend_check`.
     driven
-        Drive with the full lever. If it did not arrive, or the figures are decided, ``figures`` is returned.
+        Drive with the full lever. If it did not arrive, or ``figures`` is not *perhaps*, ``figures`` is returned.
     effort, cancel
         Limit and cancellation of each search, as for `search_drive`.
 

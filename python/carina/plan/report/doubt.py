@@ -20,7 +20,8 @@ THICK_MM = 1.5
 DENSE_HU = 110.0
 """Density in HU above which a target may be a vessel or calcified.
 
-Soft tissue without contrast medium is 20 to 60 HU, vessels with it 150 to 400 (k); tumours take up 20 to 60 (k).
+By common knowledge soft tissue without contrast medium is 20 to 60 HU and vessels with it are 150 to 400 HU; tumours
+take up 20 to 60 HU.
 """
 BY_HAND = (BRUSHED, RESIZED, SPHERE)
 """Notes of a target whose boundary was drawn by hand."""
