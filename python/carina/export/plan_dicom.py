@@ -56,11 +56,11 @@ Identity = Literal["from the CT", "none"]
 
 _WHOSE: Final = (
     *("PatientName", "PatientID", "IssuerOfPatientID", "PatientBirthDate", "PatientSex"),
-    # Present in a CT that was already de-identified.
+    # These elements are present in a CT that was already de-identified.
     *("PatientIdentityRemoved", "DeidentificationMethod"),
     *("StudyDate", "StudyTime", "StudyID", "StudyDescription", "AccessionNumber", "ReferringPhysicianName"),
 )
-# Type 2 elements: a standard object must contain them, but they may be empty.
+# These are type 2 elements: a standard object must contain them, but they may be empty.
 _NEVER_LEFT_OUT: Final = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex"),
     *("StudyDate", "StudyTime", "StudyID", "AccessionNumber", "ReferringPhysicianName"),
@@ -187,7 +187,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
         doubtful = doubtful_texts(dataset)
         for keyword in doubtful & set(_WHOSE):
             del dataset[keyword]
-        # Decodes the names from the character set of the file; Carina writes UTF-8.
+        # The names are decoded from the character set of the file, because Carina writes UTF-8.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             dataset.decode()

@@ -35,9 +35,9 @@ CLICK_MM = 4.0
 SMOOTH_MM = 0.7
 SEED_SMOOTH_MM = 1.0
 MEANT = 0.75
-"""Share of the greatest rise over the lung near the click that a voxel must have to be the seed.
+"""Least rise of the seed over the lung, as a share of the greatest rise near the click.
 
-The nearest voxel with this share is the seed.
+The seed is the voxel nearest to the click with at least this rise.
 """
 LEVEL_MM = 2.0
 SOLID_HU = -250.0

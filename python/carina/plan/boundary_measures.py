@@ -84,7 +84,7 @@ def measured(grown: Boundary, coarsest_mm: float) -> Nodule:
         is_part = solid_voxels.sum() * step**3 > SMALLEST_PART_MM3
         kind = "part-solid" if is_part else "ground-glass"
     counted = float(inside.sum()) * step**3
-    # Beside a cut each voxel is in the nodule or not; elsewhere it counts by its share.
+    # Beside a cut each voxel counts fully or not at all; elsewhere each voxel counts by its share of nodule.
     rim_hu = _rim_hu(grown, np.where(from_cavity > RIM_MM, depth, 0.0), lung_hu, core_hu)
     zone = (inside | (away <= RIM_MM)) & free
     share = (grown.box.hu_zyx - lung_hu) / ((core_hu if rim_hu is None else rim_hu) - lung_hu)

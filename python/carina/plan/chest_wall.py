@@ -22,7 +22,7 @@ CLOSING_MM = 14.0
 RING_MM = 16.0
 LEAST_POINTS = 60
 SHALLOW_MM = 3.0
-"""Largest depth in mm at which a place in the first wall can still belong to a nodule."""
+"""Largest depth in mm inside the first estimate of the wall at which a voxel can still belong to a nodule."""
 ROUNDS = 4
 
 
@@ -48,7 +48,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     wall_core = from_faces(deep)
     if not wall_core.any():
         return whole, None
-    # The lung, closed: thin or narrow dense structures in it are filled with lung.
+    # A morphological closing of the lung fills thin or narrow dense structures in the lung.
     lung = ~dense
     filled = ball_distance(~lung, step) <= CLOSING_MM
     closed = ball_distance(filled, step) > CLOSING_MM - 0.5 * step

@@ -108,7 +108,7 @@ def drawn_in(
     notes = _notes_on_slices(slices, stack, pixel_mm, voxel_ml, centred=centred)
     notes += _notes_on_stack(stack, share, start, off * slice_mm, slice_mm, is_between=is_between)
     order = [2 - across[1], 2 - across[0]]
-    # Axes of the array are plane, second, first of the two across.
+    # The axes of the array are plane, second in-plane axis, first in-plane axis.
     placed = np.moveaxis(share, (0, 1, 2), (2 - axis, order[0], order[1]))
     corner = [0, 0, 0]
     corner[2 - axis], corner[order[0]], corner[order[1]] = start, int(first[1]), int(first[0])

@@ -99,7 +99,7 @@ def fissures(
     lung_hu = lung_median_hu(box.hu_zyx[::2, ::2, ::2])
     soft = smoothed(box.hu_zyx, SIGMA_MM / box.step_mm)
     say(0.5)
-    # Excludes vessels and their blur: a plate of two layers of pleura is never as bright.
+    # Bright voxels are vessels and their blur; they are excluded, because a fissure is never as bright.
     bright = ball_distance(~(box.hu_zyx > lung_hu + 450.0), box.step_mm)
     where = near & box.known & (bright > 1.5) & (soft < lung_hu + 300.0)
     say(0.8)

@@ -34,8 +34,8 @@ DOUBTFUL = 0.5
 LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
 """Largest distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
 
-The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 lesions: Chen et al., Chest 2015;147:1275).
-The value of 15 mm elsewhere is common knowledge.
+The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 lesions; source: Chen et al., Chest
+2015;147:1275). The value of 15 mm elsewhere is common knowledge.
 """
 SMOOTH_MM = 4.0
 """Half the length in mm over which a direction of the route is measured."""

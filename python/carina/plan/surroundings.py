@@ -30,7 +30,7 @@ RISE_HU = 250.0
 WALL_MM = 1.5
 """Distance in mm from a lumen within which tissue is the airway's wall."""
 LINE_WALL_MM = 1.0
-"""Distance in mm from a lumen beyond which a line-shaped structure counts as a vessel."""
+"""Distance in mm from a lumen beyond which a line-shaped structure is a vessel; a plate-shaped one needs `WALL_MM`."""
 BLUR_MM = 1.5
 """Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
 THICKEST_VESSEL_MM = 14.0
@@ -192,7 +192,7 @@ def lung_box(volume: Volume) -> Box:
     matrix = np.eye(4)
     matrix[:3, 3] = low
     in_ct = values > OUTSIDE_HU + 1.0
-    # The closing adds the vessels and airways to the lungs.
+    # A morphological closing adds the vessels and airways to the lungs.
     closed = ball_distance(ball_distance(~np.pad(inside, 6), 4.0) < CLOSED_MM, 4.0)[6:-6, 6:-6, 6:-6] >= CLOSED_MM - 2.0
     start = (low - whole_low) / 4.0
     for axis, num in enumerate(values.shape):

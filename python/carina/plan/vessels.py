@@ -207,7 +207,7 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
     if not vessel.any():
         return VesselTree(())
     depth = ball_distance(vessel, box.step_mm)
-    # Connected by faces, like the front of the fast marching.
+    # Pieces are connected by faces, because the fast-marching front also spreads across faces.
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(vessel.astype(np.uint8))))
     arrival = _arrival(vessel, depth, labels)
     owner = np.full(vessel.shape, -1, dtype=np.int32)
