@@ -1,4 +1,4 @@
-"""File formats."""
+"""Export of airways, plans and videos to files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carina.export.plan_dicom_seg import write_target_seg
     from carina.export.plan_dicom_sr import write_target_report
 
-# Loaded when they are asked for: nobody else waits for a reader of DICOM.
+# These names are imported on first use, because other exports do not need pydicom.
 _HOME = {
     "write_plan_pdf": "plan_dicom_pdf",
     "write_target_report": "plan_dicom_sr",

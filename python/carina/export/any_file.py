@@ -17,18 +17,25 @@ __all__ = ["check_export", "export_airways", "export_tree", "is_tree_file"]
 
 
 def is_tree_file(path: Path | str) -> bool:
-    """Whether a file of this name holds the tree alone, for which no lumen is needed.
+    """Return whether a file of this name contains only the tree, so that no lumen is needed.
 
     Raises
     ------
     UsageError
-        If the suffix is none that Carina writes.
+        If Carina writes no files with this suffix.
     """
     return export_format(path).kind == "tree"
 
 
 def check_export(path: Path | str, volume: Volume) -> None:
-    """Check, before the search, that the airways of a volume can be written to a file of this name.
+    """Check, before the airways are searched, that they can be written to a file of this name.
+
+    Parameters
+    ----------
+    path
+        File name with a suffix that Carina writes.
+    volume
+        The CT.
 
     Raises
     ------
@@ -50,14 +57,21 @@ def check_export(path: Path | str, volume: Volume) -> None:
 def export_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write a tree as ``.json`` (``carina-tree``), ``.vtp``, ``.swc`` or ``.mrk.json``.
 
-    ``badges``: the lasting notes of its case (``carina.volume.badges_of``); every format has a place for them.
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of the case (``carina.volume.badges_of``); every format can store them.
 
     Raises
     ------
     UsageError
-        If the suffix is another.
+        If the suffix is not one of a tree format.
     CarinaError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     return export_format(path, kind="tree").write(Path(path), tree, badges=badges)
 
@@ -84,30 +98,36 @@ def export_airways(
     """Write the airways to a file, in the format of its suffix.
 
     ``.json`` (``carina-tree``), ``.vtp``, ``.swc``, ``.mrk.json``: the tree. ``.nii.gz``, ``.nii``, ``.nrrd``,
-    ``.mha``: the lumen on the CT's grid. ``.stl``, ``.ply``, ``.obj``, ``.glb``: the lumen's surface. All in LPS, mm.
+    ``.mha``: the lumen on the CT's grid. ``.stl``, ``.ply``, ``.obj``, ``.glb``: the lumen's surface. All coordinates
+    are in LPS, mm.
 
     Parameters
     ----------
     path
-        Where to.
+        File to be written.
     volume, airways
-        The CT and what was found in it.
+        The CT and the airways in it.
     tree
-        Another tree than that of the airways (one that a person mended).
+        Tree to be written instead of that of the airways, such as an edited one.
     badges
-        Lasting notes beside those of the volume and the airways, which are written in any case.
+        Additional lasting notes; those of the volume and the airways are always written.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
         Called often; the work stops when it returns True.
 
+    Returns
+    -------
+    Path
+        The file.
+
     Raises
     ------
     UsageError
-        If the suffix is another.
+        If Carina writes no files with this suffix.
     CarinaError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
 
     Examples
     --------
@@ -124,7 +144,7 @@ def export_airways(
     to = export_format(path)
     if to.kind == "tree":
         return export_tree(path, airways.tree if tree is None else tree, badges=lasting)
-    # The lumen's own tree, whatever tree was given beside it.
+    # The note describes the lumen, so it uses the tree of the airways and not ``tree``.
     words = drawn_tree(airways.tree).words
     note = None if words is None else f"{words}: not from the CT"
     if to.kind == "surface":

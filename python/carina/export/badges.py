@@ -1,4 +1,4 @@
-"""Lasting notes of a case in the headers of files."""
+"""Lasting notes of a case, for the headers of files."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ __all__ = ["badge_lines", "lasting"]
 
 
 def badge_lines(badges: Sequence[Note]) -> list[str]:
-    """One line each, in ASCII, which every format takes."""
+    """Return one line per note in ASCII, which every format can store."""
     lines = [f"{badge.code}: {' '.join(badge.words.split())}" for badge in badges]
     return [line.encode("ascii", "replace").decode() for line in lines]
 
 
 def lasting(tree: AirwayTree, badges: Sequence[Note]) -> tuple[Note, ...]:
-    """Those of a case and those of its tree, none twice."""
+    """Return the notes of a case and of its tree, without duplicates."""
     return tuple(dict.fromkeys([*badges, *tree.notes]))

@@ -1,4 +1,4 @@
-"""Videos of flights through the airways, in one call."""
+"""Video of a flight through the airways, written in one call."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from carina.volume import Volume
 __all__ = ["Film", "write_film"]
 
 MAX_EMBEDDED_BYTES = 20_000_000
-"""A longer film is named and not put into the page."""
+"""Largest size of a video that is embedded in a notebook; of a larger one only the name is shown."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A film that was written."""
+    """Video file that `write_film` has written."""
 
     name: str
-    """Of the file, without its folder."""
+    """Name of the file, without its folder."""
     num_frames: int
     rate_hz: float
     size_px: tuple[int, int]
-    """Width and height."""
+    """Width and height of the video."""
     path: Path = dataclasses.field(repr=False)
     notes: tuple[str, ...] = dataclasses.field(default=(), repr=False)
     """Notes for the user on changes that players need, such as an even size."""
 
     @property
     def duration_s(self) -> float:
-        """How long it plays."""
+        """Duration of the video."""
         return self.num_frames / self.rate_hz
 
     def _repr_html_(self) -> str:
@@ -92,7 +92,7 @@ def write_film(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Film:
-    """Fly through the airways and write what the scope sees as a video.
+    """Render a flight through the airways and write the frames as a video.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def write_film(
     lumen_zyx
         The airway lumen, for the closed wall.
     tree
-        The airway tree, to which the endoscopic look fixes its decoration.
+        The airway tree, with which the endoscopic look shows rings, the membranous wall and ridges of forks.
     rate_hz
         Frames per second, 1 to 240.
     speed_mm_s

@@ -1,7 +1,7 @@
-"""The table of file formats for airways: one row for each, with what holds it and who reads it.
+"""Table of file formats for airways: one row per format, with its contents and the programs that read it.
 
-A new format is a row here and the function that writes it. The command line, the window's list
-(``web/src/wire/exports.ts`` is generated from this) and the refusals of other suffixes take it from there.
+A new format needs a row here and a function that writes it. The command line, the list in the window
+(``web/src/wire/exports.ts`` is generated from this table) and the error for other suffixes use the table.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ EXPORT_TITLES: dict[ExportKind, str] = {
     "lumen": "Lumen mask on the CT grid",
     "tree": "Branches and centrelines",
 }
-"""What a person calls it, in the order of the window."""
+"""Titles for the user, in the order of the window."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ExportFormat:
-    """A kind of file that the airways can be written to."""
+    """File format for airways."""
 
     suffix: str
-    """In lower case, with its dots."""
+    """Suffix in lower case, with its dots."""
     kind: ExportKind
-    """What of the airways it holds."""
+    """Contents of the file: the surface or the mask of the lumen, or the tree."""
     words: str
-    """Who reads it, for a person who chooses."""
+    """Programs that read the format, for the user who selects one."""
     write: Callable[..., Path]
-    """Called with the path, then a mesh, a mask and its volume, or a tree, as its kind is."""
+    """Function that writes the file; its arguments are the path, then a mesh, a mask and its volume, or a tree."""
 
 
 EXPORT_FORMATS: tuple[ExportFormat, ...] = (
@@ -54,30 +54,30 @@ EXPORT_FORMATS: tuple[ExportFormat, ...] = (
     ExportFormat(".nii", "lumen", "NIfTI, uncompressed", write_mask),
     ExportFormat(".nrrd", "lumen", "NRRD for 3D Slicer", write_mask),
     ExportFormat(".mha", "lumen", "MetaImage for ITK", write_mask),
-    # ".mrk.json" is asked for before ".json", which it ends in: the longest suffix counts.
+    # The longest matching suffix counts: ".mrk.json" also ends in ".json".
     ExportFormat(".json", "tree", "The complete tree: names, radii, confidence", write_tree),
     ExportFormat(".vtp", "tree", "For ParaView and VTK", write_vtp),
     ExportFormat(".mrk.json", "tree", "Curves for 3D Slicer", write_markups),
     ExportFormat(".swc", "tree", "For software that analyses tree morphology", write_swc),
 )
 EXPORT_SUFFIXES = tuple(row.suffix for row in EXPORT_FORMATS)
-"""Suffixes that :func:`carina.export_airways` knows."""
+"""Suffixes that :func:`carina.export_airways` can write."""
 
 
 def export_format(path: Path | str, *, kind: ExportKind | None = None) -> ExportFormat:
-    """The format that a file's name asks for.
+    """Return the format for a file name.
 
     Parameters
     ----------
     path
-        Whose end counts, whether in capitals or not.
+        File name; the case of its suffix does not matter.
     kind
-        Only formats that hold this.
+        Kind of contents; other formats are ignored.
 
     Raises
     ------
     UsageError
-        If there is none.
+        If no format has this suffix.
     """
     name = Path(path).name.lower()
     rows = [row for row in EXPORT_FORMATS if kind in {None, row.kind}]

@@ -1,4 +1,4 @@
-"""A mask on a CT's grid: NIfTI, NRRD or MetaImage."""
+"""Export of a mask on a CT's grid as NIfTI, NRRD or MetaImage."""
 
 from __future__ import annotations
 
@@ -18,7 +18,14 @@ MASK_SUFFIXES = GRID_SUFFIXES
 
 
 def check_mask_file(path: Path | str, volume: Volume) -> None:
-    """Check, before the search, that a mask of a volume can be written to a file of this name.
+    """Check, before the airways are searched, that their mask can be written to a file of this name.
+
+    Parameters
+    ----------
+    path
+        File name.
+    volume
+        The CT.
 
     Raises
     ------
@@ -70,7 +77,7 @@ def write_mask(
     if mask_zyx.shape != volume.shape_zyx:
         msg = f"the mask must be on the volume's grid: expected shape {volume.shape_zyx}, found {mask_zyx.shape}"
         raise GeometryError(msg, code="geometry.shape")
-    # The codes first: they are short, and NIfTI has no room for whole sentences.
+    # Codes come first, because NIfTI has no space for whole sentences.
     parts = [*(badge.code for badge in badges), *([] if note is None else [note]), *badge_lines(badges)]
     values = (mask_zyx != 0).astype(np.uint8)
     return write_grid(path, values, volume.lps_from_ijk, what="the mask", note="; ".join(parts) or None)

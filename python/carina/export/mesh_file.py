@@ -1,4 +1,4 @@
-"""The lumen's surface for printing and for other viewers: STL, PLY, OBJ, GLB. Vertices stay in LPS, mm.
+"""Export of the lumen's surface as STL, PLY, OBJ or GLB, with vertices in LPS, mm.
 
 References
 ----------
@@ -28,26 +28,32 @@ _WORDS = "Carina airway lumen, space LPS, unit mm"
 
 
 def write_mesh(path: Path | str, mesh: Mesh, *, note: str | None = None, badges: Sequence[Note] = ()) -> Path:
-    """Write a surface; the suffix says how: ``.stl``, ``.ply``, ``.obj`` or ``.glb``.
+    """Write a surface in the format of the suffix: ``.stl``, ``.ply``, ``.obj`` or ``.glb``.
 
-    STL, PLY and OBJ hold LPS millimetres and say so in their header. GLB demands metres with +y up: its vertices are
-    LPS millimetres, too, and its one node turns and scales them (patient's head up, front towards the viewer).
+    STL, PLY and OBJ contain LPS millimetres, and their header states this. GLB requires metres with +y up: its vertices
+    are also LPS millimetres, and its only node rotates and scales them (patient's head up, front towards the viewer).
 
     Parameters
     ----------
     path, mesh
-        Where to, and what.
+        File to be written, and the surface.
     note
-        What a reader must know, such as how much of it a person drew; it goes into the file's header.
+        Information for readers in the header of the file, such as the part that was drawn by hand.
     badges
-        The lasting notes of the case, there too; the header of an STL is too short and says only that there are any.
+        Lasting notes of the case, also in the header. The header of an STL is too short; it only states that there are
+        some.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError
-        If the suffix is another.
+        If the suffix is unknown.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _WRITERS:
@@ -65,8 +71,7 @@ def _stl(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     rows = np.zeros(len(corners), dtype=record)
     rows["normal"] = np.divide(across, lengths, out=np.zeros_like(across), where=lengths > 0.0)
     rows["corners"] = corners
-    # A header that begins with "solid" would be taken for the text kind.
-    # It has 80 bytes, cut between words.
+    # A header that begins with "solid" would mark a text STL. The header has 80 bytes.
     words = f"{_WORDS}; SPACE=LPS" if not badges else "Carina airway lumen; unit mm; SPACE=LPS"
     words += ("" if note is None else "; PART IS NOT FROM THE CT") + ("; IN DOUBT" if badges else "")
     return words.encode().ljust(80) + struct.pack("<I", len(rows)) + rows.tobytes()
@@ -116,7 +121,8 @@ def _glb(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
         "asset": {"version": "2.0", "generator": "Carina"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        # Columns: where patient left, posterior and superior go. +x is left, +y is up, the front looks along +z.
+        # Columns of the matrix: directions of patient left, posterior and superior. +x is left, +y is up, the front
+        # faces +z.
         "nodes": [
             {
                 "name": "airways",
@@ -167,4 +173,4 @@ _WRITERS: dict[str, Callable[[Mesh, str | None, list[str]], bytes]] = {
     ".glb": _glb,
 }
 MESH_SUFFIXES = tuple(_WRITERS)
-"""Suffixes that :func:`write_mesh` knows."""
+"""Suffixes that :func:`write_mesh` can write."""

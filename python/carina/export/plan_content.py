@@ -1,6 +1,6 @@
-"""What every file of a plan holds: targets by name, the way of the scope to where it stands, the needle, and the words.
+"""Contents common to all files of a plan: named targets, the path of the scope, the needle, and texts.
 
-All in LPS, mm. What is not known of a plan is said in its words, never left to a reader to guess.
+All coordinates are in LPS, mm. The texts state what is not known about a plan.
 """
 
 from __future__ import annotations
@@ -28,27 +28,30 @@ __all__ = [
 Points = NDArray[np.float64]
 
 ONE_TARGET = "Target"
-"""What a target is called that nobody gave a name."""
+"""Name of a single target without a name."""
 NOT_A_DEVICE = "Not a medical device."
 CORNER_MM = 0.7
 VESSEL_MM = 0.25
-"""A vessel nearer to the needle than half a voxel is met."""
+"""Distance in mm between needle and vessel below which the needle crosses the vessel (half a voxel)."""
 OFF_ROUTE_MM = 3.0
-"""A tip lies on the tree's own centreline, and smoothing moves a route by less than this."""
+"""Largest distance in mm of a tip from the smooth route.
+
+The tip is on the tree's own centreline, and smoothing moves a route by less than this.
+"""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnRoute:
-    """One route of a plan as lines and words."""
+    """Route of a plan as a line with its texts."""
 
     title: str
-    """Route 1: RB4a"""
+    """Title, such as *Route 1: RB4a*."""
     route: PlannedRoute
     way_lps: Points
-    """(n, 3) from the tree's beginning along the airways to the scope's tip, about 1 mm apart."""
+    """(n, 3) points from the beginning of the tree to the scope's tip, about 1 mm apart, LPS mm."""
     words: str
-    """What must be known of it, in sentences: doubts come first."""
+    """Description of the route in sentences; doubts come first."""
 
     @property
     def number_words(self) -> str:
@@ -57,29 +60,34 @@ class DrawnRoute:
 
     @property
     def is_doubtful(self) -> bool:
-        """Some of the way was drawn by hand, is a bridge, or may be no airway."""
+        """Whether part of the route was drawn by hand, is a bridge, or may not be an airway."""
         return bool(self.route.doubts)
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnTarget:
-    """One target with its routes, the best first."""
+    """Target with its routes, the best one first."""
 
     name: str
     plan: Plan
     routes: tuple[DrawnRoute, ...]
     words: str
-    """Size with errors, what it was cut from, how far it may move, and why there is no route where there is none."""
+    """Size with errors, adjacent structures, possible movement, and the reason if there is no route."""
 
 
 def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
-    """Plans by the names of their targets; one alone is called "Target".
+    """Return plans by the names of their targets; the name of a single plan is "Target".
+
+    Parameters
+    ----------
+    plan
+        A plan, or several by the names of their targets.
 
     Raises
     ------
     UsageError
-        If there is none, a name is empty, or something is no plan.
+        If there is no plan, a name is empty, or a value is not a plan.
     """
     found = {ONE_TARGET: plan} if isinstance(plan, Plan) else plan
     check_type("exporting a plan", "plan", found, Mapping, "get it from carina.plan_route")
@@ -95,12 +103,19 @@ def named_plans(plan: Plan | Mapping[str, Plan]) -> dict[str, Plan]:
 
 
 def drawn_plans(plan: Plan | Mapping[str, Plan], tree: AirwayTree) -> tuple[DrawnTarget, ...]:
-    """Plans as lines and words.
+    """Return plans as lines and texts.
+
+    Parameters
+    ----------
+    plan
+        A plan, or several by the names of their targets.
+    tree
+        The airway tree that the plans were made on.
 
     Raises
     ------
     UsageError
-        If there is no plan, or one was made on another tree (``plan.other-tree``).
+        If there is no plan, or a plan was made on another tree (``plan.other-tree``).
     """
     check_type("exporting a plan", "tree", tree, AirwayTree, "get it from carina.find_airways")
     found = named_plans(plan)
@@ -122,7 +137,7 @@ def _drawn(route: PlannedRoute, number: int, plan: Plan, tree: AirwayTree) -> Dr
 
 
 def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
-    """Along the smooth route, and at its end exactly where the tip stands."""
+    """Return the smooth route, with the exact position of the tip as its end."""
     tip = np.array(route.leg.tip_lps)
     if all(branch.id != route.branch_id for branch in tree.branches):
         raise _other_tree(f"route {number} ends in branch {route.branch_id}, which this tree does not have")
@@ -132,18 +147,18 @@ def _way(tree: AirwayTree, route: PlannedRoute, number: int) -> Points:
     gap_mm = _to_line_mm(whole, tip)
     if gap_mm > OFF_ROUTE_MM:
         raise _other_tree(f"the scope tip of route {number} lies {gap_mm:.1f} mm from this tree's branch")
-    # The point before the tip, so that the line does not turn back.
+    # The line ends before the tip, so that it does not turn back.
     if 0 < nearest < len(whole) and _is_past(whole, nearest, tip):
         nearest -= 1
     before = whole[: nearest + 1]
-    # The tip lies beside the smooth line: a point next to it would make a corner there.
+    # The tip is beside the smooth line; a point close to the tip would make a corner there.
     while len(before) > 1 and float(np.linalg.norm(before[-1] - tip)) < CORNER_MM:
         before = before[:-1]
     return np.concatenate([before, tip[None]])
 
 
 def _to_line_mm(points: Points, place: Points) -> float:
-    """How far a place lies from a line of points."""
+    """Return the distance of a point from a polyline, mm."""
     if len(points) < 2:
         return float(np.linalg.norm(points[0] - place))
     steps = np.diff(points, axis=0)
@@ -153,7 +168,7 @@ def _to_line_mm(points: Points, place: Points) -> float:
 
 
 def _is_past(points: Points, n: int, tip: Points) -> bool:
-    """Whether a point of the way lies farther along it than the tip."""
+    """Return whether point ``n`` of the route is farther along the route than the tip."""
     return float((points[n] - tip) @ (points[n] - points[n - 1])) > 0.0
 
 

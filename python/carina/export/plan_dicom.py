@@ -1,6 +1,6 @@
-"""What DICOM files of a plan share: the CT that they refer to, whose they are, and how they are written.
+"""Functions common to the DICOM files of a plan: references to the CT, identity of the patient, and encoding.
 
-Only files of this folder whose names begin with ``plan_dicom`` load pydicom.
+In this folder only files whose names begin with ``plan_dicom`` import pydicom.
 
 References
 ----------
@@ -52,15 +52,15 @@ __all__ = [
 ]
 
 Identity = Literal["from the CT", "none"]
-"""Whose a file is: name, number, birth date and study as the CT says, or nothing of it."""
+"""Identity in a file: name, number, birth date and study of the CT, or none of them."""
 
 _WHOSE: Final = (
     *("PatientName", "PatientID", "IssuerOfPatientID", "PatientBirthDate", "PatientSex"),
-    # Of a CT that is without an identity already.
+    # These elements are present in a CT that was already de-identified.
     *("PatientIdentityRemoved", "DeidentificationMethod"),
     *("StudyDate", "StudyTime", "StudyID", "StudyDescription", "AccessionNumber", "ReferringPhysicianName"),
 )
-# Of these a standard object needs the element, though it may be empty (type 2).
+# These are type 2 elements: a standard object must contain them, but they may be empty.
 _NEVER_LEFT_OUT: Final = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex"),
     *("StudyDate", "StudyTime", "StudyID", "AccessionNumber", "ReferringPhysicianName"),
@@ -68,13 +68,16 @@ _NEVER_LEFT_OUT: Final = (
 _OF_THE_PATIENT: Final = frozenset({"PatientName", "PatientID", "IssuerOfPatientID"})
 _FRAME_OF_REFERENCE = list(IDENTITY).index("FrameOfReferenceUID")
 _LOOKED_AT = 5
-"""Slices whose pixels tell one reconstruction from another of the same geometry."""
+"""Number of slices whose pixels are compared, to distinguish reconstructions with equal geometry."""
 _MOST_CHARS = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CtImages:
-    """The images that a CT's slices came from, in the volume's order. Never printed: it holds UIDs and a name."""
+    """DICOM images of a CT's slices, in the order of the volume.
+
+    The object contains UIDs and a name, so its repr shows neither.
+    """
 
     slices: tuple[SliceHeader, ...]
     first: Dataset
@@ -83,26 +86,27 @@ class CtImages:
     """Keywords of the texts that were left out of ``first``."""
 
     def __repr__(self) -> str:
+        """Return the number of images, without their UIDs and names."""
         return f"CtImages({len(self.slices)} images)"
 
     @property
     def image_class(self) -> str:
-        """SOP class of its images."""
+        """SOP class UID of the images."""
         return str(self.first.SOPClassUID)
 
     @property
     def study_uid(self) -> str:
-        """Study that they belong to."""
+        """UID of the study."""
         return str(self.first.StudyInstanceUID)
 
     @property
     def series_uid(self) -> str:
-        """Series that they belong to."""
+        """UID of the series."""
         return self.slices[0].series_uid
 
     @property
     def frame_of_reference_uid(self) -> str:
-        """What their places are told in."""
+        """UID of the frame of reference of the positions."""
         return self.slices[0].identity[_FRAME_OF_REFERENCE]
 
 
@@ -118,16 +122,18 @@ def ct_images(
     volume
         The CT that the plan was made on.
     series
-        Key of its series; without it the one that the volume came from is found.
+        Key of its series; without it the series of the volume is searched.
+    cancel
+        Called often; the work stops when it returns True.
 
     Raises
     ------
     UsageError
-        ``plan.not-dicom``: if the CT is no DICOM; ``plan.other-ct``: if none of its series is the volume.
+        ``plan.not-dicom`` if the CT is not DICOM; ``plan.other-ct`` if none of its series is the volume.
     VolumeImportError
-        If it cannot be read, or lacks the UIDs that others refer to.
+        If it cannot be read, or lacks the UIDs that are required for references.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     check_type("referring to the CT", "volume", volume, Volume, "open a volume with carina.open_volume")
     watch = Watch(None, cancel)
@@ -157,7 +163,7 @@ def _images(path: Path, volume: Volume, series: str | None, watch: Watch) -> CtI
 def _is_volume(series: FoundSeries, volume: Volume, watch: Watch) -> bool:
     if series.lps_from_ijk is None or series.info.shape_zyx is None:
         return False
-    # The order of the axes counts too: frames are told by slice.
+    # The order of the axes must agree too, because frames are referenced by slice.
     if series.info.shape_zyx != volume.shape_zyx or not np.allclose(
         series.lps_from_ijk[:3, :3], volume.lps_from_ijk[:3, :3], atol=1e-4
     ):
@@ -181,7 +187,7 @@ def _referable(path: Path, series: FoundSeries) -> CtImages:
         doubtful = doubtful_texts(dataset)
         for keyword in doubtful & set(_WHOSE):
             del dataset[keyword]
-        # Names in the character set of their file; ours is UTF-8.
+        # The names are decoded from the character set of the file, because Carina writes UTF-8.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             dataset.decode()
@@ -225,20 +231,24 @@ def new_object(
     Parameters
     ----------
     kind
-        SOP class.
+        SOP class UID.
     images
-        The CT that it refers to: it belongs to its study. None: it stands alone, in a study of its own.
+        The CT that the object refers to; the object belongs to the CT's study. None makes an independent object in a
+        study of its own.
     identity
         ``"from the CT"`` copies name, number, birth date, sex and the study's dates and numbers; ``"none"`` leaves them
-        empty and says so in the file. The UIDs of the CT's study, series and images are in every object that refers to
-        it: without them nothing lays it over the CT.
+        empty and marks the object as de-identified. Every object that refers to a CT contains the UIDs of the CT's
+        study, series and images, without which it could not be displayed over the CT.
+    modality, series_number, series_words
+        Modality, number and description of the object's series.
     now
-        When it was made; else the computer's clock.
+        Time of creation; the computer's clock if None.
 
     Raises
     ------
     UsageError
-        If ``identity`` is another word, or is wanted without a CT.
+        If ``identity`` is unknown, is ``"from the CT"`` without a CT, or the patient's name or number in the CT is in
+        an unknown character set.
     """
     if identity not in ("from the CT", "none"):
         raise UsageError(f'identity: expected "from the CT" or "none"; found {identity!r}', code="plan.identity")
@@ -259,7 +269,7 @@ def new_object(
     data.SpecificCharacterSet = "ISO_IR 192"
     data.SOPClassUID, data.SOPInstanceUID = kind, generate_uid(prefix=None)
     with warnings.catch_warnings():
-        # They are as they are in the CT: a warning would quote them.
+        # Values are copied as they are in the CT; a warning would quote them.
         warnings.simplefilter("ignore")
         for keyword in _WHOSE:
             value = None if images is None or identity == "none" else images.first.get(keyword)
@@ -281,31 +291,44 @@ def new_object(
 
 
 def _plain(value: Any) -> str | list[str]:
-    """Text, with the names' groups, or texts; never an object that knows the CT's character set."""
+    """Return a value as text or texts, independent of the CT's character set, with all component groups of a name."""
     if isinstance(value, MultiValue):
         return [str(one) for one in value]
     return "" if value is None else str(value)
 
 
 def code_item(value: str, scheme: str, meaning: str) -> Dataset:
-    """One coded concept (PS3.3 8.8)."""
+    """Return a coded concept (PS3.3 8.8).
+
+    Parameters
+    ----------
+    value, scheme, meaning
+        Code value, designator of the coding scheme, and meaning of the code.
+    """
     item = Dataset()
     item.CodeValue, item.CodingSchemeDesignator, item.CodeMeaning = value, scheme, meaning
     return item
 
 
 def decimals(values: Sequence[float] | NDArray[np.float64]) -> list[DSfloat]:
-    """Decimal strings of at most 16 characters, as exact as these are."""
+    """Return decimal strings of at most 16 characters, with the precision that this allows."""
     return [DSfloat(float(value), auto_format=True) for value in values]
 
 
 def check_text(text: str, what: str) -> str:
     """Check a text for an element of 64 characters, and return it.
 
+    Parameters
+    ----------
+    text
+        The text.
+    what
+        Name of the text in the error message.
+
     Raises
     ------
     UsageError
-        If it is empty, too long, of several lines, or has a backslash, which parts values in DICOM.
+        If the text is empty, too long, of several lines, or contains a backslash, which separates values in DICOM.
     """
     if not text.strip() or len(text) > _MOST_CHARS or not text.isprintable() or "\\" in text:
         raise UsageError(
@@ -316,12 +339,19 @@ def check_text(text: str, what: str) -> str:
 
 
 def named_nodules(targets: Nodule | Mapping[str, Nodule], doing: str) -> dict[str, Nodule]:
-    """Nodules by name; one alone is called "Target".
+    """Return nodules by name; the name of a single nodule is "Target".
+
+    Parameters
+    ----------
+    targets
+        A nodule, or several by name.
+    doing
+        Beginning of the error messages: what the caller was doing.
 
     Raises
     ------
     UsageError
-        If there is none, or a name is no text for DICOM.
+        If there is none, or a name is not a valid text for DICOM.
     """
     named = {ONE_TARGET: targets} if isinstance(targets, Nodule) else dict(targets)
     if not named:
@@ -339,7 +369,7 @@ def packed(data: Dataset) -> bytes:
     meta.TransferSyntaxUID = ExplicitVRLittleEndian
     data.file_meta = meta
     content = io.BytesIO()
-    # As above.
+    # A warning would quote values of the patient.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         data.save_as(content, enforce_file_format=True)

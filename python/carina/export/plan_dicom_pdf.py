@@ -1,4 +1,4 @@
-"""A plan's report as an encapsulated PDF, for the archive.
+"""Export of a plan's report as an encapsulated PDF in DICOM, for an archive.
 
 References
 ----------
@@ -24,7 +24,7 @@ __all__ = ["write_plan_pdf"]
 
 _SUFFIX: Final = ".dcm"
 MOST_BYTES: Final = 500_000_000
-"""A report of some pages has a few million."""
+"""Largest size of a PDF; a report of some pages has a few million bytes."""
 
 
 def write_plan_pdf(
@@ -40,45 +40,50 @@ def write_plan_pdf(
     now: datetime.datetime | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Path:
-    """Wrap a report's PDF in a DICOM object.
+    """Write a report's PDF as a DICOM object.
 
     Parameters
     ----------
     path
-        Ends in ``.dcm``.
+        File to be written; it must end in ``.dcm``.
     pdf
-        The whole file.
+        Contents of the whole PDF file.
     names_patient
-        Whether a patient's name, number or birth date stands in its pages. An archive is told, and a report that names
-        a patient is not written without an identity.
+        Whether the pages contain a patient's name, number or birth date. The object states this, and such a report is
+        refused without an identity.
     identity
-        ``"from the CT"`` files it under the CT's patient and study, for which ``volume`` and ``ct`` are needed; with
-        ``"none"`` it stands in a study of its own, and nothing of the CT is in it.
+        ``"from the CT"`` uses the patient and study of the CT and requires ``volume`` and ``ct``. ``"none"`` makes a
+        study of its own, without any data of the CT.
     volume, ct, series
         The CT that the plan was made on, its DICOM folder, and the key of its series.
     title
-        Of the document, one line.
+        Title of the document, one line.
     now
-        When it was made; else the computer's clock.
+        Time of creation; the computer's clock if None.
     cancel
-        Asked whether to stop.
+        Called often; the work stops when it returns True.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError
-        If the suffix is another, it is no PDF, the title is none, the identity does not go with the report, or the CT
-        is not the volume's.
+        If the suffix is wrong, ``pdf`` is not a PDF, the title is invalid, the identity does not fit the report, or the
+        CT is not that of the volume.
     VolumeImportError
         If the CT cannot be read.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     if not Path(path).name.lower().endswith(_SUFFIX):
         raise UsageError(
             f"saving the report for an archive: expected a file name that ends in {_SUFFIX}; found {Path(path).name!r}"
         )
     check_text(title, "the title of the report")
-    # The end may be followed by a line break or two.
+    # Line breaks may follow the end mark.
     if not pdf.startswith(b"%PDF-") or b"%%EOF" not in pdf[-1024:] or len(pdf) > MOST_BYTES:
         raise UsageError(
             f"saving the report for an archive: expected a whole PDF of at most {MOST_BYTES} bytes; found {len(pdf)} "

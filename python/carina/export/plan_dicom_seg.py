@@ -1,4 +1,4 @@
-"""Targets as a DICOM segmentation (SEG) that refers to the CT's own images.
+"""Export of targets as a DICOM segmentation (SEG) that refers to the CT's own images.
 
 References
 ----------
@@ -44,7 +44,7 @@ TARGET_SEG_SUFFIX: Final = ".dcm"
 _HALF = 0.5
 LUMEN_NAME: Final = "Airway lumen"
 _LAB_YELLOW, _LAB_BLUE = (58111, 30069, 51143), (47000, 29000, 24500)
-"""Of a recommended display value, CIELab scaled to 16 bits (PS3.3 C.10.7.1.1)."""
+"""Recommended display values, CIELab scaled to 16 bits (PS3.3 C.10.7.1.1)."""
 
 Mask = NDArray[np.bool_]
 _Concept = tuple[str, str, str]
@@ -62,43 +62,49 @@ def write_target_seg(
     now: datetime.datetime | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Path:
-    """Write targets as a binary DICOM segmentation on the CT's grid, a segment for each.
+    """Write targets as a binary DICOM segmentation on the CT's grid, one segment per target.
 
-    A voxel of the CT is in the segment where at least half of it is nodule. What was measured of the nodule, which is
-    finer than voxels, stands in the segment's description.
+    A voxel of the CT belongs to the segment if at least half of it is nodule. The measures of the nodule, which are
+    more precise than voxels, are in the segment's description.
 
     Parameters
     ----------
     path
-        Ends in ``.dcm``.
+        File to be written; it must end in ``.dcm``.
     targets
-        A nodule, or several by name; one alone is called "Target".
+        A nodule, or several by name; the name of a single one is "Target".
     volume
         The CT that they were marked in.
     ct
-        Its DICOM folder, or one of its files.
+        DICOM folder of the CT, or one of its files.
     airways
-        Their lumen up to the walls becomes a last segment, "Airway lumen".
+        Airways whose lumen is written as a last segment, "Airway lumen".
     identity
-        ``"none"`` writes no name, number, date or institution; the UIDs of the CT stay, since the segmentation refers
-        to its images. ``"from the CT"`` copies name, number, birth date, sex and the study's numbers, for an archive.
+        ``"none"`` writes no name, number, date or institution; the UIDs of the CT are written, because the segmentation
+        refers to its images. ``"from the CT"`` copies name, number, birth date, sex and the study's numbers, for an
+        archive.
     series
-        Key of the series, where it is not to be found by its pixels.
+        Key of the series; without it the series is found by its pixels.
     now
-        When it was made; else the computer's clock.
+        Time of creation; the computer's clock if None.
     cancel
-        Asked whether to stop.
+        Called often; the work stops when it returns True.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError
-        If the suffix is another, there is no target, a name is none, the CT is no DICOM, or not the volume's.
+        If the suffix is wrong, there is no target, a name is invalid, or the CT is not DICOM or not that of the volume.
     NoResultError
         If a target does not fill half of any voxel (``plan.too-small``).
     VolumeImportError
         If the CT cannot be read.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     if not Path(path).name.lower().endswith(TARGET_SEG_SUFFIX):
         raise UsageError(
@@ -130,12 +136,20 @@ def write_target_seg(
 
 
 def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
-    """Which voxels of a CT are at least half nodule, (nz, ny, nx); nothing of it lies outside the CT."""
+    """Return the mask (nz, ny, nx) of the CT's voxels of which at least half is nodule.
+
+    Parameters
+    ----------
+    nodule
+        The nodule; its parts outside the CT are ignored.
+    volume
+        The CT.
+    """
     found = np.zeros(volume.shape_zyx, dtype=bool)
     at = np.argwhere(nodule.inside_zyx)
     if not len(at):
         return found
-    # Corners of its voxels, half a voxel beyond the centres.
+    # Corners of the nodule's voxels, half a voxel beyond their centres.
     lo, hi = at.min(axis=0)[::-1] - 0.5, at.max(axis=0)[::-1] + 0.5
     corners = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])
     ijk = volume.to_ijk(corners @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3])
@@ -144,7 +158,7 @@ def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
     if (last < first).any():
         return found
     step_mm = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
-    # Points in a voxel of the CT, no farther apart than the nodule's own.
+    # Sample points in a voxel of the CT, no farther apart than the nodule's voxels.
     within = [
         np.linspace(-0.5, 0.5, 2 * n + 1)[1::2] for n in (max(2, round(mm / step_mm)) for mm in volume.spacing_mm)
     ]
@@ -161,17 +175,17 @@ def inside_on_grid(nodule: Nodule, volume: Volume) -> Mask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """What becomes a segment."""
+    """Contents of a segment."""
 
     label: str
     inside: Mask
     description: str
     algorithm: tuple[str, str]
-    """Its type and name."""
+    """Type and name of the algorithm."""
     codes: tuple[_Concept, _Concept]
-    """Category and type of what is segmented."""
+    """Category and type of the segmented structure."""
     region: _Concept | None
-    """Where it lies, if its type does not say so."""
+    """Anatomic region, unless the type implies it."""
     cielab: tuple[int, int, int]
 
 
@@ -231,7 +245,7 @@ def _fill(data: Dataset, parts: Sequence[_Part], images: CtImages, volume: Volum
             if images.first.get(keyword):
                 setattr(data, keyword, images.first.get(keyword))
     data.SegmentSequence = Items(_segment(number, part) for number, part in enumerate(parts, 1))
-    # Of each segment the slices from its first to its last.
+    # Frames of a segment: all slices from its first to its last.
     frames: list[tuple[int, int]] = []
     for number, part in enumerate(parts, 1):
         slices = np.flatnonzero(part.inside.any(axis=(1, 2)))
@@ -277,7 +291,7 @@ def _instance(images: CtImages, k: int) -> Dataset:
 
 
 def _dimensions(data: Dataset) -> None:
-    """Frames are ordered by segment, then by place."""
+    """Add the dimensions: frames are ordered by segment, then by position."""
     uid = generate_uid(prefix=None)
     organisation = Dataset()
     organisation.DimensionOrganizationUID = uid
@@ -300,7 +314,7 @@ def _shared(images: CtImages, volume: Volume) -> Dataset:
     first = images.slices[0]
     gap_mm = volume.spacing_mm[2]
     measures, orientation = Dataset(), Dataset()
-    # Distance of rows, then of columns.
+    # The row distance comes first, then the column distance.
     measures.PixelSpacing = decimals((first.spacing_mm[1], first.spacing_mm[0]))
     measures.SliceThickness, measures.SpacingBetweenSlices = decimals((gap_mm, gap_mm))
     orientation.ImageOrientationPatient = decimals((*first.row_lps, *first.column_lps))

@@ -1,4 +1,4 @@
-"""What was measured of targets as a DICOM structured report: a measurement report of template 1500.
+"""Export of the measures of targets as a DICOM structured report: a measurement report of template 1500.
 
 References
 ----------
@@ -86,23 +86,28 @@ def write_target_report(
     Parameters
     ----------
     path
-        Ends in ``.dcm``.
+        File to be written; it must end in ``.dcm``.
     targets
-        A nodule, or several by name; one alone is called "Target".
+        A nodule, or several by name; the name of a single one is "Target".
     volume, ct, identity, series, now, cancel
-        As of :func:`carina.export.write_target_seg`.
+        As for :func:`carina.export.write_target_seg`.
     segmentation
-        A DICOM segmentation of these targets that was written before: each group then refers to its segment.
+        Existing DICOM segmentation of these targets, to whose segments the measurement groups refer.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError
-        If the suffix is another, there is no target, a name is none, the CT is no DICOM or not the volume's, or the
-        segmentation has no segment of a target's name or belongs to another CT.
+        If the suffix is wrong, there is no target, a name is invalid, the CT is not DICOM or not that of the volume, or
+        the segmentation has no segment with a target's name or belongs to another CT.
     VolumeImportError
         If the CT or the segmentation cannot be read.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     if not Path(path).name.lower().endswith(_SUFFIX):
         raise UsageError(
@@ -140,7 +145,7 @@ def write_target_report(
 
 @dataclass(frozen=True, slots=True)
 class _Segments:
-    """A segmentation as others refer to it."""
+    """UIDs and segment numbers of a segmentation, for references to it."""
 
     series_uid: str
     instance_uid: str
@@ -189,7 +194,7 @@ def _read_segments(path: Path, images: CtImages, names: Sequence[str]) -> _Segme
 
 
 def _slices(nodule: Nodule, volume: Volume) -> list[int]:
-    """Where it is seen; the nearest one where it fills half of no voxel."""
+    """Return the slices that contain the nodule; the nearest slice if it fills half of no voxel."""
     seen = np.flatnonzero(inside_on_grid(nodule, volume).any(axis=(1, 2)))
     if len(seen):
         return [int(k) for k in seen]

@@ -28,7 +28,7 @@ PLAN_FORMATS: Final[dict[str, str]] = {
     _SEG: "The targets as a DICOM segmentation of the CT",
     _SR: "Measurements of the targets as a DICOM report",
 }
-"""Suffixes that :func:`export_plan` knows, with who reads the file, for a person who chooses."""
+"""Suffixes that :func:`export_plan` can write, with a description of each for the user."""
 
 
 def check_plan_file(
@@ -66,7 +66,7 @@ def check_plan_file(
             "(ct)",
             code="plan.not-dicom",
         )
-    # Imported here: other formats do not need pydicom.
+    # Imported here, because other formats do not need pydicom.
     from carina.export.plan_dicom import ct_images
 
     ct_images(ct, volume, series=series, cancel=cancel)
@@ -99,46 +99,51 @@ def export_plan(
     """Write a plan for other software, in the format of the suffix, with coordinates in LPS, mm.
 
     ``.mrk.json``: targets, routes, needles and scope positions for 3D Slicer. ``.seg.nrrd``: the target as a
-    segmentation for 3D Slicer, one target a file. ``.seg.dcm``: the targets as a DICOM segmentation that refers to the
-    CT's images. ``.sr.dcm``: what was measured of them as a DICOM report. The airways are written by
-    :func:`carina.export_airways`.
+    segmentation for 3D Slicer, one target per file. ``.seg.dcm``: the targets as a DICOM segmentation that refers to
+    the CT's images. ``.sr.dcm``: the measures of the targets as a DICOM report. :func:`carina.export_airways` writes
+    the airways.
 
     Parameters
     ----------
     path
-        Where to.
+        File to be written.
     plan
         A plan, or several by the names of their targets.
     tree
-        The airway tree that it was made on; for ``.mrk.json``.
+        The airway tree of the plan; for ``.mrk.json``.
     volume, ct
-        The CT that it was made on and its DICOM folder; for DICOM.
+        The CT of the plan and its DICOM folder; for DICOM.
     series
-        Key of the CT's series, where it is not to be found by its pixels.
+        Key of the CT's series; without it the series is found by its pixels.
     airways
-        For ``.seg.dcm``: their lumen becomes a segment of its own.
+        Airways whose lumen becomes a segment; for ``.seg.dcm``.
     segmentation
-        A ``.seg.dcm`` of the same targets that a ``.sr.dcm`` refers to.
+        Existing ``.seg.dcm`` of the same targets, to which a ``.sr.dcm`` refers.
     identity
-        ``"none"`` writes nothing of the patient into DICOM but the CT's UIDs; ``"from the CT"`` copies name, number,
-        birth date, sex and the study's numbers.
+        ``"none"`` writes no data of the patient except the CT's UIDs; ``"from the CT"`` copies name, number, birth
+        date, sex and the study's numbers.
     badges
-        The lasting notes of the case; for ``.mrk.json``.
+        Lasting notes of the case; for ``.mrk.json``.
     now
-        When a DICOM file was made; else the computer's clock.
+        Time of creation of a DICOM file; the computer's clock if None.
     cancel
-        Asked whether to stop.
+        Called often; the work stops when it returns True.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError
-        If the suffix is another, what the format needs was not given, or the plan does not go with it.
+        If the suffix is unknown, an argument that the format requires is missing, or the plan does not fit the format.
     NoResultError
         If a target does not fill half of any voxel of the CT (DICOM segmentation).
     VolumeImportError
         If the CT cannot be read.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
 
     Examples
     --------
@@ -171,7 +176,7 @@ def export_plan(
             f"{name}: a DICOM file refers to the CT's images: give the CT (volume) and its DICOM folder (ct)",
             code="plan.not-dicom",
         )
-    # Only now: nobody else waits for a reader of DICOM.
+    # Imported here, because other formats do not need pydicom.
     from carina.export.plan_dicom_seg import write_target_seg
     from carina.export.plan_dicom_sr import write_target_report
 

@@ -1,8 +1,8 @@
-"""A plan over OpenIGTLink: to a server such as 3D Slicer's, or to whoever connects.
+"""Transfer of a plan over OpenIGTLink: to a server such as 3D Slicer's, or to clients that connect.
 
-3D Slicer takes POLYDATA as models and STRING as text, and places models in RAS; it passes POINT and TRAJ over, which
-other navigation software reads. So targets are sent as surfaces, routes and needles as lines, and targets and needles
-again as points and trajectories.
+3D Slicer reads POLYDATA as models, which it places in RAS, and STRING as text; it ignores POINT and TRAJ, which other
+navigation software reads. So targets are sent as surfaces, routes and needles as lines, and targets and needles also as
+points and trajectories.
 
 References
 ----------
@@ -35,9 +35,9 @@ __all__ = ["DEFAULT_PORT", "PlanServer", "plan_messages", "send_plan"]
 DEFAULT_PORT: Final = 18944
 LOOPBACK: Final = "127.0.0.1"
 PATIENCE_S: Final = 5.0
-"""For a connection, and for each message to be taken."""
+"""Timeout in s for a connection, and for sending each message."""
 FAREWELL_S: Final = 2.0
-"""A peer that has read everything closes too, or is left after this time."""
+"""Time in s for a server to close the connection after the last message."""
 WAKE_S: Final = 0.1
 MAX_PEERS: Final = 8
 CHUNK: Final = 1 << 16
@@ -49,7 +49,7 @@ _TRAJECTORY = struct.Struct(">64s32sBB4B3f3ff20s")
 _ENTRY_AND_TARGET = 3
 _ASCII, _UTF8 = 3, 106
 _MOST_STRING_BYTES = 65_535
-# As in the files for 3D Slicer.
+# The same colours as in the markups for 3D Slicer.
 _TARGET_RGBA = (240, 228, 66, 255)
 _NEEDLE_RGBA = (204, 121, 167, 255)
 _DOUBTFUL_RGBA = (217, 38, 38, 255)
@@ -65,30 +65,30 @@ def plan_messages(
     version: int = 1,
     time_s: float = 0.0,
 ) -> list[bytes]:
-    """A plan as OpenIGTLink messages.
+    """Return a plan as OpenIGTLink messages.
 
     In order: for each target POLYDATA ``CarinaTargetN`` (its surface); for each route POLYDATA ``CarinaRouteN`` (a line
     from the trachea to the scope's tip) and ``CarinaNeedleN`` (from there to the aim); POINT ``CarinaTargets``; TRAJ
-    ``CarinaNeedles`` (from the scope's tip to the aim); STRING ``CarinaPlan`` with all words. With several targets the
-    numbers of routes go on from one to the next.
+    ``CarinaNeedles`` (from the scope's tip to the aim); STRING ``CarinaPlan`` with all texts. With several targets the
+    numbering of routes continues from one target to the next.
 
     Parameters
     ----------
     plan
         A plan, or several by the names of their targets.
     tree
-        The airway tree that they were made on.
+        The airway tree of the plan.
     space
         ``"RAS"`` as 3D Slicer and the protocol expect, or ``"LPS"``.
     version
-        Of the header: 1, or 2 (protocol 3).
+        Version of the header: 1, or 2 (protocol 3).
     time_s
-        Seconds since 1970 that the messages are marked with; 0 for none.
+        Time stamp of the messages in seconds since 1970; 0 for none.
 
     Returns
     -------
     list of bytes
-        Whole messages. Places are float32, exact to 2e-5 mm in a patient.
+        Complete messages. Positions are float32, exact to 2e-5 mm in a patient.
 
     Raises
     ------
@@ -136,21 +136,21 @@ def send_plan(
     Parameters
     ----------
     plan, tree, space, version
-        As of :func:`plan_messages`.
+        As for :func:`plan_messages`.
     host, port
-        Of the server. Anything but this machine's own address puts the plan on the network, unencrypted.
+        Address of the server. Any address but that of this computer sends the plan over the network, unencrypted.
 
     Returns
     -------
     int
-        How many messages were sent.
+        Number of messages that were sent.
 
     Raises
     ------
     UsageError
-        As by :func:`plan_messages`, or if the port is none.
+        As for :func:`plan_messages`, or if the port is invalid.
     CarinaError
-        ``plan.igtl``: if nobody answers there or the connection is lost; says what to do.
+        ``plan.igtl`` if no server answers or the connection is lost; the message contains a remedy.
     """
     _check_port(port, least=1)
     messages = plan_messages(plan, tree, space=space, version=version, time_s=time.time())
@@ -159,7 +159,8 @@ def send_plan(
         with socket.create_connection((host, port), timeout=PATIENCE_S) as connection:
             for one in messages:
                 connection.sendall(one)
-            # What is on its way is lost where a connection is closed with something unread.
+            # Messages in transit are lost if a connection is closed with unread data, so the server's data is read
+            # first.
             connection.shutdown(socket.SHUT_WR)
             connection.settimeout(FAREWELL_S)
             with contextlib.suppress(TimeoutError):
@@ -186,22 +187,24 @@ def send_plan(
 
 
 class PlanServer:
-    """Serves a plan over OpenIGTLink: every peer gets all messages when it connects, and again what it asks for.
+    """Server that offers a plan over OpenIGTLink.
+
+    Every client receives all messages when it connects, and messages that it requests again.
 
     Parameters
     ----------
     plan, tree, space, version
-        As of :func:`plan_messages`.
+        As for :func:`plan_messages`.
     host, port
-        To listen on; port 0 takes a free one. Anything but this machine's own address puts the plan on the network,
-        unencrypted, for whoever connects.
+        Address to listen on; port 0 selects a free one. Any address but that of this computer offers the plan on the
+        network, unencrypted, to any client.
 
     Raises
     ------
     UsageError
-        As by :func:`plan_messages`, or if the port is none.
+        As for :func:`plan_messages`, or if the port is invalid.
     CarinaError
-        ``server.port``: if the port cannot be listened on.
+        ``server.port`` if the server cannot listen on the port.
 
     Examples
     --------
@@ -234,7 +237,7 @@ class PlanServer:
                 f"cannot listen on {host}:{port} for OpenIGTLink: {error.strerror}; choose another port",
                 code="server.port",
             ) from error
-        # Not every system wakes a thread that waits in accept when its socket is closed.
+        # On some systems closing a socket does not wake a thread in accept, so accept has a timeout.
         self._socket.settimeout(WAKE_S)
         self.host = host
         self.port: int = self._socket.getsockname()[1]
@@ -244,33 +247,36 @@ class PlanServer:
         self._thread = threading.Thread(target=self._accept, name="carina-plan-openigtlink", daemon=True)
 
     def __repr__(self) -> str:
+        """Return address, number of messages and number of clients."""
         return f"PlanServer({self.host}:{self.port}, {len(self._messages)} messages, {self.num_peers} connected)"
 
     def __enter__(self) -> Self:
+        """Start the server."""
         self.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Stop the server."""
         self.stop()
 
     @property
     def num_peers(self) -> int:
-        """How many are connected."""
+        """Number of connected clients."""
         with self._lock:
             return len(self._peers)
 
     def start(self) -> None:
-        """Listen."""
+        """Start to listen for clients."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End, and close all connections."""
+        """Stop listening and close all connections."""
         with self._lock:
             self._is_ending = True
             peers = dict(self._peers)
-        # Closing alone wakes no thread that waits in recv.
+        # Closing a socket does not wake a thread in recv; shutdown does.
         for one in peers:
             with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
@@ -289,7 +295,7 @@ class PlanServer:
                     return
                 continue
             except OSError:
-                return  # stopped
+                return  # the server was stopped
             with self._lock:
                 if self._is_ending or len(self._peers) >= MAX_PEERS:
                     peer.close()
@@ -312,13 +318,13 @@ class PlanServer:
                         if isinstance(request, IgtlRequest):
                             self._answer(peer, request)
         except (OSError, ProtocolError):
-            pass  # this peer is gone, does not read, or speaks something else
+            pass  # the client disconnected, does not read, or sends invalid data
         finally:
             with self._lock:
                 self._peers.pop(peer, None)
 
     def _answer(self, peer: socket.socket, request: IgtlRequest) -> None:
-        """What was asked for, of that name or, without a name, all of its kind."""
+        """Send the messages of the requested type, limited to the requested name if there is one."""
         peer.settimeout(PATIENCE_S)
         kind = request.what.removeprefix("GET_").encode()
         for one in self._messages:
@@ -334,15 +340,15 @@ def _check_port(port: int, *, least: int) -> None:
 
 
 def _line(points: Points) -> bytes:
-    """POLYDATA of one line through all points, without attributes."""
+    """Return POLYDATA of one line through all points, without attributes."""
     indices = np.concatenate([[len(points)], np.arange(len(points))]).astype(">u4").tobytes()
-    # Points; then vertices, lines, polygons and strips, each as how many and how many bytes; attributes.
+    # Number of points; number and bytes of vertices, lines, polygons and strips; attributes.
     head = struct.pack(">10I", len(points), 0, 0, 1, len(indices), 0, 0, 0, 0, 0)
     return head + points.astype(">f4").tobytes() + indices
 
 
 def _surface(target: DrawnTarget, turn: Points) -> bytes:
-    """POLYDATA of triangles. LPS and RAS differ by half a turn, which does not turn them over."""
+    """Return POLYDATA of triangles; LPS and RAS differ by a rotation, which keeps the triangles' orientation."""
     mesh = nodule_surface(target.plan.nodule)
     num = len(mesh.triangles)
     cells = np.concatenate([np.full((num, 1), 3), mesh.triangles], axis=1).astype(">u4").tobytes()
@@ -373,7 +379,7 @@ def _trajectory(target: DrawnTarget, route: DrawnRoute, turn: Points) -> bytes:
 
 
 def _text(text: str, num: int) -> bytes:
-    """ASCII that leaves room for a zero."""
+    """Return ASCII text, cut to leave space for a terminating zero byte."""
     return text.encode("ascii", "replace")[: num - 1]
 
 
@@ -390,6 +396,6 @@ def _words(targets: Sequence[DrawnTarget]) -> str:
 def _string(text: str) -> bytes:
     content = text.encode()
     if len(content) > _MOST_STRING_BYTES:
-        # Its length has 16 bits; cut between characters.
+        # The length field has 16 bits. The text is cut between characters.
         content = content[: _MOST_STRING_BYTES - 4].decode(errors="ignore").encode() + b" ..."
     return struct.pack(">HH", _ASCII if content.isascii() else _UTF8, len(content)) + content

@@ -1,7 +1,7 @@
-"""A plan as 3D Slicer markups: one ``.mrk.json`` with all targets, routes, needles and scope positions.
+"""Export of a plan as 3D Slicer markups: one ``.mrk.json`` with all targets, routes, needles and scope positions.
 
-Slicer makes a node of each entry of the file's list ``markups``, so that one file that is dropped into its window shows
-the whole plan. It reads descriptions of control points only, not of a markup: what must be known stands at the points.
+Slicer creates a node for each entry of the list ``markups``, so that one file shows the whole plan. It reads the
+descriptions of control points only, not of a markup, so the texts of the plan are attached to points.
 
 References
 ----------
@@ -34,13 +34,13 @@ _SCHEMA = (
     "markups-schema-v1.0.3.json#"
 )
 _RGB = tuple[float, float, float]
-# Told apart by readers with any colour vision; red is for doubts alone.
+# Colours that readers with any colour vision can distinguish; red is only for doubts.
 _TARGET_RGB: _RGB = (0.94, 0.89, 0.26)
 _BEST_RGB: _RGB = (0.0, 0.62, 0.45)
 _OTHER_RGB: _RGB = (0.34, 0.71, 0.91)
 _DOUBTFUL_RGB: _RGB = (0.85, 0.15, 0.15)
 _NEEDLE_RGB: _RGB = (0.80, 0.47, 0.65)
-# Of a control point: Slicer's own axes (RAS) written in LPS.
+# Orientation of a control point: Slicer's own axes (RAS), written in LPS.
 _UPRIGHT = [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]
 
 
@@ -49,27 +49,32 @@ def write_plan_markups(
 ) -> Path:
     """Write plans as 3D Slicer markups in LPS, mm.
 
-    The markups: a point list *Targets*; for each target the lists *Scope positions* (where the scope's tip is parked)
-    and *Needle entries* (where the needle meets the airway's wall); for each route a curve along the airways to the
-    scope's position and a line from there to the aim. A route with doubts is red and says so in its name.
+    The markups: a point list *Targets*; for each target the lists *Scope positions* (final positions of the scope's
+    tip) and *Needle entries* (where the needle enters the airway's wall); for each route a curve along the airways to
+    the scope's position and a line from there to the aim. A route with doubts is red, and its name states this.
 
     Parameters
     ----------
     path
-        Ends in ``.mrk.json``.
+        File to be written; it must end in ``.mrk.json``.
     plan
         A plan, or several by the names of their targets.
     tree
-        The airway tree that they were made on.
+        The airway tree of the plan.
     badges
-        The lasting notes of the case (``carina.volume.badges_of``); they stand at each target.
+        Lasting notes of the case (``carina.volume.badges_of``), written at each target.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError
-        If the suffix is another, there is no target, or the tree is another one.
+        If the suffix is wrong, there is no target, or the tree is another one.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     if not Path(path).name.lower().endswith(PLAN_MARKUPS_SUFFIX):
         raise UsageError(
@@ -99,7 +104,7 @@ def _target_list(targets: Sequence[DrawnTarget], notes: Sequence[Note]) -> dict[
 
 
 def _with_notes(target: DrawnTarget, notes: Sequence[Note]) -> str:
-    """What is said of a target, with the case's notes that its plan does not say already."""
+    """Return the description of a target, with the case's notes that its plan does not contain."""
     more = badge_lines([note for note in notes if note.words not in target.plan.notes])
     return " ".join([target.words, *(f"{line}." for line in more)])
 
@@ -171,7 +176,7 @@ def _markup(
     return {
         "type": kind,
         "name": name,
-        # For people who read the file: Slicer passes it over.
+        # The description is for users who read the file; Slicer ignores it.
         "description": words,
         "coordinateSystem": "LPS",
         "coordinateUnits": "mm",

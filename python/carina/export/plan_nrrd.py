@@ -1,4 +1,4 @@
-"""A target as a 3D Slicer segmentation (``.seg.nrrd``), on the nodule's own fine grid and not on the CT's.
+"""Export of a target as a 3D Slicer segmentation (``.seg.nrrd``) on the nodule's own fine grid.
 
 References
 ----------
@@ -32,22 +32,29 @@ _TERMINOLOGY = (
 def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target") -> Path:
     """Write a nodule as a segmentation of one segment for 3D Slicer, in LPS, mm.
 
-    Its grid is that of the nodule's boundary (cubic voxels along the patient's axes), so that its shape is kept where
-    the CT's slices are thick; Slicer lays it over the CT by its place.
+    The grid is that of the nodule's boundary (cubic voxels along the patient's axes), which preserves the nodule's
+    shape if the CT's slices are thick. Slicer displays it over the CT by its position.
 
     Parameters
     ----------
     path
-        Ends in ``.seg.nrrd``.
+        File to be written; it must end in ``.seg.nrrd``.
+    nodule
+        The nodule.
     name
-        Of the segment, one line.
+        Name of the segment, one line.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     UsageError
-        If the suffix is another, or the name is none.
+        If the suffix is wrong, or the name is invalid.
     DiskError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     check_type("saving a target", "nodule", nodule, Nodule, "get it from carina.grow_nodule or a plan's nodule")
     if not Path(path).name.lower().endswith(TARGET_NRRD_SUFFIX):
@@ -82,7 +89,7 @@ def write_target_nrrd(path: Path | str, nodule: Nodule, *, name: str = "Target")
     }
     plain = io.BytesIO()
     write_grid_to(plain, ".nrrd", inside, place, what="the target")
-    # The fields of a program go at the end of the header, which an empty line closes.
+    # The program's own fields are appended to the header, which ends with an empty line.
     header, _, voxels = plain.getvalue().partition(b"\n\n")
     lines = "".join(f"\n{key}:={value}" for key, value in fields.items()).encode()
     return write_whole(path, header + lines + b"\n\n" + voxels, what="the target")

@@ -1,4 +1,4 @@
-"""The boundary of a nodule as a closed surface, for viewers that show no voxels."""
+"""Closed surface of a nodule, for viewers that do not show voxels."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ __all__ = ["nodule_surface"]
 
 
 def nodule_surface(nodule: Nodule) -> Mesh:
-    """The surface between a nodule's voxels and those round them, closed, within half a voxel of the boundary.
+    """Return the closed surface between a nodule's voxels and the voxels outside, within half a voxel of the boundary.
 
     Returns
     -------
     Mesh
-        Vertices in LPS mm; triangles run counterclockwise seen from outside.
+        Vertices in LPS mm; triangles are counterclockwise as seen from outside.
 
     Raises
     ------
     UsageError
-        If it has no voxel (``plan.no-target``).
+        If the nodule has no voxel (``plan.no-target``).
     """
     at = np.argwhere(nodule.inside_zyx)
     if not len(at):

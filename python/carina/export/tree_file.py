@@ -1,4 +1,4 @@
-"""``tree.json``: the airway tree as a file (docs/contracts.md)."""
+"""Reading and writing of the airway tree as a file, ``tree.json`` (docs/contracts.md)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.volume import Note
 
 __all__ = ["read_badges", "read_tree", "write_tree"]
 
-# A tree of 1000 branches is below 5 MB; anything much larger is another file.
+# A tree of 1000 branches has less than 5 MB; a much larger file is not a tree.
 MAX_BYTES = 200_000_000
 
 
@@ -27,12 +27,19 @@ MAX_BYTES = 200_000_000
 def write_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write a tree as JSON, whole or not at all.
 
-    The lasting notes of its case (``carina.volume.badges_of``) stand under ``badges``.
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of its case (``carina.volume.badges_of``), written under ``badges``.
 
     Raises
     ------
     DiskError
-        If the folder is missing or not writable, or the disk is full; what was there before stays.
+        If the folder is missing or not writable, or the disk is full; a former file stays unchanged.
 
     Examples
     --------
@@ -55,7 +62,7 @@ def read_tree(path: Path | str) -> AirwayTree:
     Raises
     ------
     VolumeImportError
-        If the file cannot be read or is not an airway tree; the message names it and says what is wrong.
+        If the file cannot be read or is not an airway tree; the message states the file and the error.
 
     Examples
     --------
@@ -70,12 +77,12 @@ def read_tree(path: Path | str) -> AirwayTree:
 
 
 def read_badges(path: Path | str) -> tuple[Note, ...]:
-    """Return the lasting notes in a tree file; empty where it has none.
+    """Return the lasting notes in a tree file; empty if it has none.
 
     Raises
     ------
     VolumeImportError
-        As by :func:`read_tree`.
+        As for :func:`read_tree`.
     """
     return _read(path).notes
 

@@ -1,6 +1,6 @@
-"""The airway tree in the formats of other tools: VTP (VTK), SWC (neuron tracers), Slicer markups.
+"""Export of the airway tree to formats of other tools: VTP (VTK), SWC (neuron tracers), Slicer markups.
 
-All are in LPS, mm, and say so where the format has a place for it.
+All coordinates are in LPS, mm, and the files state this if the format allows it.
 
 References
 ----------
@@ -30,7 +30,7 @@ _MARKUPS_SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
-# Told apart by readers with any colour vision; a branch takes the colour of its generation.
+# Colours that readers with any colour vision can distinguish; the colour of a branch depends on its generation.
 _GENERATION_RGB = (
     (0.34, 0.71, 0.91),
     (0.90, 0.62, 0.0),
@@ -49,19 +49,28 @@ def _label(branch: Branch) -> str:
 
 
 def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
-    """Write the centrelines as VTK PolyData: a line per branch.
+    """Write the centrelines as VTK PolyData, one line per branch.
 
     Point data: ``Radius`` (mm). Cell data: ``BranchId``, ``ParentId`` (-1 at the root), ``Generation``, ``Bridge`` (1
-    across an obstruction), ``DrawnByHand`` (1 where the CT shows no airway and a person drew one), ``NameConfidence``
-    (-1 where unknown), ``Name`` and ``Kind`` (texts). Field data: ``Space`` LPS, ``Unit`` mm, ``Note`` what is drawn,
-    ``Badges`` the lasting notes of the case.
+    across an obstruction), ``DrawnByHand`` (1 if the branch was drawn by hand where the CT shows no airway),
+    ``NameConfidence`` (-1 if unknown), ``Name`` and ``Kind`` (texts). Field data: ``Space`` LPS, ``Unit`` mm, ``Note``
+    for the drawn parts, ``Badges`` for the lasting notes of the case.
+
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of the case (``carina.volume.badges_of``).
 
     Raises
     ------
     CarinaError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
-    from xml.sax.saxutils import quoteattr  # loads HTTP and mail libraries
+    from xml.sax.saxutils import quoteattr  # imported on use: it loads HTTP and mail libraries
 
     branches = tree.branches
     points = np.concatenate([branch.points for branch in branches])
@@ -73,7 +82,7 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
     def data(name: str, values: NDArray[Any], components: int = 1) -> str:
         kinds = {"f8": "Float64", "i8": "Int64", "i4": "Int32"}
         raw = np.ascontiguousarray(values).tobytes()
-        # Inline binary: the number of bytes, then the bytes, in base64 as one text.
+        # Inline binary data: the number of bytes, then the bytes, in one base64 text.
         text = base64.b64encode(np.uint64(len(raw)).tobytes() + raw).decode()
         kind = kinds[values.dtype.str[1:]]
         return (
@@ -82,7 +91,7 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
         )
 
     def texts(name: str, values: list[str]) -> str:
-        # VTK writes texts as the numbers of their bytes, each ended by a 0.
+        # VTK stores texts as the decimal codes of their bytes, each text ended by 0.
         codes = " ".join(str(byte) for value in values for byte in [*value.encode(), 0])
         return (
             f'<Array type="String" Name={quoteattr(name)} NumberOfTuples="{len(values)}" format="ascii">{codes}</Array>'
@@ -137,14 +146,23 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
 
 
 def write_swc(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
-    """Write the centrelines as SWC: ``number type x y z radius parent`` a line, LPS mm, type 0 (undefined).
+    """Write the centrelines as SWC: ``number type x y z radius parent`` per line, LPS mm, type 0 (undefined).
 
-    A fork is one node, so a child begins with the point after its parent's last.
+    A fork is one node, so a child begins with the point after its parent's last one.
+
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of the case, written as comments.
 
     Raises
     ------
     CarinaError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     lines = ["# Carina airway tree", "# space LPS, unit mm, radius to the wall", "# number type x y z radius parent"]
     if (note := drawn_tree(tree).words) is not None:
@@ -166,15 +184,24 @@ def write_swc(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
 
 
 def write_markups(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
-    """Write the centrelines as 3D Slicer markups (``.mrk.json``): a curve per branch, in LPS, named as in the tree.
+    """Write the centrelines as 3D Slicer markups (``.mrk.json``): one named curve per branch, in LPS, mm.
 
-    What the CT does not show says so in the curve's name and description, and is drawn thin and amber. Each description
-    holds the lasting notes of the case.
+    The name and description of a drawn or bridged branch state that the CT does not show it, and its curve is thin and
+    amber. Each description contains the lasting notes of the case.
+
+    Parameters
+    ----------
+    path
+        File to be written.
+    tree
+        The tree.
+    badges
+        Lasting notes of the case (``carina.volume.badges_of``).
 
     Raises
     ------
     CarinaError
-        If it cannot be written; what was there before stays.
+        If the file cannot be written; a former file stays unchanged.
     """
     document = {
         "@schema": _MARKUPS_SCHEMA,

@@ -1,4 +1,4 @@
-"""Flights as video: H.264 in MP4, VP9 in WebM, by PyAV (extra ``video``)."""
+"""Video files of flights: H.264 in MP4 and VP9 in WebM, by PyAV (extra ``video``)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from carina.installation import extra_command
 __all__ = ["VIDEO_SUFFIXES", "VideoWriter", "even_size", "size_notes"]
 
 VIDEO_SUFFIXES = (".mp4", ".webm")
-# BT.709, as players take it for granted for a film without a label; the label is written as well.
+# BT.709 is what players assume for a video without a label. The label is written too.
 _BT709 = 1
 _OPTIONS = {
     ".mp4": ("libx264", {"crf": "18", "preset": "veryfast"}),
-    # "realtime" with 6 encodes some ten times faster than the default, for a few percent more bytes.
+    # "realtime" with cpu-used 6 encodes about ten times faster than the default, with a few percent more bytes.
     ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6", "row-mt": "1"}),
 }
 SIZES_PX = (16, 8192)
@@ -112,7 +112,7 @@ def _within(level: tuple[int, int], size: tuple[int, int], rate_hz: float) -> bo
 
 
 class _Told(io.RawIOBase):
-    """The draft for the library, which says of a full disk only that something went wrong."""
+    """Wrapper of the temporary file that stores disk errors, because PyAV does not report their reason."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -149,7 +149,7 @@ class _Told(io.RawIOBase):
 
 
 class _DraftReader(io.RawIOBase):
-    """Second reader of a draft that is being written, with a separate position."""
+    """Second reader of the temporary file while it is being written, with a separate position."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._at = file, 0
@@ -213,7 +213,7 @@ class VideoWriter:
         self._file = _Told(self._draft.file)
         self._container: Any = None
         with self._disk_told():
-            # The index is stored before the pictures, so that a browser plays the video while it loads.
+            # The index is stored before the frames, so that a browser can play the video while it loads.
             first = suffix == ".mp4" and hasattr(os, "pread")
             options = {"movflags": "+faststart"} if first else {}
             self._container = av.open(
@@ -222,11 +222,12 @@ class VideoWriter:
             self._stream = self._made_stream(suffix)
 
     def __repr__(self) -> str:
+        """Return file name, size and number of frames."""
         width, height = self._size
         return f"VideoWriter({self._path.name!r}, {width}x{height}, num_frames={self.num_frames})"
 
     def _reader(self, _url: str, _flags: int, _options: dict[str, str]) -> _DraftReader:
-        """Open the draft a second time for the library, which moves the pictures behind the index."""
+        """Open the temporary file a second time for PyAV, which moves the frames behind the index."""
         return _DraftReader(self._draft.file)
 
     @property
@@ -260,12 +261,12 @@ class VideoWriter:
         self.num_frames += 1
 
     def close(self) -> None:
-        """Write what is left and put the file in its place.
+        """Write the remaining frames and put the file in its place.
 
         Raises
         ------
         DiskError
-            Where that fails; it is given up then, and a former file stays.
+            If the disk refuses the file; the video is then discarded, and a former file stays unchanged.
         """
         with self._disk_told():
             self._container.mux(self._stream.encode(None))
@@ -273,11 +274,11 @@ class VideoWriter:
             self._draft.commit()
 
     def discard(self) -> None:
-        """Give it up."""
+        """Discard the video."""
         try:
             if self._container is not None:
-                # It writes its last bytes, for which there may be no room; they are not wanted. Not only OSError: the
-                # library has an error of its own for a file that refused.
+                # Closing writes the last bytes, which are not needed and for which the disk may have no space. PyAV
+                # raises errors of its own for a refused write, so OSError alone would not suffice.
                 with contextlib.suppress(Exception):
                     self._container.close()
         finally:
@@ -285,7 +286,7 @@ class VideoWriter:
 
     @contextlib.contextmanager
     def _disk_told(self) -> Iterator[None]:
-        """After any error the video is given up; what the disk refused is said in its own words."""
+        """Discard the video after any error, and raise the disk's own error if there was one."""
         try:
             yield
         except BaseException as error:
@@ -296,11 +297,13 @@ class VideoWriter:
             raise
 
     def __enter__(self) -> VideoWriter:
+        """Return the writer."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, trouble: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Complete the video; discard it after an error or without frames."""
         if trouble is None and self.num_frames:
             self.close()
         else:

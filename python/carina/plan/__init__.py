@@ -1,4 +1,4 @@
-"""Planning: from a nodule in the lung to a way there."""
+"""Planning of biopsies: target, route through the airways, reach of an instrument, list of turns and report."""
 
 from __future__ import annotations
 
@@ -120,7 +120,8 @@ __all__ = [
     "write_report",
 ]
 
-# What reads files waits for its readers: whoever plans to a click needs none.
+# These names are imported on first use: their modules load file readers that a plan for a clicked target
+# does not need.
 _HOME = {
     "nodule_from_mask": "target_mask",
     "target_from_file": "target_files",

@@ -1,4 +1,4 @@
-"""What of the lungs an instrument's tip and tool can get to: a map over the slices and over the tree."""
+"""Reach atlas: the parts of the lungs that the tip and the tool of one instrument reach."""
 
 from __future__ import annotations
 
@@ -29,19 +29,21 @@ __all__ = ["NOT", "REACHES", "ReachAtlas", "reach_atlas"]
 Points = NDArray[np.float64]
 
 NOT, MAY, REACHES = 0, 1, 2
-"""Values of :attr:`ReachAtlas.reach_zyx`."""
+"""Values of :attr:`ReachAtlas.reach_zyx`: does not reach, may reach, reaches."""
 STEP_MM = 2.0
-"""Of the map."""
+"""Voxel size of the map in mm, on each axis."""
 APART_MM = 2.0
-"""Places on a centreline nearer to one another are one."""
+"""Least distance in mm between the centreline points of one branch from which the tool's reach is computed."""
 MOST_ANGLE_DEG = 100.0
-"""As of a route's needle."""
+"""Largest angle in degrees between the airway's axis and the direction of the tool, the same limit as for a needle."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachAtlas:
-    """Where one instrument with one tool gets, by width and bend of the ways; no drive is simulated for it.
+    """Parts of the lungs that one instrument with one tool reaches.
+
+    The reach follows from the widths and bends of the airways alone; no drive of the scope is simulated.
 
     Examples
     --------
@@ -56,30 +58,30 @@ class ReachAtlas:
     scope: ScopePreset
     tool: Tool
     reach_zyx: NDArray[np.uint8]
-    """(nz, ny, nx) in the lungs: 2 reaches, 1 may reach, 0 does not; what is not lung is 0."""
+    """Map of shape (nz, ny, nx): 2 (reaches), 1 (may reach) or 0 (does not reach). Voxels outside the lungs are 0."""
     lung_zyx: NDArray[np.bool_]
     lps_from_ijk: NDArray[np.float64]
-    """(4, 4) of both; cubic voxels of 2 mm along LPS."""
+    """(4, 4) transform from voxel indices of both arrays to LPS mm; the voxels are 2 mm cubes along LPS."""
     tip_mm: dict[int, float]
-    """By branch: how far along it the tip gets, mm; 0 where it does not enter."""
+    """Distance in mm that the tip advances into each branch, by branch id; 0 if the tip does not enter the branch."""
 
     @property
     def lung_ml(self) -> float:
-        """Volume of the lungs, with the vessels and airways in them."""
+        """Volume of the lungs in ml, including the vessels and airways in them."""
         return float(np.count_nonzero(self.lung_zyx)) * STEP_MM**3 / 1000.0
 
     @property
     def reached_ml(self) -> float:
-        """Of which the tool's tip gets to."""
+        """Volume of lung in ml that the tip of the tool reaches."""
         return float(np.count_nonzero(self.reach_zyx == REACHES)) * STEP_MM**3 / 1000.0
 
     @property
     def share(self) -> float:
-        """Of the lungs, 0 to 1."""
+        """Reached volume divided by the volume of the lungs, 0 to 1; 0 if the lungs have no volume."""
         return self.reached_ml / self.lung_ml if self.lung_ml > 0.0 else 0.0
 
     def at(self, point_lps: Any) -> Outlook | None:
-        """Whether the tool gets to a point, LPS mm; None outside the lungs."""
+        """Return whether the tool reaches a point in LPS mm; None if the point is outside the lungs."""
         place = np.rint((np.asarray(point_lps, dtype=np.float64) - self.lps_from_ijk[:3, 3]) / STEP_MM).astype(int)
         if (place < 0).any() or (place >= np.array(self.lung_zyx.shape[::-1])).any():
             return None
@@ -90,7 +92,7 @@ class ReachAtlas:
         return names[int(self.reach_zyx[k, j, i])]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types, without the map."""
+        """Return the atlas as plain JSON types, without the map."""
         return {
             "scope": self.scope.name,
             "tool": self.tool.name,
@@ -112,35 +114,41 @@ def reach_atlas(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> ReachAtlas:
-    """What of the lungs an instrument and a tool get to.
+    """Compute the parts of the lungs that an instrument and a tool reach.
 
-    A point of the lung is reached from a place of a centreline to which the scope gets by width and bend, with the
-    measures' errors, if it lies within the tool's reach and at no more than 100 degrees from the airway's axis there.
+    A lung voxel is reached if the scope gets to a centreline point from which the voxel is within the tool's reach
+    and at no more than 100 degrees from the airway's axis. Whether the scope gets there is judged by the widths and
+    bends of the airways and by the errors of these measures.
 
     Parameters
     ----------
     volume, airways
         The CT and its airways.
     scope, tool
-        Instruments or their names in the libraries.
+        Instruments, or their names in the libraries.
     wall
-        The airways' wall where it is at hand; else it is made.
+        Wall of the airways; computed if None.
     measures
-        The airways' measures where they are at hand; else they are made (`plan_route`).
+        Measures of the airways (see `plan_route`); computed if None or if they belong to another tree.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
         Called often; the work stops when it returns True.
 
+    Returns
+    -------
+    ReachAtlas
+        Map of the lungs on 2 mm voxels and the reach of the tip in each branch.
+
     Raises
     ------
     UsageError
-        If a name is unknown.
+        If a name is unknown or the tool's reach is not finite.
     NoResultError
         If there is no lung in the CT.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     check_type("reach_atlas", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("reach_atlas", "airways", airways, Airways, "get airways from carina.find_airways")
@@ -201,7 +209,7 @@ def _reach_from(
     reach_mm: float,
     value: int,
 ) -> None:
-    """Note what the tool gets to from one place."""
+    """Mark the lung voxels that the tool reaches from one centreline point, in place."""
     middle = (place - matrix[:3, 3]) / STEP_MM
     half = reach_mm / STEP_MM
     size = np.array(reach.shape[::-1])

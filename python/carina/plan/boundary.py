@@ -1,7 +1,7 @@
-"""Where a nodule ends in one box of a CT: half-way to the lung, without vessels and without the wall beside it.
+"""Segmentation of a nodule in one box of a CT, by a threshold half-way between lung and nodule.
 
-No weights. Vessels that enter are cut off by an opening as wide as the nodule allows, and the pleura by the surface of
-the chest wall beside it (docs/decisions/0121).
+The method needs no trained weights. Vessels that enter the nodule are removed by a morphological opening as wide as the
+nodule allows. The pleura is removed by the fitted surface of the chest wall (docs/decisions/0121).
 """
 
 from __future__ import annotations
@@ -31,53 +31,72 @@ __all__ = ["HALVES_MM", "SMOOTH_MM", "SOLID_HU", "Boundary", "no_boundary"]
 Mask = NDArray[np.bool_]
 
 CLICK_MM = 4.0
-"""A click this far from the densest place still means it."""
+"""Radius in mm around a click in which the nodule is searched."""
 SMOOTH_MM = 0.7
 SEED_SMOOTH_MM = 1.0
 MEANT = 0.75
-"""The nearest place to the click is meant that has this share of the greatest rise there."""
+"""Least rise of the seed over the lung, as a share of the greatest rise near the click.
+
+The seed is the voxel nearest to the click with at least this rise.
+"""
 LEVEL_MM = 2.0
 SOLID_HU = -250.0
-"""Denser in its middle: solid. Ground glass is -750 to -300 HU."""
+"""Density in HU above which the middle of a nodule is solid; ground glass is -750 to -300 HU."""
 GLASS_TOP_HU = -200.0
-"""What is denser than this behind its edge is soft tissue, however dense its core: lime."""
+"""Density in HU of a nodule's edge above which the edge is soft tissue and not ground glass.
+
+The limit holds also round a dense, calcified core.
+"""
 DENSEST_HU = 100.0
-"""The edge of what is denser is soft tissue too: lime lies in it."""
+"""Upper limit in HU of the density from which the threshold of a nodule follows.
+
+A denser nodule contains calcification, but its edge is soft tissue.
+"""
 TISSUE_HU = 40.0
 CAVITY_WALL_MM = 4.0
-"""A cavity's wall is looked for this far outside of it."""
+"""Distance in mm outside a cavity in which the cavity's wall is searched."""
 RIM_DEEP_MM, RIM_BIN_MM, NUM_RIMS = (0.4, 2.8), 0.4, 2
-"""There ground glass round a core is read again, once its boundary is known, and once more."""
+"""Depth range and bin width in mm for the density of ground glass round a core, and the number of repetitions.
+
+Each repetition measures the density inside the boundary of the previous one.
+"""
 LEAST_RING = 20
-"""Fewer voxels say nothing of a density."""
+"""Least number of voxels from which a density is measured."""
 CAVITY_MM, SMALLEST_CAVITY_MM3 = 0.9, 10.0
-"""Radius of the ball that a cavity has room for, and its volume: less is noise."""
+"""Least radius in mm of the largest ball inside a cavity, and least volume of a cavity; smaller hollows are noise."""
 LEAST_RISE_HU = 110.0
-"""A nodule stands out of the lung by this much."""
+"""Least difference in HU between a nodule and the lung."""
 HALVES_MM = (22.0, 36.0, 60.0)
-"""Half the side of the box that is looked at: the next one where the nodule comes near its faces."""
+"""Half side lengths in mm of the searched boxes; the next one is used if the nodule comes near the box's faces."""
 EDGE_MM = 4.0
 MOST_CUT = 0.4
-"""What the end of the CT cuts off on more than this share of its surface has no boundary."""
+"""Largest share of a nodule's surface that the edge of the CT may cut off."""
 OPENINGS, OPENINGS_AT_WALL = (0.6, 0.7, 0.8), (0.4, 0.5, 0.6, 0.7, 0.8)
-"""Radius of the ball that cuts vessels off, as a share of the largest ball in the nodule: the first that suffices. What
-is flat on one side loses its edges to large ones."""
+"""Radius of the ball of the opening that removes vessels, as a share of the largest ball in the nodule.
+
+The first share that suffices is used. A nodule at the wall begins with smaller shares, because large balls remove the
+edges of a nodule with a flat side.
+"""
 TAIL = 2.4
-"""A part farther from the nodule's middle than this many of its radii is a vessel."""
+"""Largest distance of a part from the nodule's middle, as a multiple of the radius; a part farther away is a vessel."""
 RIM_MM = 1.6
-"""Blur spreads a boundary this far."""
+"""Distance in mm over which blur spreads a boundary."""
 STUB_MM = 2.0
-"""What the opening takes away and reaches no farther than this from the rest is no vessel: the nodule's own shape."""
+"""Largest length in mm of a removed part that still belongs to the nodule; longer removed parts are vessels."""
 FILM_MM = 1.1
-"""Radius of the largest ball in a nodule on the wall."""
+"""Radius in mm of the largest ball in a nodule on the wall; a thinner one is unevenness of the wall."""
 FILLET_MM = 3.0
-"""What is left nearer to the wall than this, where it was cut off, is neither nodule nor vessel."""
+"""Distance in mm from a removed wall within which a remaining part is neither nodule nor vessel."""
 GLASS_RISE_HU, GLASS_MM, GLASS_SHARE = 120.0, (1.0, 1.7), 0.55
-"""Round a core lies ground glass where, this deep in all that stands out of the lung, no more than this share of the
-core's rise is seen."""
+"""Rise over the lung in HU for the first boundary, depth range in mm, and largest share of the core's rise.
+
+A nodule has ground glass round a denser core if the rise over the lung at this depth is at most this share of the
+core's rise.
+"""
 
 
 def no_boundary() -> NoResultError:
+    """Return the error for a click without a nodule boundary."""
     return NoResultError(
         f"no boundary was found within {HALVES_MM[-1] - EDGE_MM:.0f} mm: this looks like consolidation, the chest "
         "wall, the heart or the diaphragm rather than a nodule; click in the middle of the nodule, or set "
@@ -87,13 +106,33 @@ def no_boundary() -> NoResultError:
 
 
 class Boundary:
-    """A nodule in one box."""
+    """Boundary of one nodule, as voxel masks in a box.
+
+    The constructor does the segmentation. The attribute ``inside`` is the mask of the nodule, ``cavity`` its air,
+    ``wall`` the chest wall, ``cut`` the removed vessels and ``others`` all other dense voxels.
+
+    Parameters
+    ----------
+    box
+        Part of the CT that is searched.
+    point
+        (3,) clicked point, LPS mm.
+    coarsest_mm
+        Largest spacing of the CT.
+    look
+        Called before each step; it may raise CancelledError.
+
+    Raises
+    ------
+    NoResultError
+        If there is no nodule at the point, or the nodule has no boundary.
+    """
 
     def __init__(self, box: Box, point: NDArray[np.float64], coarsest_mm: float, look: Callable[[], None]) -> None:
         self.box = box
         self._look = look
-        """Called before each of its steps; it may raise CancelledError."""
-        # Thick slices blur as well.
+        """Callback before each step; it may raise CancelledError."""
+        # Thick slices blur the boundary too.
         self.blur = max(1.0, coarsest_mm / 1.5)
         self.smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
         very = smoothed(box.hu_zyx, SEED_SMOOTH_MM / box.step_mm)
@@ -105,18 +144,18 @@ class Boundary:
         self.rim_hu: float | None = None
         if glass is not None:
             for _ in range(NUM_RIMS):
-                # Nearer to its edge less of the core is seen, and the boundary that follows lies farther out.
+                # Each boundary is larger than the one before, and less of the core's density shows at its edge.
                 self.rim_hu = self._rim_hu()
                 if self.rim_hu is None:
                     break
                 self._grow(self.rim_hu)
         self.has_glass = glass is not None
-        """Round a denser part."""
+        """Whether ground glass surrounds a denser part."""
 
     def _meant(self, very: NDArray[np.float32], point: NDArray[np.float64]) -> tuple[tuple[int, ...], float]:
-        """The voxel that a click means, and how dense the nodule is there.
+        """Return the voxel of the nodule that a click selects, and the density of the nodule there in HU.
 
-        The nearest place that is dense: the densest may lie in the chest wall behind it.
+        The voxel is the nearest dense one, not the densest one, because the densest one may belong to the chest wall.
         """
         box = self.box
         off = box.offsets_mm(point)
@@ -136,7 +175,10 @@ class Boundary:
         return seed, level
 
     def _round_cavity(self, off: NDArray[np.float64]) -> Mask:
-        """The wall of the cavity that a click lies in; nothing where it lies in lung or in an airway that goes on."""
+        """Return the wall of the cavity that contains the click.
+
+        The mask is empty if the click is in lung or in an airway that reaches the faces of the box.
+        """
         air = self.smooth <= 0.5 * (self.lung_hu + TISSUE_HU)
         at = _first(off.argmin(), off.shape)
         if not air[at]:
@@ -148,7 +190,13 @@ class Boundary:
         return (wall <= CAVITY_WALL_MM) & ~hollow
 
     def _grow(self, level: float) -> None:
-        """The part round the seed that is denser than half-way to ``level``, without what enters it."""
+        """Segment the nodule round the seed by a threshold, and remove vessels and wall from it.
+
+        Parameters
+        ----------
+        level
+            Density of the nodule in HU; the threshold is half-way between it and the lung.
+        """
         self._look()
         self.bar_hu = 0.5 * (self.lung_hu + level)
         self.dense = self.smooth > self.bar_hu
@@ -167,7 +215,7 @@ class Boundary:
                 whole = component_at(cut | _only(self.seed, cut.shape), self.seed)
         self._look()
         depth = ball_distance(whole, self.box.step_mm)
-        # The middle of the largest ball.
+        # Centre of the largest ball inside the mask.
         peak = uphill(depth, self.seed)
         radius = float(depth[peak])
         whole_mm = np.inf
@@ -191,25 +239,31 @@ class Boundary:
             self.touches.append("vessel")
 
     def _large_hollow(self, hollow: Mask) -> Mask:
-        """What of the hollows is a cavity: noise makes small ones, above all in ground glass."""
+        """Return the hollows if they form a cavity, else an empty mask; small hollows are noise."""
         if float(hollow.sum()) * self.box.step_mm**3 < SMALLEST_CAVITY_MM3:
             return np.zeros_like(hollow)
         deep = ball_distance(hollow, self.box.step_mm)
         return hollow if float(deep.max()) >= CAVITY_MM else np.zeros_like(hollow)
 
     def _leave_the_wall(self, cut: Mask) -> None:
-        """The seed of a nodule that lies flat on the wall may fall into its edge."""
+        """Move a seed that lies just inside the wall to the nearest voxel outside the wall.
+
+        Raises
+        ------
+        NoResultError
+            If the seed lies deeper in the wall than `SHALLOW_MM`.
+        """
         off = np.where(cut, self.box.steps_from(self.seed) * self.box.step_mm, np.inf)
         if float(off.min()) > SHALLOW_MM:
             raise no_boundary()
         self.seed = _first(off.argmin(), off.shape)
 
     def _parted(self, whole: Mask) -> tuple[Mask, Mask]:
-        """What the opening took away: vessels, and what is only the nodule's shape."""
+        """Divide the voxels that the opening removed into vessels and parts of the nodule."""
         away = distance_from(self.inside, self.box.step_mm, STUB_MM)
         left = whole & ~self.inside
         cut, own = np.zeros_like(left), np.zeros_like(left)
-        # Along the wall, where it was cut off, a film of it is left and a fillet: neither of the two.
+        # A film and a fillet of the removed wall remain along the wall; they are neither nodule nor vessel.
         from_wall = distance_from(self.wall, self.box.step_mm, FILLET_MM)
         own |= left & (from_wall > 1.5 * self.box.step_mm)
         left = own.copy()
@@ -223,13 +277,23 @@ class Boundary:
         return cut, own
 
     def rim(self, inside: Mask, mm: float) -> Mask:
+        """Return the mask of the voxels outside a mask that are within a distance of it, mm.
+
+        Parameters
+        ----------
+        inside
+            (nz, ny, nx) mask.
+        mm
+            Largest distance from the mask.
+        """
         return (distance_from(inside, self.box.step_mm, mm) <= mm) & ~inside
 
     def reaches_faces(self, mask: Mask) -> bool:
+        """Return whether a mask touches the faces of the box."""
         return any(mask.take(end, axis=axis).any() for axis in range(3) for end in (0, -1))
 
     def _glass_hu(self) -> float | None:
-        """How dense the ground glass is round a denser core; None where there is none."""
+        """Return the density in HU of the ground glass round a denser core; None if there is none."""
         self._grow(self.lung_hu + 2.0 * GLASS_RISE_HU)
         if self.is_near_faces:
             return None
@@ -246,9 +310,9 @@ class Boundary:
         return float(np.median(self.box.hu_zyx[ring]))
 
     def _rim_hu(self) -> float | None:
-        """How dense the ground glass is where it is least touched by the lung and by the core; None in a thin one.
+        """Return the density in HU of ground glass where lung and core affect it least; None if the rim is too thin.
 
-        There the values change least with depth: a thin faint rim shows its own density nowhere else.
+        At this depth the values change least with depth. A thin faint rim shows its own density at no other depth.
         """
         depth = ball_distance(self.inside, self.box.step_mm)
         at, level = [], []
@@ -264,17 +328,18 @@ class Boundary:
 
     @property
     def is_film(self) -> bool:
-        """What is thinner where it was cut from the wall is the wall's own unevenness."""
+        """Whether the nodule on the wall is so thin that it is unevenness of the wall."""
         return "pleura" in self.touches and float(ball_distance(self.inside, self.box.step_mm).max()) < FILM_MM
 
     @property
     def is_near_faces(self) -> bool:
+        """Whether the nodule is near the faces of the box, or the edge of the CT cuts too much of it."""
         margin = int(np.ceil(EDGE_MM / self.box.step_mm))
         inner = np.zeros_like(self.inside)
         inner[margin:-margin, margin:-margin, margin:-margin] = True
         if (self.inside & ~inner & self.box.known).any():
             return True
-        # Half of it may be missing, but not more.
+        # The edge of the CT may cut off up to MOST_CUT of the nodule's surface.
         ends = self.rim(~self.box.known, 1.1 * self.box.step_mm) & self.inside
         return float(ends.sum()) > MOST_CUT * float(surface(self.inside).sum())
 

@@ -1,4 +1,4 @@
-"""A cubic box cut out of a CT, with cubic voxels along LPS, and what is done in it."""
+"""Cubic box cut out of a CT, with cubic voxels along LPS, and morphological operations on its masks."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ LEAST_STEP_MM, MOST_STEP_MM = 0.5, 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Box:
-    """Interpolated values round a place."""
+    """Part of a CT, interpolated to cubic voxels."""
 
     hu_zyx: Values
     known: Mask
-    """Inside the CT."""
+    """Mask of the voxels that are inside the CT."""
     step_mm: float
     lps_from_ijk: NDArray[np.float64]
 
@@ -47,10 +47,21 @@ class Box:
     def around(
         cls, volume: Volume, centre_lps: NDArray[np.float64], half_mm: float, *, least_step_mm: float = 0.0
     ) -> Box:
-        """Trilinear, the CT's edge repeated outside of it.
+        """Return a box centred on a point, with trilinear values; outside the CT the values of its edge are repeated.
 
-        Its voxels are as fine as the CT's finest spacing, 0.5 to 1 mm: where slices are thicker nothing is gained by
-        finer ones, and nothing lost by coarser ones. ``least_step_mm`` makes them coarser than that.
+        The voxel size is the finest spacing of the CT, limited to 0.5 to 1 mm. Finer voxels would add nothing in
+        thicker slices, and coarser ones lose nothing in thinner slices.
+
+        Parameters
+        ----------
+        volume
+            The CT.
+        centre_lps
+            (3,) centre of the box, LPS mm.
+        half_mm
+            Half the side length of the box.
+        least_step_mm
+            Least voxel size; it may make the voxels coarser.
         """
         step = max(box_step_mm(volume), least_step_mm)
         half = int(np.ceil(half_mm / step))
@@ -61,7 +72,17 @@ class Box:
 
     @classmethod
     def at(cls, volume: Volume, lps_from_ijk: NDArray[np.float64], shape_zyx: tuple[int, ...]) -> Box:
-        """The same for a box whose place is given; cubic voxels."""
+        """Return a box of the given shape and transform, with trilinear values.
+
+        Parameters
+        ----------
+        volume
+            The CT.
+        lps_from_ijk
+            (4, 4) transform from voxel indices of the box to LPS mm; cubic voxels.
+        shape_zyx
+            Number of voxels on each axis.
+        """
         nz, ny, nx = shape_zyx
         to_ijk = volume.ijk_from_lps @ lps_from_ijk
         values = np.empty((nz, ny, nx), dtype=np.float32)
@@ -75,13 +96,13 @@ class Box:
         return cls(values, known, float(np.linalg.norm(lps_from_ijk[:3, 0])), lps_from_ijk)
 
     def steps_from(self, at: tuple[int, ...]) -> NDArray[np.float64]:
-        """Distances of all voxels from one, in voxels."""
+        """Return the distances of all voxels from one voxel, in voxels."""
         z, y, x = (np.arange(n, dtype=np.float64) - k for n, k in zip(self.hu_zyx.shape, at, strict=True))
         off: NDArray[np.float64] = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
         return off
 
     def offsets_mm(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distances of all voxels from a point, mm."""
+        """Return the distances of all voxels from a point in LPS mm, in mm."""
         i, j, k = (point_lps - self.lps_from_ijk[:3, 3]) / self.step_mm
         z, y, x = (np.arange(n) - at for n, at in zip(self.hu_zyx.shape, (k, j, i), strict=True))
         off: NDArray[np.float64] = np.sqrt(z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2)
@@ -89,19 +110,24 @@ class Box:
 
 
 def box_step_mm(volume: Volume) -> float:
-    """The cubic voxels of boxes in a CT."""
+    """Return the voxel size in mm of boxes in a CT: its finest spacing, limited to 0.5 to 1 mm."""
     return float(np.clip(min(volume.spacing_mm), LEAST_STEP_MM, MOST_STEP_MM))
 
 
 def trilinear(hu_zyx: NDArray[Any], ijk: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values of an array between its voxels.
+    """Interpolate an array trilinearly between its voxels.
 
     Parameters
     ----------
     hu_zyx
-        (nz, ny, nx)
+        (nz, ny, nx) values.
     ijk
-        (3, n), within the outer voxels' centres.
+        (3, n) voxel coordinates, within the centres of the outer voxels.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        (n,) interpolated values.
     """
     low = np.minimum(ijk.astype(np.intp), (np.array(hu_zyx.shape[::-1]) - 2).clip(0)[:, None])
     part = ijk - low
@@ -115,7 +141,7 @@ def trilinear(hu_zyx: NDArray[Any], ijk: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def smoothed(values: Values, sigma_vox: float) -> Values:
-    """A Gaussian of ``sigma_vox`` voxels, the edge repeated."""
+    """Smooth values by a Gaussian of ``sigma_vox`` voxels; the values of the edge are repeated outside."""
     reach = max(int(np.ceil(3.0 * sigma_vox)), 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_vox) ** 2)
     kernel /= kernel.sum()
@@ -135,14 +161,22 @@ def smoothed(values: Values, sigma_vox: float) -> Values:
 
 
 def lung_median_hu(smooth: Values) -> float:
-    """What lung is like among smoothed values; the usual where there is hardly any."""
+    """Return the median density of lung in smoothed values, HU; -850 HU if there is hardly any lung."""
     dark = smooth[(smooth < -600.0) & (smooth > -990.0)]
     return float(np.median(dark)) if dark.size > 200 else -850.0
 
 
 def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
-    """What is connected to a voxel of the mask by faces; nothing where it is no voxel of it."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    """Return the part of a mask that is connected to a voxel by faces; empty if the mask does not contain the voxel.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) mask.
+    at
+        Index (z, y, x) of the voxel.
+    """
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     image: Any = sitk.GetImageFromArray(mask.astype(np.uint8))
     seed = tuple(int(k) for k in reversed(at))
@@ -151,16 +185,23 @@ def component_at(mask: Mask, at: tuple[int, ...]) -> Mask:
 
 
 def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
-    """For each voxel of the mask the distance from its centre to the nearest one outside, less half a voxel; else 0.
+    """Return the distance in mm from each mask voxel to the nearest outside voxel, less half a voxel; 0 outside.
 
-    The box's own faces are no outside.
+    Voxels beyond the faces of the box do not count as outside.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) mask of cubic voxels.
+    step_mm
+        Voxel size.
     """
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     found = np.zeros(mask.shape, dtype=np.float32)
     if not mask.any():
         return found
-    # A voxel beyond the mask's own extent is all that its distances need.
+    # A margin of one voxel round the mask suffices for its distances.
     part = extent(mask, 1)
     inner = mask[part]
     if inner.all():
@@ -170,13 +211,23 @@ def ball_distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
     image.SetSpacing([step_mm] * 3)
     far = sitk.SignedMaurerDistanceMap(image, insideIsPositive=False, squaredDistance=False, useImageSpacing=True)
     away: NDArray[np.float32] = sitk.GetArrayFromImage(far)
-    # Rounded, so that a distance of whole voxels does not depend on how the mask was cut out.
+    # Rounded, so that the distance does not depend on how the mask was cropped.
     found[part] = np.where(inner, np.maximum(away - 0.5 * step_mm, 0.25 * step_mm).round(3), 0.0)
     return found
 
 
 def distance_from(mask: Mask, step_mm: float, reach_mm: float) -> NDArray[np.float32]:
-    """For each voxel outside a mask its distance from it as `ball_distance` counts it; infinite beyond ``reach_mm``."""
+    """Return the distance in mm of each outside voxel to a mask, less half a voxel; infinite beyond ``reach_mm``.
+
+    Parameters
+    ----------
+    mask
+        (nz, ny, nx) mask of cubic voxels.
+    step_mm
+        Voxel size.
+    reach_mm
+        Largest distance that is computed.
+    """
     found = np.full(mask.shape, np.inf, dtype=np.float32)
     if mask.any():
         part = extent(mask, int(np.ceil(reach_mm / step_mm)) + 2)
@@ -186,7 +237,7 @@ def distance_from(mask: Mask, step_mm: float, reach_mm: float) -> NDArray[np.flo
 
 
 def extent(mask: Mask, margin: int) -> tuple[slice, slice, slice]:
-    """The part of an array that holds all of a mask, and some voxels round it."""
+    """Return the slices of an array that contain a mask and a margin of ``margin`` voxels."""
     found = []
     for axis in range(3):
         filled = np.flatnonzero(mask.any(axis=tuple(n for n in range(3) if n != axis)))
@@ -195,7 +246,7 @@ def extent(mask: Mask, margin: int) -> tuple[slice, slice, slice]:
 
 
 def enclosed(mask: Mask) -> Mask:
-    """Voxels outside a mask that no way leads from to the box's faces: hollows."""
+    """Return the voxels outside a mask that the mask separates from the faces of the box (hollows)."""
     found = np.zeros_like(mask)
     if mask.any():
         part = extent(mask, 1)
@@ -205,8 +256,8 @@ def enclosed(mask: Mask) -> Mask:
 
 
 def from_faces(mask: Mask) -> Mask:
-    """What is connected to the box's faces."""
-    import SimpleITK as sitk  # slow to load
+    """Return the part of a mask that is connected to the faces of the box."""
+    import SimpleITK as sitk  # imported on use: it loads slowly
 
     padded = np.pad(mask, 1, constant_values=True)
     image = sitk.GetImageFromArray(padded.astype(np.uint8))
@@ -216,7 +267,7 @@ def from_faces(mask: Mask) -> Mask:
 
 
 def beside(mask: Mask) -> Mask:
-    """Voxels with a face to the mask."""
+    """Return the voxels that share a face with a voxel of the mask."""
     padded = np.pad(mask, 1)
     found = np.zeros_like(mask)
     for axis in range(3):
@@ -226,7 +277,7 @@ def beside(mask: Mask) -> Mask:
 
 
 def surface(mask: Mask) -> Mask:
-    """Voxels with a face to the outside."""
+    """Return the voxels of a mask that share a face with a voxel outside the mask."""
     padded = np.pad(mask, 1)
     deep = mask.copy()
     for axis in range(3):
@@ -236,7 +287,15 @@ def surface(mask: Mask) -> Mask:
 
 
 def uphill(values: Values, at: tuple[int, ...]) -> tuple[int, ...]:
-    """The voxel that is reached from one by going to the greatest of 26 neighbours as long as it is greater."""
+    """Return the local maximum that a steepest ascent over the 26 neighbours reaches from a voxel.
+
+    Parameters
+    ----------
+    values
+        (nz, ny, nx) values.
+    at
+        Index (z, y, x) of the first voxel.
+    """
     while True:
         window = tuple(slice(max(k - 1, 0), k + 2) for k in at)
         part = values[window]

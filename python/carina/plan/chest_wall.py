@@ -1,4 +1,4 @@
-"""The surface of the lung beside a nodule: where chest wall, mediastinum or diaphragm would begin without it."""
+"""Surface of the chest wall, mediastinum or diaphragm beside a nodule, as it would be without the nodule."""
 
 from __future__ import annotations
 
@@ -13,20 +13,34 @@ Mask = NDArray[np.bool_]
 
 WALL_HU = -400.0
 VESSEL_MM = 3.5
-"""What an opening by this radius takes away is vessel; what it leaves and reaches the box's faces is wall."""
+"""Radius in mm of the opening that separates vessels from wall.
+
+The opening removes vessels. A remaining part that reaches the faces of the box is wall.
+"""
 CLOSING_MM = 14.0
-"""Hollows of the lung's surface narrower than twice this are filled: nodules and hila."""
+"""Radius in mm of the closing of the lung; narrower hollows of the lung's surface (nodules, hila) are filled."""
 RING_MM = 16.0
 LEAST_POINTS = 60
 SHALLOW_MM = 3.0
-"""A place deeper in the first wall than this is no place in a nodule."""
+"""Largest depth in mm inside the first estimate of the wall at which a voxel can still belong to a nodule."""
 ROUNDS = 4
 
 
 def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[int, ...]) -> tuple[Mask, Mask | None]:
-    """What of ``whole`` lies on the lung's side of the wall, and the wall; ``None`` where no wall is near.
+    """Return the part of ``whole`` on the lung's side of the wall, and the wall; None if no wall is near.
 
-    The surface is a paraboloid through the lung's boundary round the nodule, which the nodule itself is left out of.
+    The wall's surface is a paraboloid fitted to the lung's boundary round the nodule, without the nodule itself.
+
+    Parameters
+    ----------
+    box
+        Box of the CT.
+    smooth
+        (nz, ny, nx) smoothed values of the box, HU.
+    whole
+        (nz, ny, nx) mask of the dense voxels connected to the nodule.
+    seed
+        Index (z, y, x) of a voxel in the nodule.
     """
     step = box.step_mm
     dense = smooth > WALL_HU
@@ -34,7 +48,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     wall_core = from_faces(deep)
     if not wall_core.any():
         return whole, None
-    # The lung with all that is thin or narrow in it.
+    # A morphological closing of the lung fills thin or narrow dense structures in the lung.
     lung = ~dense
     filled = ball_distance(~lung, step) <= CLOSING_MM
     closed = ball_distance(filled, step) > CLOSING_MM - 0.5 * step
@@ -49,7 +63,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     nearest = ball_distance(~wall, step)[middle]
     if nearest > 2.0 * RING_MM:
         return whole & ~wall, wall
-    # The lung's own surface, where the closing changes nothing.
+    # The part of the lung's surface that the closing did not change.
     near_wall = ball_distance(~wall, step) <= 1.5 * step
     edge = np.argwhere(dense & near_wall & beside(lung)).astype(float)
     if len(edge) < LEAST_POINTS:
@@ -64,7 +78,7 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
     if side is None:
         return whole & ~wall, wall
     fitted = side > 0.0
-    # Beyond the ring the paraboloid knows nothing.
+    # The paraboloid holds only as far as the points that it was fitted to.
     local = box.steps_from(middle) * step <= nearest + RING_MM
     wall = np.where(local, fitted, wall)
     return whole & ~wall, wall
@@ -73,14 +87,17 @@ def cut_at_wall(box: Box, smooth: NDArray[np.float32], whole: Mask, seed: tuple[
 def _surface_side(
     ring: NDArray[np.float64], lung: NDArray[np.float64], shape: tuple[int, ...]
 ) -> NDArray[np.float64] | None:
-    """Above 0 beyond the paraboloid through the ring, seen from the lung; voxels."""
+    """Return the signed distance of each voxel to the paraboloid through the ring; below 0 on the lung's side.
+
+    The distance is measured along the normal, in voxels.
+    """
     centre = ring.mean(axis=0)
     _, _, axes = np.linalg.svd(ring - centre, full_matrices=False)
     normal = axes[2] if (centre - lung) @ axes[2] >= 0.0 else -axes[2]
     u, v = axes[0], axes[1]
     rel = ring - centre
     a, b, w = rel @ u, rel @ v, rel @ normal
-    # A wall's voxels lie half a voxel beyond its surface.
+    # The centres of wall voxels lie half a voxel beyond the surface.
     w = w - 0.5
     keep = np.ones(len(ring), dtype=bool)
     fit = np.zeros(6)

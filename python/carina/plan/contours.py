@@ -1,4 +1,4 @@
-"""Rasterisation of a structure set's outlines to shares of a CT's voxels."""
+"""Rasterisation of a structure set's outlines to the share of each CT voxel that they enclose."""
 
 from __future__ import annotations
 
@@ -48,6 +48,10 @@ def drawn_in(
 
     Parameters
     ----------
+    volume
+        The CT.
+    contours
+        Outlines of the structure, points in LPS mm.
     may_be_between
         Accept outlines that lie between the CT's slices. The caller must know that the outlines and the CT have one
         frame of reference. Otherwise outlines between the slices indicate another CT.
@@ -104,7 +108,7 @@ def drawn_in(
     notes = _notes_on_slices(slices, stack, pixel_mm, voxel_ml, centred=centred)
     notes += _notes_on_stack(stack, share, start, off * slice_mm, slice_mm, is_between=is_between)
     order = [2 - across[1], 2 - across[0]]
-    # Axes of the array are plane, second, first of the two across.
+    # The axes of the array are plane, second in-plane axis, first in-plane axis.
     placed = np.moveaxis(share, (0, 1, 2), (2 - axis, order[0], order[1]))
     corner = [0, 0, 0]
     corner[2 - axis], corner[order[0]], corner[order[1]] = start, int(first[1]), int(first[0])
@@ -113,7 +117,7 @@ def drawn_in(
 
 
 def _axis_across(points: Sequence[NDArray[np.float64]]) -> int:
-    """Which of i, j, k is the same for all points of each outline."""
+    """Return the voxel axis (0, 1, 2 for i, j, k) that is perpendicular to all outlines."""
     spread = np.max([np.ptp(one, axis=0) for one in points], axis=0)
     axis = int(np.argmin(spread))
     if spread[axis] > PLANE:
@@ -187,7 +191,7 @@ def _notes_on_stack(
 
 
 def _off_mm(stack: OutlineStack, share: NDArray[np.float32], start: int, slice_mm: float, *, is_between: bool) -> float:
-    """Additional uncertainty of a boundary that was not drawn on every slice."""
+    """Return the additional uncertainty in mm of a boundary that was not drawn on every slice."""
     if is_between:
         return 0.5 * slice_mm * max(stack.step, 1.0)
     num = int((share > 0.0).any(axis=(1, 2)).sum())

@@ -1,7 +1,7 @@
-"""A scope driven along a route: moves of the hand, and what became of them in the airways' wall.
+"""Simulated drive of a scope along a route: the moves of the hand and the resulting poses in the airways.
 
-A drive is its moves: whoever places the same scope in the same place and carries them out gets the same poses, for
-`carina.ScopeDrive` is a function of its samples (docs/decisions/0122).
+The moves define a drive: the same scope, placed at the same position, reaches the same poses by the same moves, because
+`carina.ScopeDrive` depends on nothing but its samples (docs/decisions/0122).
 """
 
 from __future__ import annotations
@@ -26,42 +26,44 @@ __all__ = ["DrivenRoute", "MoveRecorder", "moves_between", "replay_moves"]
 Points = NDArray[np.float64]
 
 STEP_DEG = 5.0
-"""A hand turns and sets the lever in steps of this."""
+"""Step in degrees in which the hand turns the scope and sets the lever."""
 ADVANCE_MM = 1.0
-"""A move advances in steps of this; a step that the wall holds up is not made up for."""
+"""Step in mm in which a move advances the scope; a step that the wall blocks is not repeated."""
 TURN_DEG_PER_S, FLEX_DEG_PER_S, ADVANCE_MM_PER_S = 60.0, 60.0, 10.0
-"""How fast a drive is shown (k)."""
+"""Speeds at which a drive is shown (common knowledge)."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenRoute:
-    """A drive that was carried out: from the upper trachea to where it stopped."""
+    """Completed drive of a scope, from the upper trachea to where it stopped."""
 
     scope_name: str
     start_mm: float
-    """The insertion at which the scope was placed (`carina.ScopeDrive.place`)."""
+    """Insertion in mm at which the scope was placed (`carina.ScopeDrive.place`)."""
     moves: tuple[Move, ...]
     ends_mm: tuple[float, ...]
-    """The insertion at which each move ends: the length of the scope that is in."""
+    """Insertion in mm at the end of each move: the length of the scope inside the patient."""
     ends_along_mm: tuple[float, ...]
-    """How far along the route the tip has come when each move ends, from the root along the branches' centrelines."""
+    """Distance of the tip along the route at the end of each move, mm along the centrelines from the root."""
     samples: Points
-    """(n, 3) insertion in mm, roll and flexion in radians that the scope had reached; the first as it was placed, then
-    after each turn, each setting of the lever, and each millimetre."""
+    """(n, 3) insertion in mm, roll and flexion in radians that the scope reached.
+
+    The first row is the start. One row follows for each turn, each setting of the lever and each millimetre.
+    """
     lps_from_camera: NDArray[np.float64]
-    """(n, 4, 4) its camera at each sample."""
+    """(n, 4, 4) transform of the camera at each sample."""
     time_s: NDArray[np.float64]
-    """(n,) when, for whoever flies it: at 60 degrees and 10 mm a second."""
+    """(n,) time of each sample in seconds, at 60 degrees/s and 10 mm/s."""
     arrived: bool
-    """It stands where the route ends."""
+    """Whether the tip reached the end of the route."""
     stopped_mm: float
-    """How far along the route the tip is in the end, in the measure of ``ends_along_mm``."""
+    """Distance of the tip along the route at the end of the drive, measured as ``ends_along_mm``."""
     why: str | None
-    """Why it did not get farther; None where it arrived."""
+    """Reason why the scope stopped early; None if it arrived."""
 
     def to_json(self, *, poses: bool = True) -> dict[str, Any]:
-        """Plain JSON types; without ``poses`` what can be made again from the moves is left out."""
+        """Return the drive as plain JSON types; without ``poses``, samples and cameras are left out."""
         short: dict[str, Any] = {
             "scope": self.scope_name,
             "start_mm": self.start_mm,
@@ -86,14 +88,14 @@ class DrivenRoute:
 
 
 class MoveRecorder:
-    """Carries out moves one by one and keeps what became of them.
+    """Recorder that executes moves one by one and stores the resulting states.
 
-    A move turns the scope in one sample, sets the lever in one, then advances 1 mm a sample from where the scope is.
+    A move turns the scope in one sample, sets the lever in the next, then advances 1 mm per sample.
 
     Parameters
     ----------
     drive
-        A scope that was placed; nobody else drives it.
+        A placed scope. No other object may drive it.
     """
 
     def __init__(self, drive: ScopeDrive) -> None:
@@ -107,10 +109,10 @@ class MoveRecorder:
         self._states: list[ScopeState] = [drive.state]
         self._time_s = [0.0]
         self.effort = 0.0
-        """Small steps of the model, about: what a search counts instead of seconds."""
+        """Approximate number of small steps of the model so far; a search limits this number instead of its time."""
 
     def copy(self) -> MoveRecorder:
-        """Another of the same beginning; what is done with one does not move the other."""
+        """Return an independent copy with the same history."""
         other = copy(self)
         other.drive = self.drive.copy()
         other.moves, other._ends_mm = self.moves.copy(), self._ends_mm.copy()
@@ -120,11 +122,19 @@ class MoveRecorder:
 
     @property
     def state(self) -> ScopeState:
-        """The scope now."""
+        """Current state of the scope."""
         return self.drive.state
 
     def set(self, turn_deg: float, flexion_deg: float) -> None:
-        """Begin a move: turn, then set the lever."""
+        """Begin a move: turn the scope, then set the lever.
+
+        Parameters
+        ----------
+        turn_deg
+            Change of roll, degrees.
+        flexion_deg
+            New flexion, degrees.
+        """
         took = abs(turn_deg) / TURN_DEG_PER_S
         self.roll_deg += turn_deg
         roll = math.radians(self.roll_deg)
@@ -139,7 +149,13 @@ class MoveRecorder:
         self._end_states.append(len(self._states) - 1)
 
     def advance(self, step_mm: float = ADVANCE_MM) -> float:
-        """One step of the move that was begun, or one back; how far it got, mm."""
+        """Advance the current move by one step; a negative step withdraws the scope.
+
+        Returns
+        -------
+        float
+            Change of the insertion that was reached, mm.
+        """
         if not self.moves:
             self.set(0.0, self.flexion_deg)
         before = self.state.insertion_mm
@@ -153,15 +169,24 @@ class MoveRecorder:
         return self.state.insertion_mm - before
 
     def seen_from_tip(self, place: Points) -> Points:
-        """(3,) right, down and forward of the tip, mm."""
+        """Return the position of a point in the axes of the tip, (3,) mm: right, down, forward."""
         tip = self.state.pose.lps_from_camera
         found: Points = tip[:3, :3].T @ (place - tip[:3, 3])
         return found
 
     def bend_by(self, to: Points, change_deg: float, most_deg: float) -> bool:
-        """Bend the tip by so much more towards a place that `seen_from_tip` gave; whether anything was set.
+        """Increase the flexion towards a point; return whether the roll or the lever changed.
 
-        Flexion is taken as a vector across the shaft, in axes that do not turn with the hand.
+        Flexion is treated as a vector across the shaft, in axes that do not turn with the hand.
+
+        Parameters
+        ----------
+        to
+            (3,) point in the axes of the tip (`seen_from_tip`).
+        change_deg
+            Change of the flexion.
+        most_deg
+            Largest flexion.
         """
         across = max(math.hypot(to[0], to[1]), 1e-9)
         right, up = change_deg * to[0] / across, -change_deg * to[1] / across
@@ -172,9 +197,16 @@ class MoveRecorder:
         return self.bend_to(math.degrees(math.atan2(bent_right, bent_up)), flexion_deg)
 
     def bend_to(self, towards_deg: float, flexion_deg: float) -> bool:
-        """Begin a move that bends the tip to a clock hand of the unrolled scope; whether anything had to be set.
+        """Begin a move that bends the tip in a direction; return whether the roll or the lever changed.
 
-        By the lever's up or down, whichever needs less turning, in steps of 5 degrees.
+        The lever goes up or down, whichever needs the smaller turn, in steps of 5 degrees.
+
+        Parameters
+        ----------
+        towards_deg
+            Direction of the bend in degrees, clockwise from up in the picture of the unrolled scope.
+        flexion_deg
+            Size of the bend.
         """
         down_deg, up_deg = (math.degrees(rad) for rad in self.drive.flexion_range_rad)
         down_deg, up_deg = STEP_DEG * math.ceil(down_deg / STEP_DEG), STEP_DEG * math.floor(up_deg / STEP_DEG)
@@ -193,12 +225,12 @@ class MoveRecorder:
         return True
 
     def repeat(self, moves: Iterable[Move]) -> None:
-        """Carry out moves.
+        """Execute moves.
 
         Raises
         ------
         UsageError
-            If one advances by part of a millimetre.
+            If a move does not advance by a whole number of millimetres.
         """
         for move in moves:
             steps = move.advance_mm / ADVANCE_MM
@@ -211,7 +243,17 @@ class MoveRecorder:
                 self.advance(math.copysign(ADVANCE_MM, steps))
 
     def driven(self, way: DriveWay, *, stopped_mm: float, why: str | None) -> DrivenRoute:
-        """All of it as a value; ``stopped_mm`` along the smooth route, ``why`` None where it arrived."""
+        """Return the recorded moves and states as a `DrivenRoute`.
+
+        Parameters
+        ----------
+        way
+            Route of the drive.
+        stopped_mm
+            Distance of the tip along the smooth route.
+        why
+            Reason why the scope stopped early; None if it arrived.
+        """
         scope = self.drive.scope
         along_mm = self._start_mm
         farthest: list[float] = []
@@ -239,19 +281,19 @@ class MoveRecorder:
 
 
 def replay_moves(drive: ScopeDrive, moves: Iterable[Move]) -> tuple[Pose, ...]:
-    """Carry out moves with a scope that was placed where they begin, and nothing else.
+    """Execute the moves of a drive with a scope that was placed at the start of the drive.
 
     Parameters
     ----------
     drive
-        Placed, not moved since.
+        Scope that was placed and not moved since.
     moves
-        Of a `DrivenRoute`.
+        Moves of a `DrivenRoute`.
 
     Returns
     -------
     tuple[Pose, ...]
-        The tip after each move.
+        Pose of the tip after each move.
 
     Raises
     ------
@@ -267,11 +309,17 @@ def replay_moves(drive: ScopeDrive, moves: Iterable[Move]) -> tuple[Pose, ...]:
 
 
 def moves_between(driven: DrivenRoute, from_mm: float, to_mm: float) -> tuple[Move, ...]:
-    """What the hand does between two insertions, for a list of turns.
+    """Return the moves of a drive between two insertions, for one step of a list of turns.
 
-    A move that goes on beyond one of them is cut there: the rest of it keeps its lever and has no turn. Turns and
-    settings at ``from_mm`` belong to what is told, those at ``to_mm`` to what comes after; a last move that only aims
-    is told with what comes before it.
+    A move that extends beyond an end is cut there: its second part has the same flexion and no turn. Turns and lever
+    settings at ``from_mm`` are included; those at ``to_mm`` are not, except for a last move that only aims.
+
+    Parameters
+    ----------
+    driven
+        Drive of a verdict.
+    from_mm, to_mm
+        Insertions, as in ``ends_mm``.
     """
     found: list[Move] = []
     begins = driven.start_mm

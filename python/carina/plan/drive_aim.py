@@ -1,4 +1,4 @@
-"""Pointing a scope that has arrived at the target: the last moves of a drive, without an advance."""
+"""Last moves of a drive, which point the tip of a scope at the target without an advance."""
 
 from __future__ import annotations
 
@@ -23,32 +23,40 @@ HitShare = Callable[[Points, Points], float]
 GAIN, MOST_CHANGE_DEG, MOST_MOVES = 0.8, 30.0, 12
 FLEXION_MOST_DEG = 210.0
 GOOD, ENOUGH = 0.95, 0.5
-"""Of the needles, from where on nothing more is tried by hand, and by the grid of rolls and levers."""
+"""Shares of needles that hit.
+
+Above the first share no more moves are tried. Below the second share a grid of rolls and lever settings is tried.
+"""
 NUM_ROLLS, NUM_LEVERS = 12, 4
 BEST_HOLDS = 3
-"""Of the grid, those that point nearest to the target are driven."""
+"""Number of grid entries that are simulated: those that point nearest to the target."""
 
 
 @dataclass(frozen=True, slots=True)
 class Aimed:
-    """A drive that ends with the target in sight, as far as it can be brought there."""
+    """Drive that ends with the tip pointed at the target as well as possible."""
 
     driven: DrivenRoute
     share: float
-    """Of the needles that hit from there."""
+    """Share of the needles that hit from there, 0 to 1."""
     off_deg: float
-    """Between the tip's direction and the middle of the target."""
+    """Angle in degrees between the tip's direction and the middle of the target."""
 
 
 def aim_drive(way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, hit_share: HitShare) -> Aimed:
-    """The same drive with the moves that point the tip at the target.
+    """Add moves to a drive that point the tip at the target.
 
     Parameters
     ----------
     way, wall, scope, driven
-        A drive that has arrived, and what it was found with.
+        A drive that has arrived, and the route, wall and scope that it was found with.
     hit_share
-        Of a tip and its direction, (3,) each: the share of needles that hit.
+        Function of a tip's position and direction, (3,) each, that returns the share of needles that hit.
+
+    Returns
+    -------
+    Aimed
+        The drive with the best share of hits; with equal shares, the one that points nearest to the target.
     """
     recorder = _repeated(way, wall, scope, driven.moves)
     found = [(*_judged(recorder, way.aim, hit_share), driven.moves)]
@@ -87,7 +95,7 @@ def _judged(recorder: MoveRecorder, aim: Points, hit_share: HitShare) -> tuple[f
 
 
 def _holds(recorder: MoveRecorder, aim: Points) -> list[Move]:
-    """Rolls and levers that point nearest to the target, as moves from where the scope is."""
+    """Return the rolls and lever settings that point nearest to the target, as moves from the present state."""
     drive, roll_deg = recorder.drive, recorder.roll_deg
     down, up = (math.degrees(rad) for rad in drive.flexion_range_rad)
     levers = [*np.linspace(0.0, up, NUM_LEVERS + 1)[1:], 0.0, *np.linspace(0.0, down, NUM_LEVERS + 1)[1:]]

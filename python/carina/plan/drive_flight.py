@@ -1,4 +1,4 @@
-"""The drive of a verdict as a flight: times and camera poses, to be recorded, filmed or flown again."""
+"""Flight of the camera along a simulated drive: times and poses for recordings and videos."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ RATES_HZ = (1.0, 120.0)
 
 
 def drive_flight(driven: DrivenRoute, *, rate_hz: float = 25.0) -> tuple[NDArray[np.float64], tuple[Pose, ...]]:
-    """What the scope's camera sees while a drive is carried out.
+    """Return the camera poses during a drive at a regular rate.
 
-    A drive keeps where the scope was after each turn, each setting of the lever and each millimetre. All of these are
-    among the poses as they are; between two of them the picture moves evenly, so that it can be followed.
+    A drive contains the state after each turn, each setting of the lever and each millimetre. The result contains
+    all of these poses, and interpolated ones between them.
 
     Parameters
     ----------
     driven
-        Of a verdict.
+        Drive of a verdict.
     rate_hz
-        Poses a second, at least; 1 to 120.
+        Least number of poses per second, 1 to 120.
 
     Returns
     -------
     times_s, poses
-        (n,) from 0, ascending, and as many cameras.
+        (n,) ascending times from 0, and n camera poses.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def drive_flight(driven: DrivenRoute, *, rate_hz: float = 25.0) -> tuple[NDArray
         before, after = driven.lps_from_camera[n - 1], driven.lps_from_camera[n]
         took_s = float(driven.time_s[n] - driven.time_s[n - 1])
         if took_s <= 0.0:
-            # Nothing was set: what the model still settled belongs to the moment before.
+            # A sample that took no time replaces the pose before it: nothing was set, and only the model settled.
             poses[-1] = after
             continue
         turned = vector_from_rotation(orthonormal(before[:3, :3].T @ after[:3, :3]))

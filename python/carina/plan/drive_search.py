@@ -1,10 +1,10 @@
-"""Searching a drive: which turns, flexions and advances bring a scope along a route.
+"""Search for a drive: the turns, flexions and advances that bring a scope along a route.
 
-One attempt steers by a rule: the tip is turned towards a place of the route ahead, in steps of 5 degrees and only when
-it points too far off; or at a fork the lever is pulled towards the opening while the tip passes it. An attempt that
-takes a wrong branch or is held up is cut back to where it still lay in the route, and the next one starts there with a
-rule of other numbers, until one arrives or the effort is spent. What comes out is the moves of one attempt from its
-beginning, each of them carried out in the elastic model (docs/decisions/0122).
+Each attempt steers by one rule. The tip is turned towards a point of the route ahead, in steps of 5 degrees and only if
+the tip points too far off. At a fork some rules pull the lever towards the opening while the tip passes the fork. An
+attempt that enters a wrong branch or is blocked is cut back to its last part on the route, and the next attempt starts
+there with another, randomly drawn rule, until an attempt arrives or the effort is spent. The result is the moves of one
+attempt from its beginning; the elastic model executed each of them (docs/decisions/0122).
 """
 
 from __future__ import annotations
@@ -28,70 +28,73 @@ __all__ = ["arrives_by", "condense_drive", "place_at_start", "search_drive"]
 Points = NDArray[np.float64]
 
 EFFORT = 50_000.0
-"""Small steps of the model (0.1 ms each, about) after which no drive was found."""
+"""Effort after which the search gives up, in small steps of the model (about 0.1 ms each)."""
 ARRIVED_MM = 1.0
 START_MM, START_BEFORE_FORK_MM = 30.0, 20.0
-"""The scope is placed in the upper trachea: so far along the route, and so far before the first fork."""
+"""Start of the scope in the upper trachea: distance along the route, and least distance before the first fork."""
 BLOCKED_STEPS = 7
-"""So many steps in a row in which the wall holds it up end an attempt."""
+"""Number of consecutive steps blocked by the wall after which an attempt ends."""
 ASTRAY_MM = 2.5
 SLACK_MM = 25.0
-"""More insertion than way: the scope runs on elsewhere or buckles."""
+"""Largest difference in mm between insertion and distance along the route; beyond it the scope buckles or strays."""
 MOST_STEPS = 700
 ON_COURSE_COSINE = 0.64
-"""The tip points along the route where it is within 50 degrees of it."""
+"""Cosine of 50 degrees, the largest angle between the tip and the route for a tip that points along the route."""
 BEND_BEHIND_MM, BEND_AHEAD_MM = 45.0, 8.0
-"""The route's own bend is taken over the bending section."""
+"""Distances behind and ahead of the tip in mm between which the bend of the route is measured."""
 AT_FORK_MM = 12.0
-"""A drive that ends so near to a fork ends there."""
+"""Distance from a fork in mm within which a stop of the drive is reported as a stop at this fork."""
 HOOKING = 0.5
-"""Of the rules that are drawn."""
+"""Share of the drawn rules that pull the lever at each fork."""
 HOOK_BLOCKED_STEPS = 4
 PAST_FORK_MM = 6.0
-"""So far beyond a fork it is still the next one."""
+"""Distance in mm beyond a fork up to which the fork still counts as the next one."""
 CONDENSING = 60
-"""Shorter drives that are tried."""
+"""Number of shorter drives that are tried."""
 STATION_MM = 2.0
-"""An attempt can be gone on with from so many millimetres of its way."""
+"""Distance in mm along the route between stored copies of an attempt from which other attempts can start."""
 KEPT = 3
-"""Attempts that others start from."""
+"""Number of stored attempts from which others start."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """How one attempt steers; angles in degrees."""
+    """Steering rule of one attempt; angles in degrees."""
 
     mode: str = "opening"
-    """The place that it turns to: the farthest that is ``visible``, one a fixed way ``ahead``, or near a fork the
-    ``opening`` of the branch that it should enter, else the visible one."""
+    """Choice of the point that the tip turns to.
+
+    ``visible`` is the farthest visible point of the route, ``ahead`` a point at a fixed distance ahead. ``opening`` is
+    the opening of the branch to be entered if a fork is near, else the visible point.
+    """
     far_mm: float = 25.0
     clear_mm: float = 1.0
     ahead_mm: float = 10.0
     fork_within_mm: float = 20.0
     beyond_fork_mm: float = 6.0
     gain: float = 0.8
-    """Change of flexion, of the angle between tip and place."""
+    """Change of flexion divided by the angle between the tip and the point."""
     dead_deg: float = 8.0
-    """What points less far off is left alone."""
+    """Angle between tip and point below which nothing is changed."""
     hold_mm: float = 2.0
-    """Nothing is changed so soon after the change before."""
+    """Least insertion in mm between two changes."""
     rate_deg: float = 15.0
-    """Most change at once."""
+    """Largest change of flexion at once."""
     slack_deg: float = 60.0
-    """Most flexion beyond the route's own bend."""
+    """Largest excess of the flexion over the bend of the route."""
     hook: bool = False
-    """At each fork the lever is pulled towards the opening, millimetre by millimetre, and held."""
+    """Whether the lever is pulled towards the opening at each fork, millimetre by millimetre, and held."""
     hook_before_mm: float = 0.0
     hook_until_mm: float = 8.0
     hook_flexion_deg: float = 120.0
     hook_rate_deg: float = 10.0
-    """A millimetre. A lever that is pulled where the wall gives no room is pulled in vain."""
+    """Change of flexion per millimetre of advance; a pull where the wall leaves no room for the tip has no effect."""
     hook_off_deg: float = 0.0
-    """Roll beside the direction of the opening."""
+    """Offset of the roll from the direction of the opening."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> _Rule:
-        """One of many."""
+        """Return a random rule."""
         return cls(
             mode=("visible", "ahead", "opening", "opening")[int(rng.integers(4))],
             far_mm=rng.uniform(12.0, 30.0),
@@ -115,24 +118,29 @@ class _Rule:
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """An attempt as far as it lay in the route."""
+    """Stored attempt, up to the last point at which the tip was on the route."""
 
     along_mm: float
     stations: tuple[_Attempt, ...]
-    """The same as it was on the way, from where it was placed: others go on from there."""
+    """Copies of the attempt at earlier points of the route, from its start; other attempts start from them."""
 
     def before(self, along_mm: float) -> _Attempt:
-        """As it was before a place of the route."""
+        """Return the last stored copy before a distance along the route."""
         return next((one for one in reversed(self.stations) if one.along_mm <= along_mm), self.stations[0])
 
 
 def place_at_start(way: DriveWay, wall: WallField, scope: ScopePreset) -> ScopeDrive:
-    """A fresh scope in the upper trachea, where a drive begins.
+    """Place a new scope in the upper trachea, where a drive begins.
+
+    Parameters
+    ----------
+    way, wall, scope
+        The route, the wall of the airways and the instrument.
 
     Raises
     ------
     UsageError
-        If it does not enter (code ``scope.drive``).
+        If the scope does not fit into the airway (code ``scope.drive``).
     """
     drive = ScopeDrive(wall, scope, way.points)
     drive.place(way.points, start_mm(way, drive))
@@ -140,7 +148,13 @@ def place_at_start(way: DriveWay, wall: WallField, scope: ScopePreset) -> ScopeD
 
 
 def start_mm(way: DriveWay, drive: ScopeDrive) -> float:
-    """Where it is placed."""
+    """Return the distance along the route in mm at which the scope is placed.
+
+    Parameters
+    ----------
+    way, drive
+        The route, and the scope that has not been placed.
+    """
     before_fork = float(way.forks_mm[0]) - START_BEFORE_FORK_MM if len(way.forks_mm) else START_MM
     return max(min(START_MM, before_fork, 0.5 * way.park_mm), drive.entry_mm)
 
@@ -154,25 +168,30 @@ def search_drive(
     seed: int = 0,
     cancel: Callable[[], bool] | None = None,
 ) -> DrivenRoute:
-    """A drive along a route, or the one that got farthest.
+    """Search a drive along a route; return the one that got farthest if none arrives.
 
     Parameters
     ----------
     way, wall, scope
-        The route, the airways' wall, the instrument.
+        The route, the wall of the airways and the instrument.
     effort
-        When to give up, in small steps of the model. The search is the same for the same numbers.
+        Limit of the search, in small steps of the model. The result depends only on the arguments, not on the time.
     seed
-        Of what is drawn.
+        Seed of the random rules.
     cancel
-        Asked between attempts.
+        Called between attempts; the search stops when it returns True.
+
+    Returns
+    -------
+    DrivenRoute
+        The drive, with the reason for its stop if it did not arrive.
 
     Raises
     ------
     UsageError
-        If the scope does not enter the airway (code ``scope.drive``).
+        If the scope does not fit into the airway (code ``scope.drive``), or the effort is not above 0.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     if not (math.isfinite(effort) and effort > 0.0):
         raise UsageError(f"effort: expected above 0; found {effort}", code="plan.range")
@@ -188,7 +207,8 @@ def search_drive(
         begin = start
         known: tuple[_Attempt, ...] = ()
         if kept and num > 1:
-            # The better ones more often; farther back the longer nothing has got any farther.
+            # Attempts that got farther are chosen more often. The start moves back as attempts without progress
+            # accumulate.
             from_one = kept[min(int(rng.integers(len(kept))), int(rng.integers(len(kept))))]
             back_mm = rng.uniform(2.0, 10.0 + 4.0 * min(in_vain, 15))
             begin = from_one.before(from_one.along_mm - back_mm)
@@ -214,9 +234,17 @@ def search_drive(
 def condense_drive(
     way: DriveWay, wall: WallField, scope: ScopePreset, driven: DrivenRoute, *, tries: int = CONDENSING
 ) -> DrivenRoute:
-    """The same drive with fewer moves: moves are left out, last ones first, and the ones before go on instead.
+    """Return a drive with fewer moves that still arrives.
 
-    Each shorter drive is carried out anew, and kept where it still arrives. A drive that did not arrive stays as it is.
+    Moves are left out, last ones first, and the move before them advances farther instead. Each shorter drive is
+    simulated again. A drive that did not arrive is returned unchanged.
+
+    Parameters
+    ----------
+    way, wall, scope, driven
+        The route, the wall of the airways, the instrument and its drive.
+    tries
+        Largest number of shorter drives that are simulated.
     """
     if not driven.arrived:
         return driven
@@ -229,7 +257,7 @@ def condense_drive(
             shorter = [*moves[: n - 1], replace(moves[n - 1], advance_mm=moves[n - 1].advance_mm + left_out)]
             rest = moves[n + num :]
             if rest:
-                # The roll that the rest begins with is the same.
+                # The turn of the first remaining move is corrected so that its roll stays the same.
                 rest = [replace(rest[0], turn_deg=(rest[0].turn_deg + turned + 180.0) % 360.0 - 180.0), *rest[1:]]
             attempt = _Attempt(way, place_at_start(way, wall, scope))
             tries -= 1
@@ -241,19 +269,19 @@ def condense_drive(
 
 
 def arrives_by(way: DriveWay, wall: WallField, scope: ScopePreset, moves: tuple[Move, ...]) -> bool:
-    """Whether a scope stands where the route ends after these moves. Its lever stops where it ends."""
+    """Return whether a scope arrives at the end of the route by these moves; the lever stops at its limits."""
     return _Attempt(way, place_at_start(way, wall, scope)).arrives_by(moves)
 
 
 class _Attempt:
-    """One scope on its way."""
+    """Simulated scope on its way along the route."""
 
     def __init__(self, way: DriveWay, drive: ScopeDrive) -> None:
         self.way, self.recorder = way, MoveRecorder(drive)
         self.along_mm, self.off_mm = way.nearest(drive.state.pose.position_lps, drive.state.insertion_mm)
         self.good_mm = self.along_mm
         self.stations: list[_Attempt] = []
-        """As it was every few millimetres of the way, for others to go on from."""
+        """Copies of this attempt every few millimetres of the route, from which other attempts can start."""
         self.arrived = False
         self._blocked = 0
         self._changed_mm = 0.0
@@ -262,13 +290,13 @@ class _Attempt:
         self._hooked_deg = self._hook_towards_deg = 0.0
 
     def copy(self) -> _Attempt:
-        """Another of the same beginning."""
+        """Return an independent copy without the stored copies."""
         other = copy(self)
         other.recorder, other.stations = self.recorder.copy(), []
         return other
 
     def arrives_by(self, moves: tuple[Move, ...]) -> bool:
-        """Whether it stands where the route ends after these moves, and was never lost."""
+        """Return whether the tip arrives at the end of the route by these moves and never leaves the route."""
         for move in moves:
             self.recorder.set(move.turn_deg, move.flexion_deg)
             for _ in range(round(move.advance_mm)):
@@ -278,7 +306,7 @@ class _Attempt:
         return self._is_on_course() and abs(self.along_mm - self.way.park_mm) <= 2.0 * ARRIVED_MM
 
     def go(self, rule: _Rule) -> None:
-        """On by a rule until it arrives or is lost."""
+        """Advance by a rule until the tip arrives or leaves the route."""
         self._forget()
         for _ in range(MOST_STEPS):
             self._steer(rule)
@@ -295,13 +323,13 @@ class _Attempt:
                     return
 
     def _forget(self) -> None:
-        """What another rule had in mind."""
+        """Reset the state of the previous rule."""
         self._changed_mm = 0.0
         self._blocked = 0
         self._hooked_fork = self._done_fork = None
 
     def why(self) -> str:
-        """Why it got no farther."""
+        """Return the reason for the stop as text."""
         state = self.recorder.state
         before = self.way.forks_mm[self.way.forks_mm < self.good_mm + AT_FORK_MM]
         if len(before) and before[-1] > self.good_mm - AT_FORK_MM:
@@ -357,7 +385,7 @@ class _Attempt:
             self._changed_mm = self.recorder.state.insertion_mm
 
     def _hook(self, fork: float, rule: _Rule) -> bool:
-        """Whether the tip is being bent into the branch beyond a fork now."""
+        """Pull the lever towards the branch beyond a fork; return whether the lever is pulled or held now."""
         if self._hooked_fork is not None:
             if self.along_mm < self._hooked_fork + rule.hook_until_mm and self._blocked < HOOK_BLOCKED_STEPS:
                 if self._hooked_deg < rule.hook_flexion_deg:
@@ -383,7 +411,7 @@ class _Attempt:
         return self.way.visible(self._tip()[:3, 3], self.along_mm, rule.far_mm, rule.clear_mm)
 
     def _bend_deg(self) -> float:
-        """Of the route over the bending section here."""
+        """Return the bend of the route in degrees over the length of the bending section at the tip."""
         behind, ahead = max(self.along_mm - BEND_BEHIND_MM, 0.0), self.along_mm + BEND_AHEAD_MM
         cosine = float(np.clip(self.way.direction(behind) @ self.way.direction(ahead), -1.0, 1.0))
         return math.degrees(math.acos(cosine))

@@ -1,4 +1,4 @@
-"""Where stations of lymph nodes lie as seen from the airways, for endobronchial ultrasound. No nodes, no volumes."""
+"""Airway landmarks of lymph node stations for endobronchial ultrasound; nodes are not segmented and have no volumes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["EBUS_LIMITS", "STATION_SOURCE", "Landmark", "clock_hours", "ebus_lan
 Points = NDArray[np.float64]
 Side = Literal["R", "L"]
 DirectionBasis = Literal["tree", "k"]
-"""*Tree*: from the angle between two bronchi of this tree. *k*: common knowledge, the same in every chest."""
+"""Source of a direction: ``tree``, from two bronchi of this tree; ``k``, common knowledge, equal in every chest."""
 
 STATION_SOURCE = "Rusch et al., J Thorac Oncol 2009;4:568-577 (IASLC map); s"
 EBUS_LIMITS = (
@@ -29,17 +29,23 @@ EBUS_LIMITS = (
 )
 
 TRACHEA_MM = 15.0
-"""Above the main carina, for 4R: the second to fourth space between cartilages (Wang 3 of his map for needles; k)."""
+"""Distance above the main carina for station 4R: second to fourth space between cartilages.
+
+The place is Wang 3 on Wang's map for needles; the distance is common knowledge.
+"""
 TRACHEA_LEFT_MM = 6.0
-"""The same for 4L: the first or second space (Wang 4; k)."""
+"""Distance above the main carina for station 4L: first or second space between cartilages (common knowledge).
+
+The place is Wang 4 on Wang's map for needles.
+"""
 MAIN_SHARE = 0.6
-"""Of a main bronchus: where 7 and 10 are looked for."""
+"""Share of a main bronchus's length at which stations 7 and 10 are examined."""
 BEYOND_MM = 4.0
-"""Beyond a fork, in the branch that goes on downwards: where 11 is looked for."""
+"""Distance in mm beyond a fork, in the branch that goes on downwards, at which station 11 is examined."""
 ANGLE_MM = 10.0
-"""So far along both bronchi of a fork a point between them lies in the angle."""
+"""Distance in mm along both bronchi of a fork to two points; the point between them is in the angle of the fork."""
 AXIS_MM = 3.0
-"""A bronchus's direction is taken over this much to both sides."""
+"""Distance in mm to both sides over which the direction of a bronchus is measured."""
 
 _BORDERS = {
     "4R": "from where the left brachiocephalic vein crosses the trachea down to the lower border of the azygos vein, "
@@ -62,33 +68,33 @@ _MIRRORED = "the chest is mirrored: the map is drawn for the usual anatomy, and 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmark:
-    """A place in the airways from which a station is looked for, and which way the probe is turned there."""
+    """Place in the airways from which a lymph node station is examined, and the direction of the probe there."""
 
     station: str
-    """4R, 4L, 7, 10R, 10L, 11Rs, 11Ri, 11L; in a mirrored chest 11R, 11Ls, 11Li."""
+    """Name of the station: 4R, 4L, 7, 10R, 10L, 11Rs, 11Ri, 11L; in a mirrored chest 11R, 11Ls, 11Li."""
     seen_from: str
-    """The airway, in words."""
+    """Name of the airway as text."""
     branch_id: int | None
-    """None where the tree does not show the airways that define the place; ``words`` say which."""
+    """Id of the branch; None if the tree lacks the airways that define the place (``words`` names the missing ones)."""
     point_lps: tuple[float, float, float] | None
-    """On the centreline."""
+    """Point on the centreline, LPS mm."""
     from_carina_mm: float | None
-    """Along the airways from the main carina; below 0 above it."""
+    """Distance along the airways from the main carina, mm; below 0 above the carina."""
     direction_lps: tuple[float, float, float] | None
-    """Unit vector across the airway, to the wall behind which the station lies."""
+    """Unit vector across the airway, LPS, towards the wall behind which the station is."""
     clock_head: float | None
-    """0 < hours <= 12, in the levelled picture of an operator at the patient's head; good to about an hour."""
+    """Clock hour in the levelled picture of an operator at the patient's head, 0 < hours <= 12; error about 1 hour."""
     clock_facing: float | None
-    """The same for an operator who faces the patient."""
+    """Clock hour for an operator who faces the patient."""
     direction_basis: DirectionBasis
     borders: str
-    """What bounds the station on the IASLC map, in words."""
+    """Anatomical borders of the station on the IASLC map, as text."""
     words: str
     doubts: tuple[str, ...]
-    """Of the airways that the place rests on."""
+    """Doubts about the airways that define the place."""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the landmark as plain JSON types."""
         return {
             "station": self.station,
             "seen_from": self.seen_from,
@@ -107,15 +113,20 @@ class Landmark:
 
 
 def ebus_landmarks(tree: AirwayTree) -> tuple[Landmark, ...]:
-    """The stations 4R, 4L, 7, 10 and 11 by their places in the airways, from the trachea outwards.
+    """Return the landmarks of the stations 4R, 4L, 7, 10 and 11 in the airways, from the trachea outwards.
 
-    A station whose airways are not on the tree is told without a place; none is put where the usual anatomy would have
-    it. Station 7 is told from both main bronchi.
+    A station whose airways are missing in the tree is returned without a place; the usual anatomy is never assumed.
+    Station 7 has two landmarks, one in each main bronchus.
 
     Parameters
     ----------
     tree
         Named airways (`carina.find_airways`).
+
+    Returns
+    -------
+    tuple[Landmark, ...]
+        Nine landmarks.
 
     Examples
     --------
@@ -137,10 +148,19 @@ def ebus_landmarks(tree: AirwayTree) -> tuple[Landmark, ...]:
 
 
 def clock_hours(forward_lps: Points, direction_lps: Points) -> tuple[float, float]:
-    """Where a direction points in the levelled picture: hours for an operator at the head, and for one who faces.
+    """Return the clock hours of a direction in the levelled picture, for an operator at the head and for one who faces.
 
-    Anterior is at 12 o'clock at the head, superior where the view is antero-posterior (docs/conventions.md); 0 < hours
-    <= 12.
+    Anterior is at 12 o'clock at the head, superior where the view is antero-posterior (docs/conventions.md).
+
+    Parameters
+    ----------
+    forward_lps, direction_lps
+        (3,) direction of the view, and the direction whose hours are returned; unit vectors, LPS.
+
+    Returns
+    -------
+    head, facing
+        Hours, 0 < hours <= 12.
     """
     up = upright(forward_lps)
     right = np.cross(forward_lps, up)
@@ -205,7 +225,7 @@ class _Finder:
         return self._told(blank, pieces, MAIN_SHARE * _length(pieces), _aside(side, 45.0))
 
     def _interlobar(self, station: str, like: str, upper: str, lower: str) -> Landmark:
-        """Between two bronchi that leave one fork, looked for from the one that goes on downwards."""
+        """Return the landmark of a station between two bronchi of one fork, seen from the lower bronchus."""
         blank = _blank(station, _long(lower), _BORDERS[like], "tree")
         pieces = self._pieces(lower)
         if not pieces:
@@ -215,7 +235,7 @@ class _Finder:
             return self._absent(blank, f"no bronchus of the {_lobe_words(upper)} leaves the fork above it")
         other = max(beside, key=lambda branch: float(np.median(branch.radius)))
         towards = 0.5 * (_place((other,), ANGLE_MM)[0] + _place(pieces, ANGLE_MM)[0]) - pieces[0].points[0]
-        # The angle lies on the other bronchus's side, whichever way this one curves.
+        # The second term turns the direction to the other bronchus's side, independent of the curve of this bronchus.
         towards = towards + (_place((other,), ANGLE_MM)[0] - _place(pieces, ANGLE_MM)[0])
         return self._told(blank, pieces, min(BEYOND_MM, 0.5 * _length(pieces)), towards, also=(other,))
 
@@ -267,7 +287,7 @@ class _Finder:
         return inside + at_mm - self._trachea_mm
 
     def _pieces(self, name: str) -> tuple[Branch, ...]:
-        """A bronchus of that name in the order of the tree, also where a twig leaves it."""
+        """Return the branches of a named bronchus in tree order; side branches divide a bronchus into several."""
         found: list[Branch] = []
         for branch in self._tree.branches:
             if branch.name == name and (not found or branch.parent == found[-1].id):
@@ -289,7 +309,7 @@ def _blank(station: str, seen_from: str, borders: str, basis: DirectionBasis) ->
 
 
 def _aside(side: Side, turn_deg: float) -> Points:
-    """Anterior, turned towards a side of the patient."""
+    """Return the anterior direction, turned towards a side of the patient."""
     turn = math.radians(turn_deg)
     return np.array([math.sin(turn) * (-1.0 if side == "R" else 1.0), -math.cos(turn), 0.0])
 
@@ -299,7 +319,7 @@ def _length(pieces: tuple[Branch, ...]) -> float:
 
 
 def _place(pieces: tuple[Branch, ...], at_mm: float) -> tuple[Points, Points, Branch]:
-    """The point so far along pieces that follow one another (their end beyond it), the direction, and whose it is."""
+    """Return point, direction and branch at a distance along consecutive branches, limited to their ends."""
     points = np.concatenate([pieces[0].points, *(branch.points[1:] for branch in pieces[1:])])
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
@@ -326,7 +346,7 @@ def _lobe_words(lobe: str) -> str:
 
 
 def _spoken(hours: float) -> str:
-    """To half an hour, as it is said: 10:30."""
+    """Return hours as text, rounded to half an hour: 10:30."""
     half = round(2.0 * hours)
     hour = (half // 2 - 1) % 12 + 1
     return f"{hour}:30" if half % 2 else f"{hour}"

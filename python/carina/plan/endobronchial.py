@@ -1,4 +1,4 @@
-"""A lesion in an airway: tissue that stands into the lumen, from the airway's wall as it would be without it."""
+"""Segmentation of an endobronchial lesion: tissue that protrudes into the lumen of an airway."""
 
 from __future__ import annotations
 
@@ -17,20 +17,30 @@ __all__ = ["endobronchial_lesion"]
 HALF_MM = 26.0
 AIR_HU = -1000.0
 CLOSING_MM = 9.0
-"""Hollows of a lumen narrower than twice this are filled: what stands into it up to about this far is a lesion."""
+"""Radius in mm of the closing of the lumen; tissue that protrudes up to about this far into the lumen is a lesion."""
 THINNEST_MM = 1.0
-"""A ball of this radius fits in a lesion; what is thinner is the wall's unevenness, or slime."""
+"""Radius in mm of the largest ball in a lesion; anything thinner is unevenness of the wall, or mucus."""
 OWN_AIR = 0.9
-"""Of the air beside a lesion in an airway this share is that airway's; a nodule beside one touches lung."""
+"""Least share of the airway's own air in the air beside a lesion; a nodule beside an airway touches lung."""
 NOTE = "it stands into an airway; where its base lies in the wall the CT does not show"
 BASE_OFF_MM = 0.5
-"""How much more its boundary is uncertain than a drawn one: its base is where the wall would be (k)."""
+"""Additional uncertainty in mm of the boundary, because the base of the lesion is assumed at the wall.
+
+The value is common knowledge, not measured.
+"""
 
 
 def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.float64]) -> Nodule | None:
-    """What stands into an airway at a place, within 4 mm of it; None where nothing does.
+    """Segment the tissue that protrudes into an airway within 4 mm of a point; return None if there is none.
 
-    The lumen, closed by a ball of 9 mm, is the lumen without the lesion.
+    The lumen without the lesion is the present lumen, closed by a ball of 9 mm.
+
+    Parameters
+    ----------
+    volume, wall
+        The CT and the wall of its airways.
+    point_lps
+        (3,) LPS mm.
     """
     box = Box.around(volume, point_lps, HALF_MM)
     step = box.step_mm
@@ -48,7 +58,8 @@ def endobronchial_lesion(volume: Volume, wall: WallField, point_lps: NDArray[np.
     core = ball_distance(lesion, step) >= THINNEST_MM
     off = np.where(core, box.offsets_mm(point_lps), np.inf)
     z, y, x = np.unravel_index(int(box.offsets_mm(point_lps).argmin()), off.shape)
-    # From a lumen what is near is meant; a click into tissue means that tissue: a node below the carina is no lesion.
+    # A click in the lumen selects a near lesion. A click in tissue selects this tissue only, so that a lymph node
+    # below the carina is not taken for a lesion.
     if float(off.min()) > (CLICK_MM if lumen[z, y, x] else 2.0 * step) or not (lumen | lesion)[z, y, x]:
         return None
     z, y, x = np.unravel_index(int(off.argmin()), off.shape)

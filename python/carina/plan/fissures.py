@@ -1,4 +1,4 @@
-"""Fissures between lobes, as far as a CT shows them: thin bright plates near where airways put the border."""
+"""Detection of the fissures between lobes: thin bright plates near the lobe borders that the airways suggest."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ Values = NDArray[np.float32]
 SIGMA_MM = 1.2
 LEAST_HU = 30.0
 TIMES_NOISE = 7.0
-"""Curvature across (HU, times the square of sigma): at least so much, and so many times what noise alone gives."""
+"""Least curvature across a plate in HU (times sigma squared), and its least multiple of the curvature of noise."""
 EVEN = 0.5
-"""A plate's other two curvatures are at most this share of the first."""
+"""Largest share of a plate's other two curvatures in the curvature across it."""
 LEAST_MM2 = 600.0
-"""A smaller piece of plate is none: with half of both, the texture of a lung without fissures gave pieces of 7 cm2."""
+"""Least area of a piece of plate in mm2; half of it let textures of 7 cm2 pass in a lung without fissures."""
 FROM_BORDER_MM = 30.0
-"""So far from the border that airways give a plate may be a fissure; elsewhere it is a scar or the pleura."""
+"""Largest distance in mm of a fissure from the estimated lobe border; a plate farther away is scar or pleura."""
 FROM_EDGE_MM = 3.0
-"""The pleura of the chest wall looks like a plate too."""
+"""Least distance in mm of a fissure from the chest wall, whose pleura looks like a plate too."""
 FAINT = 0.5
-"""A part of a fissure that is this much of the least belongs to it where they are one piece."""
+"""Share of the least curvature that suffices for voxels connected to a fissure."""
 SLAB = 48
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class FissureBox:
-    """What is seen of the fissures, at 1 mm along LPS. Where none is seen there may be one, or the lobes are fused."""
+    """Visible fissures on a grid of 1 mm along LPS; a fissure that is not visible may exist, or the lobes are fused."""
 
     mask: Mask
-    """(nz, ny, nx) plates about 2 mm thick."""
+    """(nz, ny, nx) mask of plates, about 2 mm thick."""
     box: Box
 
     def crossed(self, points_lps: NDArray[np.float64]) -> Mask:
-        """Whether points lie in a fissure that is seen, (n,)."""
+        """Return which points (n, 3) LPS mm are in a visible fissure, (n,)."""
         ijk = np.rint((points_lps - self.box.lps_from_ijk[:3, 3]) / self.box.step_mm).astype(np.intp)
         top = np.array(self.mask.shape[::-1])
         inside = ((ijk >= 0) & (ijk < top)).all(axis=1)
@@ -53,7 +53,15 @@ class FissureBox:
         return found
 
     def on_grid(self, shape: tuple[int, ...], lps_from_ijk: NDArray[np.float64], step_mm: float) -> Mask:
-        """The same on a coarser grid: a voxel that holds any of it."""
+        """Return the mask on a coarser grid; a coarse voxel is true if it contains a voxel of a fissure.
+
+        Parameters
+        ----------
+        shape, lps_from_ijk
+            Shape (nz, ny, nx) and (4, 4) transform of the coarser grid.
+        step_mm
+            Voxel size of the coarser grid.
+        """
         ijk = np.argwhere(self.mask)[:, ::-1] * self.box.step_mm + self.box.lps_from_ijk[:3, 3]
         at = np.rint((ijk - lps_from_ijk[:3, 3]) / step_mm).astype(np.intp)[:, ::-1]
         at = at[((at >= 0) & (at < np.array(shape))).all(axis=1)]
@@ -70,14 +78,15 @@ def fissures(
     *,
     on_share: Callable[[float], None] | None = None,
 ) -> FissureBox:
-    """Plates in the lungs near the lobes' borders.
+    """Find the fissures: plates in the lungs near the borders of the lobes.
 
     Parameters
     ----------
     box
         Both lungs at 1 mm.
     label_zyx, border_mm, lps_from_ijk
-        Lobes by the airways alone, on their own grid (`carina.plan.lobes`).
+        Labels of the lobes by the airways alone, distances to the lobe borders, and the transform of their grid
+        (`carina.plan.lobes`).
     on_share
         Receives the share done; it may raise CancelledError.
     """
@@ -90,7 +99,7 @@ def fissures(
     lung_hu = lung_median_hu(box.hu_zyx[::2, ::2, ::2])
     soft = smoothed(box.hu_zyx, SIGMA_MM / box.step_mm)
     say(0.5)
-    # Vessels and what they blur into: a plate of two layers of pleura is never so bright.
+    # Bright voxels are vessels and their blur; they are excluded, because a fissure is never as bright.
     bright = ball_distance(~(box.hu_zyx > lung_hu + 450.0), box.step_mm)
     where = near & box.known & (bright > 1.5) & (soft < lung_hu + 300.0)
     say(0.8)
@@ -114,7 +123,7 @@ def _near_border(box: Box, label_zyx: NDArray[np.uint8], border_mm: Values, lps_
 
 
 def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values, float]:
-    """Curvature across plates, less what curves along them; and its spread where nothing is."""
+    """Return the curvature across plates, less the curvature along them, and the spread of its noise."""
     found = np.zeros(soft.shape, dtype=np.float32)
     num = soft.shape[0]
     noise = []
@@ -136,8 +145,8 @@ def _plate_strength(soft: Values, where: Mask, sigma_vox: float) -> tuple[Values
 
 
 def _large_sheets(mask: Mask, step_mm: float) -> Mask:
-    """Pieces large enough, small gaps between them closed."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    """Return the pieces of plate that are large enough; pieces with a gap of one voxel count as one piece."""
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     joined = sitk.BinaryDilate(sitk.GetImageFromArray(mask.astype(np.uint8)), [1, 1, 1], sitk.sitkCross)
     labels: Any = sitk.GetArrayFromImage(
@@ -150,7 +159,7 @@ def _large_sheets(mask: Mask, step_mm: float) -> Mask:
 
 
 def _with_faint_parts(sheets: Mask, faint: Mask) -> Mask:
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(faint.astype(np.uint8)), True))
     keep = np.zeros(int(labels.max()) + 1, dtype=bool)

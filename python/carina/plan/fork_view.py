@@ -1,7 +1,7 @@
-"""How a fork is seen from in front of it: where an eye stands, and at which hour each opening lies.
+"""View of a fork from in front of it: the position of the camera and the clock hour of each opening.
 
-The rules are the window's (`waysOn`, `clockHour` and the look-outs of a route), so that the list of turns tells the
-number that the airway view shows from the same place.
+The rules are the same as in the window (`waysOn`, `clockHour` and the look-outs of a route), so that the list of turns
+gives the same hour as the airway view at the same place.
 """
 
 from __future__ import annotations
@@ -24,36 +24,47 @@ Points = NDArray[np.float64]
 Operator = Literal["head", "facing"]
 
 OPENING_MM = (4.0, 10.0)
-"""How far into a branch its opening is looked for: one of its diameters, within these."""
+"""Limits in mm for the distance into a branch at which its opening is located; the distance is one diameter."""
 MIDDLE_TANGENT = 0.12
 MIDDLE_TIMES = 4.0
-"""An opening nearer than this to the line of sight (tan 7 degrees), with the others at least so many times farther out,
-has no hour: it is straight ahead."""
+"""Largest tangent of an opening straight ahead (7 degrees), and least ratio of the other openings' tangents to it.
+
+An opening straight ahead has no clock hour.
+"""
 LEAST_DEPTH_MM = 1.0
-"""An opening beside or behind the lens is only a direction, as far out as can be."""
+"""Least depth in mm used for an opening; an opening beside or behind the lens counts as at this depth."""
 LEAST_STAND_MM = 3.0
-"""Nearer than this to a fork the line of sight along the branch is that of single points."""
+"""Least distance in mm of the camera from a fork; nearer, single points would determine the line of sight."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Opening:
-    """An opening at a fork, as one eye sees it."""
+    """Opening of a branch at a fork, as seen by a camera."""
 
     branch: Branch
     place_lps: Points
-    """In the middle of the branch, about a diameter past the fork."""
+    """Point in the middle of the branch, about one diameter beyond the fork, LPS mm."""
     hours: float
-    """Where it lies in the picture, from 12 at the top, clockwise; above 0, at most 12."""
+    """Clock hour in the picture, 12 at the top, clockwise; 0 < hours <= 12."""
     tangent: float
-    """Of its angle to the line of sight."""
+    """Tangent of the angle to the line of sight."""
     straight_ahead: bool
-    """In the middle of the picture: it has no hour."""
+    """Whether the opening is in the middle of the picture and so has no clock hour."""
 
 
 def levelled(eye_lps: Points, look_lps: Points, operator: Operator) -> Pose:
-    """The camera at a place with the picture's horizon level: anterior up (`carina.scopes.upright`), or turned by 180
-    degrees for an operator who faces the patient.
+    """Return the camera at a place with a level horizon.
+
+    Anterior is up (`carina.scopes.upright`) for an operator at the head; the picture is turned by 180 degrees for an
+    operator who faces the patient.
+
+    Parameters
+    ----------
+    eye_lps, look_lps
+        (3,) position in LPS mm and direction of the view.
+    operator
+        Position of the operator.
     """
     pose = Pose.looking(eye_lps, look_lps)
     if operator == "head":
@@ -64,30 +75,31 @@ def levelled(eye_lps: Points, look_lps: Points, operator: Operator) -> Pose:
 
 
 def whole_hour(hours: float) -> int:
-    """The hour that is told, 1 to 12."""
+    """Return the nearest whole clock hour, 1 to 12."""
     return (math.floor(hours + 0.5) + 11) % 12 + 1
 
 
 def turned_hours(hours: float) -> float:
-    """The same place in a picture that is turned by 180 degrees."""
+    """Return the clock hour of the same place in a picture that is turned by 180 degrees."""
     return hours - 6.0 if hours > 6.0 else hours + 6.0
 
 
 def stand_mm(branch: Branch) -> float:
-    """How far before a branch's end a flight stops to look: a diameter, at most to the middle of the branch.
+    """Return the distance in mm before a branch's end at which the camera looks at the fork.
 
-    As `carina.case.routes.lookouts_mm`; never so near that there is no line of sight.
+    The distance is one diameter, at most half the branch and at least `LEAST_STAND_MM`, as in
+    `carina.case.routes.lookouts_mm`.
     """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
-    # A point in the very middle counts, whichever way its place was rounded.
+    # The tolerance includes a point exactly in the middle, whatever its rounding.
     first_half = along <= 0.5 * along[-1] + 1e-9
     diameter = 2.0 * float(np.median(branch.radius[first_half]))
     return max(min(diameter, 0.5 * float(along[-1])), LEAST_STAND_MM)
 
 
 def opening_index(branch: Branch) -> int:
-    """The point of a branch at which its opening is looked for."""
-    # The upper one of two middle radii, as the window takes it.
+    """Return the index of the point of a branch at which its opening is located."""
+    # With an even number of radii the upper median is used, as in the window.
     diameter = 2.0 * float(np.sort(branch.radius)[len(branch.radius) // 2])
     far = min(max(diameter, OPENING_MM[0]), OPENING_MM[1])
     beyond = np.flatnonzero(np.linalg.norm(branch.points - branch.points[0], axis=1) >= far)
@@ -95,14 +107,14 @@ def opening_index(branch: Branch) -> int:
 
 
 def openings_seen(camera: Pose, branches: Sequence[Branch]) -> tuple[Opening, ...]:
-    """The openings of branches that leave at one place, in their order.
+    """Return the openings of branches that leave at one place, in the given order.
 
     Parameters
     ----------
     camera
-        Before the fork.
+        Camera before the fork.
     branches
-        Each begins at a fork.
+        Branches that begin at the fork.
     """
     places = [branch.points[opening_index(branch)] for branch in branches]
     seen: list[tuple[float, float]] = []
@@ -117,7 +129,7 @@ def openings_seen(camera: Pose, branches: Sequence[Branch]) -> tuple[Opening, ..
     in_middle = bool(others) and (
         tangents[middle] < MIDDLE_TANGENT and min(tangents[n] for n in others) > MIDDLE_TIMES * tangents[middle]
     )
-    # Two openings at one hour lie on the same side: the nearer to the middle is the one straight ahead.
+    # Two openings at the same hour are on the same side; the one nearer to the middle counts as straight ahead.
     shared = any(whole_hour(hours[n]) == whole_hour(hours[middle]) for n in others)
     return tuple(
         Opening(branch, places[n], hours[n], tangents[n], straight_ahead=n == middle and (in_middle or shared))
@@ -126,6 +138,6 @@ def openings_seen(camera: Pose, branches: Sequence[Branch]) -> tuple[Opening, ..
 
 
 def hours_of(right: float, down: float) -> float:
-    """Where a direction points in a picture, by its parts to the right and down; 0 < hours <= 12."""
+    """Return the clock hour of a direction from its components to the right and down, 0 < hours <= 12."""
     hours = (math.atan2(right, -down) / math.tau * 12.0) % 12.0
     return 12.0 if hours == 0.0 else hours

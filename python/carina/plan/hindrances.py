@@ -1,4 +1,4 @@
-"""What stands against a plan, in words: why there is no route, what may lead closer, and what would help."""
+"""Messages about a plan: why there is no route, which airways may lead closer, and what would help."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carina.volume import Volume
 __all__ = ["check_target", "notes_of_target", "notes_of_tools", "why_none"]
 
 LOST_MM = 40.0
-"""An airway that was lost this near to the target may lead closer to it."""
+"""Largest distance in mm of a lost airway from the target at which the airway may lead closer."""
 LOST_KINDS = {"lost", "blocked", "stump", "filled", "leak", "volume"}
 LOBES = {"RUL", "RML", "RLL", "LUL", "LML", "LLL"}
 LUNG_HU = -860.0
@@ -23,12 +23,17 @@ NUM_SAMPLES = 400
 
 
 def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
-    """Refuse what belongs to another CT.
+    """Refuse airways or a target that belong to another CT.
+
+    Parameters
+    ----------
+    volume, airways, nodule
+        The CT, the airways, and the nodule of the target.
 
     Raises
     ------
     UsageError
-        If the airways have another grid (code ``plan.airways``), or the target lies outside the CT (``plan.target``).
+        If the airways have another grid (code ``plan.airways``), or the target is outside the CT (``plan.target``).
     """
     if airways.lumen_zyx.shape != volume.shape_zyx:
         raise UsageError(
@@ -45,7 +50,15 @@ def check_target(volume: Volume, airways: Airways, nodule: Nodule) -> None:
 
 
 def notes_of_target(volume: Volume, airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> tuple[str, ...]:
-    """Return notes on a target and the airways near it; they apply whether or not there is a route."""
+    """Return notes on a target and the airways near it; they apply whether or not there is a route.
+
+    Parameters
+    ----------
+    volume, airways, nodule
+        The CT, the airways, and the nodule of the target.
+    nearest
+        Place in the airways nearest to the target; None if there is none.
+    """
     found = []
     shown_hu = _mean_hu(volume, nodule)
     if shown_hu is not None and shown_hu < 0.5 * (LUNG_HU + nodule.density_hu):
@@ -72,7 +85,15 @@ def notes_of_tools(scope: ScopePreset, tool: Tool) -> tuple[str, ...]:
 
 
 def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, tool: Tool) -> str:
-    """Why there is no route, and what would help."""
+    """Return why there is no route, and what would help, as text.
+
+    Parameters
+    ----------
+    airways, nodule, tool
+        The airways, the nodule of the target, and the tool.
+    nearest
+        Place in the airways nearest to the target; None if there is none.
+    """
     if nearest is None or len(airways.tree.branches) < 2:
         return "no route: the airway tree has no branches; find the airways first"
     place = f"{nearest.branch_name}, {nearest.gap_mm:.0f} mm from the nodule"
@@ -96,13 +117,13 @@ def why_none(airways: Airways, nodule: Nodule, nearest: NearestPlace | None, too
 
 
 def _lost_airways(airways: Airways, nodule: Nodule, nearest: NearestPlace | None) -> list[str]:
-    """Airways that were lost near the target, nearer ones than are found perhaps, and lobes without any."""
+    """Return notes on airways that were lost near the target, and on lobes without any airway."""
     found = []
     lost = [one for one in airways.uncertain if one.kind in LOST_KINDS and one.branch_id is not None]
     if lost:
         gaps = nodule.distance_mm(np.array([one.lps for one in lost]))
         n = int(np.argmin(gaps))
-        # Where a place as near as this was reached by an airway that goes on, it does not matter.
+        # A lost airway does not matter if another airway comes more than 10 mm closer.
         if gaps[n] <= LOST_MM and (nearest is None or gaps[n] <= nearest.gap_mm + 10.0):
             found.append(f"an airway ends {gaps[n]:.0f} mm from the target: {lost[n].reason}")
     is_left = nodule.centre_lps[0] > float(airways.tree.root.points[-1][0])
@@ -115,7 +136,7 @@ def _lost_airways(airways: Airways, nodule: Nodule, nearest: NearestPlace | None
 
 
 def _mean_hu(volume: Volume, nodule: Nodule) -> float | None:
-    """Of the voxels that the target covers, as the CT has them; None where it covers none."""
+    """Return the mean density in HU of the CT in the target; None if the target covers no voxel."""
     kji = np.argwhere(nodule.inside_zyx)
     kji = kji[:: max(len(kji) // NUM_SAMPLES, 1)]
     points = kji[:, ::-1] @ nodule.lps_from_ijk[:3, :3].T + nodule.lps_from_ijk[:3, 3]

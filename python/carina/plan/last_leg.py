@@ -1,4 +1,4 @@
-"""The last leg of a route: from the tip of the scope through the wall into the target."""
+"""Last leg of a route: the straight needle path from the tip of the scope through the wall into the target."""
 
 from __future__ import annotations
 
@@ -32,96 +32,98 @@ Points = NDArray[np.float64]
 Tissue = Literal[
     "lumen", "airway wall", "lung", "fissure", "vessel", "target", "mediastinum or chest wall", "not examined"
 ]
-"""*Fissure*: only where one is seen. *Not examined*: beyond the CT, or too far from the target to have been looked at.
+"""Tissue on a needle path.
+
+``fissure`` is used only for a visible fissure. ``not examined`` is outside the CT, or too far from the target.
 """
 
 STEP_MM = 0.25
 LEAST_MM = 0.5
-"""A tissue that is crossed for less than this is the edge of another."""
+"""Least length in mm of a tissue; a shorter stretch is added to the tissue before it."""
 SPREAD = 1.645
-"""In units of the errors' standard deviation: nine needles of ten go nearer to the line."""
+"""Multiple of the standard deviation of the needle's error; nine needles of ten are closer to the line."""
 BEYOND_MM = 10.0
-"""So far beyond the target is looked at."""
+"""Distance in mm beyond the target that is examined."""
 OPEN_MM = 0.8
-"""A target this near to a lumen's edge is reached without piercing a wall."""
+"""Largest distance in mm of a target from the lumen at which no wall has to be pierced."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Crossed:
-    """A stretch of one tissue on the needle's way."""
+    """Stretch of one tissue along the needle."""
 
     tissue: Tissue
     start_mm: float
-    """From the scope's tip."""
+    """Distance of its start from the tip of the scope, mm."""
     length_mm: float
 
     @property
     def end_mm(self) -> float:
-        """From the scope's tip."""
+        """Distance of its end from the tip of the scope, mm."""
         return self.start_mm + self.length_mm
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class NearVessel:
-    """A vessel nearer to the needle than the margin."""
+    """Vessel that is nearer to the needle than the margin."""
 
     at_mm: float
-    """Along the needle from the scope's tip, where it is nearest."""
+    """Position of the nearest point along the needle, mm from the tip of the scope."""
     distance_mm: float
-    """0 where the needle goes through it."""
+    """Distance of the vessel from the needle's line, mm; 0 if the needle passes through it."""
     place_lps: tuple[float, float, float]
-    """On the needle's line."""
+    """Nearest point on the needle's line, LPS mm."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class LastLeg:
-    """From the tip of the scope to the target, and what is on the way."""
+    """Needle path from the tip of the scope to the target, and the tissues that it crosses."""
 
     tip_lps: tuple[float, float, float]
     aim_lps: tuple[float, float, float]
     entry_lps: tuple[float, float, float]
-    """Where the needle meets the wall."""
+    """Point where the needle enters the wall, LPS mm."""
     to_target_mm: float
-    """From the tip to the target's edge, along the needle."""
+    """Distance from the tip to the edge of the target, along the needle, mm."""
     outside_mm: float
-    """Of which outside the lumen."""
+    """Part of ``to_target_mm`` outside the lumen."""
     angle_deg: float
-    """Between the needle and the airway's axis at the tip."""
+    """Angle in degrees between the needle and the airway's axis at the tip."""
     crossed: tuple[Crossed, ...]
-    """In order, to the end of the needle's reach or beyond the target by 10 mm, whichever is farther."""
+    """Tissues in order, to the end of the needle's reach or 10 mm beyond the target, whichever is farther."""
     in_target_mm: float
-    """Length in the target, as aimed."""
+    """Length of the needle in the target if it goes as aimed, mm."""
     least_in_target_mm: float
-    """The same for the worst of needles at 1.6 standard deviations; 0 where one misses."""
+    """Least length in the target of needles at 1.6 standard deviations, mm; 0 if one misses."""
     vessel_mm: float | None
-    """From the needle's line, up to the target's far edge, to the nearest vessel seen; None where none is seen near."""
+    """Distance in mm between the line, up to the target's far edge, and the nearest visible vessel; None if none."""
     vessel_lps: tuple[float, float, float] | None
-    """The place on that line."""
+    """Point on the needle's line nearest to that vessel, LPS mm."""
     beyond_mm: float | None
-    """From the target's far edge along the needle to pleura or mediastinum; None where there is none within 10 mm."""
+    """Distance along the needle from the target's far edge to pleura or mediastinum, mm; None if more than 10 mm."""
     hit_share: float
-    """Of the needle positions that the errors allow, where the target lies as in the CT."""
+    """Share of needles within the assumed errors that hit the target at its place in the CT, 0 to 1."""
     reaches: bool
-    """The tool gets to the target's edge."""
+    """Whether the tool reaches the edge of the target."""
     hit_share_moved: float | None = None
-    """The same share where the target may have moved and the needle is not aimed anew; None where nobody asked."""
+    """Share of hits if the target may have moved and the needle is not aimed again; None if not computed."""
     vessels: tuple[NearVessel, ...] = ()
-    """Seen nearer than the margin, in order, from the wall to the target's far edge."""
+    """Visible vessels nearer than the margin, in order, from the wall to the target's far edge."""
     vessel_beyond_mm: float | None = None
-    """As `beyond_mm`, to the first vessel on the needle's line."""
+    """Distance in mm along the needle from the target's far edge to the first vessel; None if more than 10 mm."""
     mediastinum_mm: float = 0.0
-    """Of mediastinum or chest wall that is crossed before the target's far edge: vessels in it are not seen."""
+    """Length of mediastinum or chest wall before the target's far edge, mm; vessels in it are not visible."""
 
     @property
     def is_open(self) -> bool:
-        """The target lies in the lumen or against it: no wall has to be pierced."""
+        """Whether the target is in the lumen or against it, so that no wall has to be pierced."""
         return self.outside_mm <= OPEN_MM
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the leg as plain JSON types."""
         return {
             "tip_lps": list(self.tip_lps),
             "aim_lps": list(self.aim_lps),
@@ -151,7 +153,7 @@ class LastLeg:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class NeedleScene:
-    """A nodule, what lies round it, and the needle that is meant for it."""
+    """Nodule, tissue round it, and the needle that is planned for it."""
 
     nodule: Nodule
     wall: WallField
@@ -159,24 +161,37 @@ class NeedleScene:
     tool: Tool
     errors: NeedleErrors
     margin_mm: float = 3.0
-    """Vessels nearer to the needle than this are listed."""
+    """Margin in mm; vessels nearer to the needle are listed."""
 
 
 def last_leg(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
-    """The straight line from a tip to an aim in a nodule, and what it meets, where the nodule has not moved.
+    """Compute the straight needle path from a tip to an aim in a nodule that has not moved.
 
     Parameters
     ----------
+    scene
+        Nodule, tissues and needle.
     tip_lps, forward
-        (3,) where the scope's tip is, and the airway's direction there.
+        (3,) position of the scope's tip, LPS mm, and direction of the airway there.
     aim_lps
-        (3,); the nodule's centroid unless told.
+        (3,) LPS mm; the centroid of the nodule if None.
+
+    Returns
+    -------
+    LastLeg
+        The path with its tissues, distances and share of hits.
     """
     return with_errors(scene, leg_as_aimed(scene, tip_lps, forward, aim_lps))
 
 
 def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
-    """A leg with what the needle's errors do to it: its hits, and the least length in the target."""
+    """Return a leg with the effect of the needle's errors: its share of hits and the least length in the target.
+
+    Parameters
+    ----------
+    scene, leg
+        Nodule, tissues and needle; leg of a needle without errors.
+    """
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     distance = float(np.linalg.norm(aim - tip))
     least = leg.in_target_mm
@@ -189,12 +204,18 @@ def with_errors(scene: NeedleScene, leg: LastLeg) -> LastLeg:
 
 
 def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: Points | None = None) -> LastLeg:
-    """`last_leg` of a needle that goes as it is aimed: its hits are 1."""
+    """Compute `last_leg` for a needle without errors; the share of hits is 1.
+
+    Parameters
+    ----------
+    scene, tip_lps, forward, aim_lps
+        As for `last_leg`.
+    """
     nodule, wall, around, tool = scene.nodule, scene.wall, scene.around, scene.tool
     aim = np.array(nodule.centre_lps) if aim_lps is None else np.asarray(aim_lps, dtype=np.float64)
     off = aim - tip_lps
     distance = float(np.linalg.norm(off))
-    # An airway may lead through the middle of the nodule: there the needle goes straight on.
+    # If the tip is at the aim, because an airway passes through the nodule, the needle goes along the airway.
     along = off / distance if distance >= LEAST_MM else forward
     at = np.arange(0.0, max(tool.reach_mm, distance + nodule.long_mm + BEYOND_MM) + 2.0, STEP_MM)
     points = tip_lps + at[:, None] * along
@@ -245,20 +266,28 @@ def leg_as_aimed(scene: NeedleScene, tip_lps: Points, forward: Points, aim_lps: 
 
 
 def where_it_may_have_moved(scene: NeedleScene, leg: LastLeg, moved_mm: float) -> LastLeg:
-    """The same leg with its hits where the target may lie anywhere in a ball of ``moved_mm``."""
+    """Return a leg with the share of hits for a target that may be anywhere in a ball of radius ``moved_mm``.
+
+    Parameters
+    ----------
+    scene, leg
+        Nodule, tissues and needle; leg of the needle.
+    moved_mm
+        Largest movement of the target.
+    """
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     share = hit_share(scene.nodule, tip, aim, scene.tool.reach_mm, scene.errors, moved_mm=moved_mm)
     return replace(leg, hit_share_moved=share)
 
 
 def _first_mm(there: NDArray[np.bool_]) -> float | None:
-    """How far it is to the first of what is looked for; None where there is none near."""
+    """Return the distance in mm to the first true sample; None if there is none within `BEYOND_MM`."""
     first = np.flatnonzero(there[: int(BEYOND_MM / STEP_MM) + 1])
     return STEP_MM * float(first[0]) if first.size else None
 
 
 def _near_vessels(to_vessel: Points, at: Points, points: Points, margin_mm: float) -> tuple[NearVessel, ...]:
-    """The nearest place of each stretch on which a vessel is nearer than the margin."""
+    """Return the nearest point of each stretch on which a vessel is nearer than the margin."""
     near = np.flatnonzero(to_vessel < margin_mm)
     if not near.size:
         return ()

@@ -1,4 +1,4 @@
-"""The lobes of the lungs from the airways, and from fissures where the CT shows them."""
+"""Segmentation of the lobes of the lungs from the airways, and from fissures where the CT shows them."""
 
 from __future__ import annotations
 
@@ -26,19 +26,28 @@ Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 
 LOBE_NAMES = ("RUL", "RML", "RLL", "LUL", "LML", "LLL")
-"""Label 1 and on; 0 is no lung."""
+"""Names of the labels 1 to 6; label 0 is outside the lungs."""
 STEP_MM = 2.0
 FISSURE_SLOWS = 12.0
-"""A fissure that is seen holds a lobe back as this many times its thickness of lung."""
+"""Factor by which a visible fissure slows the fast-marching front that assigns voxels to lobes."""
 UNSEEN_MM, SEEN_MM = 9.0, 3.0
-"""How far a border lies from where it is told, as a standard deviation: from airways alone (measured on patients with
-masks of lobes, benchmarks/carina_bench/plan_around.py), and where a fissure is seen."""
+"""Standard deviations in mm of a lobe border's position.
+
+The first is for a border from airways alone (measured on patients with masks of lobes,
+benchmarks/carina_bench/plan_around.py), the second for a border at a visible fissure.
+"""
 FAR_SHARE = 0.35
-"""The first is at least this share of the way to the nearest airway: of a short tree borders are poorly known (k)."""
+"""Least ratio of the first deviation to the distance from the nearest airway; a short tree gives poor borders.
+
+The value is common knowledge, not measured.
+"""
 RIM_MM, WALL_HU = 6.0, -400.0
-"""Tissue this near to the outside of the lungs and this dense is their wall: half-way between lung and muscle."""
+"""Width in mm and least density in HU of the tissue at the outside of the lungs that is wall.
+
+The density is half-way between lung and muscle.
+"""
 SEEN_REACH_MM = 6.0
-"""A fissure this near to a border is that border."""
+"""Largest distance in mm of a fissure from a lobe border that it defines."""
 
 
 @one_line
@@ -47,19 +56,19 @@ class Lobes:
     """Lobes on a grid of 2 mm along LPS."""
 
     label_zyx: NDArray[np.uint8]
-    """(nz, ny, nx) 0 outside the lungs, else the place in `LOBE_NAMES` and one."""
+    """(nz, ny, nx) label: 0 outside the lungs, else the index in `LOBE_NAMES` plus one."""
     border_mm: Values
-    """(nz, ny, nx) distance to the border with another lobe of the same lung; infinite where there is none."""
+    """(nz, ny, nx) distance in mm to the border with another lobe of the same lung; infinite if there is none."""
     sure_zyx: Values
-    """(nz, ny, nx) how sure the lobe is, 0 to 1."""
+    """(nz, ny, nx) confidence in the label, 0 to 1."""
     lps_from_ijk: NDArray[np.float64]
     missing: tuple[str, ...]
-    """Lobes of which no bronchus is on the tree: their room is told as their neighbours'."""
+    """Lobes without a bronchus in the tree; their volume is labelled as that of their neighbours."""
     fissure: FissureBox | None
-    """What was seen of the fissures."""
+    """Visible fissures."""
 
     def at(self, point_lps: NDArray[np.float64]) -> tuple[str | None, float]:
-        """The lobe at a place and how sure it is; None outside the lungs, with 0."""
+        """Return the lobe at a point in LPS mm and its confidence; (None, 0) outside the lungs."""
         ijk = np.rint((np.asarray(point_lps) - self.lps_from_ijk[:3, 3]) / STEP_MM).astype(np.intp)
         k, j, i = ijk[::-1]
         nz, ny, nx = self.label_zyx.shape
@@ -68,7 +77,7 @@ class Lobes:
         return LOBE_NAMES[self.label_zyx[k, j, i] - 1], float(self.sure_zyx[k, j, i])
 
     def ml(self, lobe: str) -> float:
-        """Volume of a lobe."""
+        """Return the volume of a lobe in ml."""
         return float((self.label_zyx == LOBE_NAMES.index(lobe) + 1).sum()) * STEP_MM**3 / 1000.0
 
 
@@ -80,26 +89,30 @@ def lobes(
     box: Box | None = None,
     progress: ProgressChoice = None,
 ) -> Lobes:
-    """The lobes by the airways that are nearest through the lung; fissures that are seen move the borders to them.
+    """Segment the lobes by the airway that is nearest through the lung; visible fissures move the borders to them.
 
     Parameters
     ----------
     volume
         The CT.
     tree
-        Its airways, named (`carina.find_airways`).
+        Its named airways (`carina.find_airways`).
     box
-        `carina.plan.surroundings.lung_box` of the CT, where it is at hand.
+        `carina.plan.surroundings.lung_box` of the CT; computed if None.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown. It may raise CancelledError.
 
+    Returns
+    -------
+    Lobes
+        Labels on a grid of 2 mm, with their confidence.
+
     Raises
     ------
     NoResultError
-        If there is no lung in the CT (``plan.no_lung``) or no lobe's bronchus on the tree (``plan.no_lobe``).
+        If there is no lung in the CT (``plan.no_lung``) or no bronchus of a lobe in the tree (``plan.no_lobe``).
     """
-
     report = progress_function(progress)
 
     def say(what: str, share: float) -> None:
@@ -128,9 +141,23 @@ def nearest_lobe(
     *,
     on_share: Callable[[float], None] | None = None,
 ) -> Lobes:
-    """Each place of the lungs (a grid of 2 mm) belongs to the lobe whose airways are nearest through the lung.
+    """Assign each voxel of the lungs (2 mm) to the lobe whose airways are nearest through the lung.
 
-    ``on_share`` receives the share done, and may raise CancelledError.
+    Parameters
+    ----------
+    inside, lps_from_ijk
+        (nz, ny, nx) mask of the lungs at 2 mm, and the (4, 4) transform of its grid.
+    tree
+        Named airways.
+    seen
+        Visible fissures, which slow the front.
+    on_share
+        Receives the share done; it may raise CancelledError.
+
+    Raises
+    ------
+    NoResultError
+        If no bronchus of a lobe is in the tree (``plan.no_lobe``).
     """
     seeds = _seeds(inside, lps_from_ijk, tree)
     if not seeds:
@@ -145,7 +172,7 @@ def nearest_lobe(
         speed[near_seen & inside] = 1.0 / FISSURE_SLOWS
     times = np.full((len(LOBE_NAMES), *inside.shape), np.inf, dtype=np.float32)
     pieces = _pieces(speed > 0.0)
-    # As many fronts at once as there are processors; a march hands the interpreter's lock back.
+    # One thread per processor, because fast marching releases the interpreter lock.
     pool = ThreadPoolExecutor(min(os.cpu_count() or 1, len(seeds)))
     try:
         fronts = {lobe: pool.submit(_arrival, speed, pieces, at) for lobe, at in seeds.items()}
@@ -159,11 +186,11 @@ def nearest_lobe(
     reached = np.isfinite(times.min(axis=0)) & inside
     label = np.where(reached, best + 1, 0).astype(np.uint8)
     border = _border_mm(label)
-    # Far from all airways that were found the border is no better known than they tell it.
+    # The border is less certain far from all airways that were found.
     way_mm = STEP_MM * np.where(reached, np.minimum(times.min(axis=0), 200.0), 0.0)
     spread: Values = np.maximum(UNSEEN_MM, FAR_SHARE * way_mm).astype(np.float32)
     if near_seen.any():
-        # A place is as sure as the piece of border that is nearest to it.
+        # The confidence of a voxel follows from its nearest piece of border.
         spread[_nearest_border_is_seen(label, near_seen)] = SEEN_MM
     sure = np.where(reached, 0.5 * (1.0 + _erf(border / (spread * math.sqrt(2.0)))), 0.0).astype(np.float32)
     expected = {"RUL", "RML", "RLL", "LUL", "LLL"} if "LML" not in seeds else {"RUL", "RLL", "LUL", "LML", "LLL"}
@@ -171,14 +198,14 @@ def nearest_lobe(
 
 
 def lung_grid(box: Box) -> tuple[Mask, NDArray[np.float64]]:
-    """The lungs on a grid of 2 mm, without the wall that the box holds round them, and its place."""
+    """Return the mask of the lungs on a grid of 2 mm, without the wall round them, and the transform of the grid."""
     every = round(STEP_MM / box.step_mm)
     matrix = np.diag([STEP_MM, STEP_MM, STEP_MM, 1.0])
     matrix[:3, 3] = box.lps_from_ijk[:3, 3]
-    # Chest wall and mediastinum within the closed lungs are no way from lobe to lobe, vessels are.
+    # Chest wall and mediastinum within the closed lungs block the fast-marching front; vessels do not.
     tissue = box.known[::every, ::every, ::every] & (box.hu_zyx[::every, ::every, ::every] > -300.0)
     solid = ball_distance(tissue, STEP_MM) > 5.0
-    # The box holds some millimetres of the chest wall and of the mediastinum round the lungs, which are no lung.
+    # The box includes some millimetres of chest wall and mediastinum round the lungs.
     known = box.known[::every, ::every, ::every]
     rim = (ball_distance(known, STEP_MM) < RIM_MM) & (box.hu_zyx[::every, ::every, ::every] > WALL_HU)
     inside: Mask = known & ~solid & ~rim
@@ -186,7 +213,7 @@ def lung_grid(box: Box) -> tuple[Mask, NDArray[np.float64]]:
 
 
 def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) -> dict[str, NDArray[np.intp]]:
-    """Voxels (n, 3) k, j, i of the lungs on each lobe's airways."""
+    """Return the voxels (n, 3) k, j, i of the lungs on the airways of each lobe."""
     lobe_of = branch_side_and_lobe(tree)
     found: dict[str, list[NDArray[np.intp]]] = {}
     for branch in tree.branches:
@@ -202,8 +229,8 @@ def _seeds(inside: Mask, lps_from_ijk: NDArray[np.float64], tree: AirwayTree) ->
 
 
 def _pieces(mask: Mask) -> NDArray[np.uint32]:
-    """Numbers from 1 on of the pieces of a mask that hang together by faces, as a front spreads."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    """Return the connected components of a mask by faces, numbered from 1."""
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     found: NDArray[np.uint32] = sitk.GetArrayFromImage(
         sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), False)
@@ -212,8 +239,8 @@ def _pieces(mask: Mask) -> NDArray[np.uint32]:
 
 
 def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) -> Values:
-    """How long a front takes from some voxels; it is looked at no further than the pieces go that they lie in."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    """Return the arrival time of a fast-marching front from some voxels, in the bounding box of their components."""
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     part = extent(np.isin(pieces, np.unique(pieces[tuple(at.T)])), 1)
     first = [axis.start for axis in part]
@@ -226,7 +253,7 @@ def _arrival(speed: Values, pieces: NDArray[np.uint32], at: NDArray[np.intp]) ->
 
 
 def _border_mm(label: NDArray[np.uint8]) -> Values:
-    """Distance to the next lobe of the same lung."""
+    """Return the distance in mm to the next lobe of the same lung."""
     right = np.isin(label, [1, 2, 3])
     out = np.full(label.shape, np.inf, dtype=np.float32)
     for side in (right, (label > 0) & ~right):
@@ -239,7 +266,7 @@ def _border_mm(label: NDArray[np.uint8]) -> Values:
 
 
 def _nearest_border_is_seen(label: NDArray[np.uint8], near_seen: Mask) -> Mask:
-    """Places whose nearest piece of border has a fissure beside it."""
+    """Return the mask of voxels whose nearest piece of border has a fissure beside it."""
     right = np.isin(label, [1, 2, 3])
     edge = np.zeros(label.shape, dtype=bool)
     for axis in range(3):
@@ -260,7 +287,7 @@ def _nearest_border_is_seen(label: NDArray[np.uint8], near_seen: Mask) -> Mask:
 
 
 def _erf(values: Values) -> Values:
-    """Abramowitz and Stegun 7.1.26, good to 2e-7, of values from 0 up."""
+    """Return the error function of values >= 0 (Abramowitz and Stegun 7.1.26, error 2e-7)."""
     t = 1.0 / (1.0 + 0.3275911 * values)
     poly = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
     found: Values = 1.0 - poly * np.exp(-np.minimum(values * values, 80.0))

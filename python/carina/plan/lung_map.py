@@ -1,4 +1,4 @@
-"""What lies round every target at once: vessels, fissures and lobes of both lungs, made to be drawn over slices."""
+"""Map of the structures in both lungs: vessels, fissures and lobes, as masks for display over slices."""
 
 from __future__ import annotations
 
@@ -26,37 +26,43 @@ __all__ = ["LungMap", "MappedMask", "map_lungs"]
 Mask = NDArray[np.bool_]
 
 SURE = 0.8
-"""A stretch of vessel that is on average less sure is drawn as doubtful: 1.3 times the least curvature."""
+"""Mean confidence below which a stretch of vessel is drawn as doubtful, as at 1.3 times the least curvature."""
 RIM_MM = 3.0
-"""The lungs are closed over the vessels that leave them, and reach into the chest wall: its rim looks like vessels."""
+"""Width in mm removed at the outside of the closed lungs, where the chest wall looks like vessels."""
 LUNG_HU = 250.0
-"""Above the lungs' median: what is darker is lung."""
+"""Rise over the median density of the lungs, in HU, up to which a voxel is lung."""
 ROUND_MM, LEAST_LUNG = 5.0, 0.35
-"""A vessel of the lungs has lung round it, by a Gaussian: half beside the pleura, a fifth between trachea and spine.
-The lungs are closed over the hila and round the trachea, and folds of the mediastinum there look like vessels."""
+"""Width in mm of a Gaussian, and least share of lung in it round a vessel of the lungs.
+
+The share is a half beside the pleura and a fifth between trachea and spine. The closed lungs include hila and trachea,
+where folds of the mediastinum look like vessels.
+"""
 AIRWAY_GENERATIONS = 2
-"""Air in airways up to here is no lung; those farther out are too thin to matter."""
+"""Highest generation of airways whose air is excluded from the lung; airways beyond it are too thin to matter."""
 DEEP_MM, LEAST_DEEP = 6.0, 0.25
-"""A line of which less lies so deep runs along the edge of the lungs, where slices shifted by breathing make steps."""
+"""Depth in mm below the edge of the lungs, and least share of a vessel line at this depth.
+
+Lines along the edge of the lungs are steps between slices that breathing has shifted.
+"""
 NEAR_MM = 3.0
-"""A border so near to a fissure that is seen lies on it: the lobes are told on a grid of 2 mm."""
+"""Largest distance in mm between a lobe border and a fissure on it; the lobes have a grid of 2 mm."""
 STRETCH_MM = 1.5
-"""Of the Gaussian over which that mean is taken: single voxels would make a line flicker between sure and doubtful."""
+"""Width in mm of the Gaussian for the mean confidence, so that lines do not alternate between sure and doubtful."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedMask:
-    """One structure on a grid of cubic voxels along LPS."""
+    """Mask of one structure on a grid of cubic voxels along LPS."""
 
     inside_zyx: Mask
     first_lps: tuple[float, float, float]
-    """The middle of its first voxel."""
+    """Centre of the first voxel, LPS mm."""
     spacing_mm: float
 
     @classmethod
     def placed(cls, inside_zyx: Mask, lps_from_ijk: NDArray[np.float64]) -> MappedMask:
-        """From the place of such a grid, (4, 4)."""
+        """Return the mask on the grid of a (4, 4) transform."""
         x, y, z = (float(v) for v in lps_from_ijk[:3, 3])
         return cls(inside_zyx, (x, y, z), float(lps_from_ijk[0, 0]))
 
@@ -66,44 +72,44 @@ class MappedMask:
 
     @property
     def lps_from_ijk(self) -> NDArray[np.float64]:
-        """(4, 4)."""
+        """(4, 4) transform from voxel indices to LPS mm."""
         place = np.diag([self.spacing_mm] * 3 + [1.0])
         place[:3, 3] = self.first_lps
         return place
 
     @property
     def ml(self) -> float:
-        """Its volume."""
+        """Volume in ml."""
         return float(np.count_nonzero(self.inside_zyx)) * self.spacing_mm**3 / 1000.0
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class LungMap:
-    """Vessels, fissures and lobes of both lungs; None where one is still to be looked for, or could not be told.
+    """Vessels, fissures and lobes of both lungs; None for a structure that is not found yet or could not be found.
 
-    Vessels of the mediastinum and the hila are no part of it: without contrast a CT does not show them.
+    Vessels of the mediastinum and the hila are not included, because a CT without contrast does not show them.
     """
 
     vessels: MappedMask | None = None
-    """At 1 mm: arteries and veins are not told apart, and those thinner than about 1 mm are seen in part."""
+    """Vessels at 1 mm; arteries and veins are not distinguished, and vessels thinner than about 1 mm are incomplete."""
     sure_vessels: MappedMask | None = None
-    """The stretches of them that stand out well."""
+    """Parts of the vessels with high confidence."""
     vessel_tree: VesselTree | None = None
-    """The same vessels as lines with radii; those that run along the edge of the lungs are left out."""
+    """Vessels as lines with radii, without those along the edge of the lungs."""
     fissures: MappedMask | None = None
-    """Plates at 1 mm, as far as they are seen; empty where none is."""
+    """Visible fissures as plates at 1 mm; empty if none is visible."""
     fissure_shares: tuple[float | None, float | None] | None = None
-    """Of the estimated borders of lobes, right and left, the share that lies on a fissure that is seen.
+    """Share of the estimated lobe borders on a visible fissure, for the right and the left lung.
 
-    None for a side without a border: its lung is one lobe, or is not in the CT.
+    None for a lung without a border: it is one lobe, or it is outside the CT.
     """
     lobes: tuple[tuple[str, MappedMask], ...] = ()
-    """By name, at 2 mm. Where no fissure is seen their borders follow from the airways."""
+    """Name and mask of each lobe at 2 mm; without a visible fissure the borders follow from the airways."""
     missing_lobes: tuple[str, ...] = ()
-    """No bronchus of them is on the tree: their room is told as their neighbours'."""
+    """Lobes without a bronchus in the tree; their volume is labelled as that of their neighbours."""
     problems: tuple[str, ...] = ()
-    """Why something could not be told."""
+    """Messages about structures that could not be found."""
 
 
 @shows_progress
@@ -115,7 +121,7 @@ def map_lungs(
     progress: ProgressChoice = None,
     found: Callable[[LungMap], None] | None = None,
 ) -> LungMap:
-    """Vessels first, then the tree that they form, then lobes and fissures; what fails is told and the rest is there.
+    """Find the vessels, then their tree, then lobes and fissures; a failure for the lobes is stored in ``problems``.
 
     Parameters
     ----------
@@ -125,7 +131,12 @@ def map_lungs(
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown. It may raise CancelledError.
     found
-        Given what is made so far, while the rest is still being looked for.
+        Called with each partial map while the rest is being computed.
+
+    Returns
+    -------
+    LungMap
+        Masks and vessel tree.
 
     Raises
     ------
@@ -134,7 +145,6 @@ def map_lungs(
     CancelledError
         If ``progress`` raised it.
     """
-
     report = progress_function(progress)
 
     def say(what: str, share: float) -> None:
@@ -172,7 +182,7 @@ def map_lungs(
 
 
 def _within(known: Mask, num_voxels: int) -> Mask:
-    """Without the outermost voxels, counted by faces."""
+    """Erode a mask by ``num_voxels`` voxels across faces."""
     inner = np.pad(known, 1)
     for _ in range(num_voxels):
         less = inner.copy()
@@ -184,7 +194,7 @@ def _within(known: Mask, num_voxels: int) -> Mask:
 
 
 def _amid_lung(seen: Surroundings, tree: AirwayTree) -> Mask:
-    """Where lung lies round, and not mediastinum or chest wall: of every second voxel, for those beside it too."""
+    """Return the mask of voxels surrounded by lung, not by mediastinum or chest wall, from every second voxel."""
     lung = seen.box.known & (seen.box.hu_zyx < seen.lung_hu + LUNG_HU)
     step_mm, first = seen.box.step_mm, seen.box.lps_from_ijk[:3, 3]
     for branch in tree.branches:
@@ -207,7 +217,7 @@ def _amid_lung(seen: Surroundings, tree: AirwayTree) -> Mask:
 
 
 def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
-    """The branches that lie deep enough in the lungs; where one begins at another that does not, a piece begins."""
+    """Return the branches deep enough in the lungs; a branch whose parent is removed becomes a root."""
     deep = _within(box.known, round(DEEP_MM / box.step_mm))
     places: dict[int, int] = {}
     kept: list[VesselBranch] = []
@@ -222,7 +232,7 @@ def _deep_lines(tree: VesselTree, box: Box) -> VesselTree:
 
 
 def _standing_out(inside: Mask, seen: Surroundings) -> Mask:
-    """Where the mean over a stretch of the vessel is sure."""
+    """Return the parts of the vessels whose mean confidence over a stretch is high."""
     sigma = STRETCH_MM / seen.box.step_mm
     weight = smoothed(inside.astype(np.float32), sigma)
     mean = smoothed(np.where(inside, seen.sure, 0.0).astype(np.float32), sigma)
@@ -259,5 +269,5 @@ def _seen_shares(told: Lobes, fissure: FissureBox) -> tuple[float | None, float 
 
 
 def _cropped(mask: Mask, box: Box) -> MappedMask:
-    """Without the box's values, which are large."""
+    """Return a mask on the grid of a box, without the box's values, which are large."""
     return MappedMask.placed(mask, np.array(box.lps_from_ijk, dtype=np.float64))

@@ -1,4 +1,4 @@
-"""The ridge of the main carina, the zero of what is told in theatre."""
+"""Ridge of the main carina, the origin of the distances that a bronchoscopist uses."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ SAME_PLACE_MM = 1e-6
 
 
 def ridge_beyond_axes_mm(volume: Volume, airways: Airways, branch_id: int, axes_mm: float) -> float | None:
-    """How far the ridge of the main carina lies beyond the place where the axes of the main bronchi meet, mm.
+    """Return how far the ridge of the main carina is beyond the point where the axes of the main bronchi meet, in mm.
 
     Parameters
     ----------
     volume, airways
         The CT and its airways.
     branch_id
-        Of a branch beyond the main carina.
+        Id of a branch beyond the main carina.
     axes_mm
-        Where the axes meet, along the way from the root to it.
+        Distance from the root to the point where the axes meet, along the way to the branch.
 
     Returns
     -------
     float or None
-        None where no fork is there, or no ridge of wall.
+        None if there is no fork at this distance, or no ridge of wall.
     """
     tree = airways.tree
     at_mm = 0.0
@@ -43,6 +43,6 @@ def ridge_beyond_axes_mm(volume: Volume, airways: Airways, branch_id: int, axes_
 
 
 def _without_rest(branch: Branch, ids: set[int]) -> Branch:
-    """A branch of a tree that has these branches only."""
+    """Return a branch whose parent and children are limited to the given ids."""
     parent = branch.parent if branch.parent in ids else None
     return replace(branch, parent=parent, children=tuple(i for i in branch.children if i in ids))

@@ -1,6 +1,7 @@
-"""A nodule from voxels that somebody drew: volume, diameters and density as of one that was grown.
+"""Nodule from a drawn mask: volume, diameters and density, as for a segmented nodule.
 
-What was drawn is taken as it is: its volume is what it holds, and the error says how far a drawn boundary may be off.
+The drawn boundary is used unchanged. The volume is that of the mask, and the error states how far a drawn boundary may
+be off.
 """
 
 from __future__ import annotations
@@ -22,35 +23,41 @@ __all__ = ["Drawn", "drawn_nodule", "measured_mask"]
 Mask = NDArray[np.bool_]
 
 DRAWN_OFF = 0.5
-"""A drawn boundary may lie this far off, in voxels of the CT (the cube of the same volume): common knowledge (k)."""
+"""Error of a drawn boundary in voxels of the CT, by common knowledge (a voxel is the cube of equal volume)."""
 SOLID_SHARE = 0.6
-"""Less solid than this behind its edge, a nodule with a solid part is part-solid."""
+"""Share of solid voxels behind the edge below which a nodule with a solid part is part-solid."""
 MARGIN_MM = 4.0
 LARGEST_MM = 200.0
 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A structure in a part of a CT's grid."""
+    """Structure in a part of a CT's grid."""
 
     share_zyx: NDArray[np.float32]
-    """(nz, ny, nx) share of each voxel that lies in it, 0 to 1."""
+    """(nz, ny, nx) share of each voxel in the structure, 0 to 1."""
     first_zyx: tuple[int, int, int]
-    """The CT's voxel at its corner."""
+    """Index of the CT voxel at the corner of the part."""
 
 
 def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), off_mm: float = 0.0) -> Nodule:
-    """What was drawn on a CT's own grid, as a nodule.
+    """Return the nodule of a structure that was drawn on the grid of a CT.
 
     Parameters
     ----------
+    volume
+        The CT.
+    drawn
+        Shares of its voxels.
+    notes
+        Notes on the boundary for the user.
     off_mm
-        By how much more its boundary is uncertain than a drawn one is.
+        Additional uncertainty of the boundary, beyond that of a drawn one.
 
     Raises
     ------
     NoResultError
-        If it is empty or larger than 20 cm (code ``plan.mask``).
+        If the structure is empty or larger than 20 cm (code ``plan.mask``).
     """
     share = drawn.share_zyx
     filled = np.argwhere(share > 0.0)
@@ -90,7 +97,7 @@ def drawn_nodule(volume: Volume, drawn: Drawn, *, notes: tuple[str, ...] = (), o
 def _on_cubes(
     volume: Volume, drawn: Drawn, matrix: NDArray[np.float64], shape: tuple[int, int, int], volume_mm3: float
 ) -> Mask:
-    """The cubic voxels that lie deepest in what was drawn: as many as have its volume."""
+    """Return the cubic voxels with the largest shares, as many as have the volume of the drawn structure."""
     padded = np.pad(drawn.share_zyx, 1)
     to_ijk = volume.ijk_from_lps @ matrix
     first = np.array(drawn.first_zyx[::-1]) - 1.0
@@ -120,20 +127,29 @@ def measured_mask(
     touches: tuple[str, ...] = (),
     off_mm: float = 0.0,
 ) -> Nodule:
-    """The nodule of a mask of cubic voxels.
+    """Return the nodule of a mask of cubic voxels.
 
     Parameters
     ----------
+    volume
+        The CT.
     inside, lps_from_ijk
-        (nz, ny, nx) and (4, 4).
+        (nz, ny, nx) mask and (4, 4) transform of its grid.
     kind
-        As it is known; else by how dense the CT is there.
+        Kind of the nodule; determined from the density of the CT if None.
     volume_mm3, centre_lps
-        Where they are known better than by counting voxels.
+        Volume and centre; computed from the voxels if None.
+    notes
+        Notes on the boundary for the user.
     touches
-        What it was cut from; that the CT ends at it is found.
+        Structures that the nodule was cut from. The edge of the CT is added if it cuts the nodule.
     off_mm
-        By how much more its boundary is uncertain than a drawn one is.
+        Additional uncertainty of the boundary, beyond that of a drawn one.
+
+    Raises
+    ------
+    UsageError
+        If the mask is empty (code ``plan.edit``).
     """
     if not inside.any():
         raise UsageError("the target would be empty", code="plan.edit")
@@ -149,7 +165,7 @@ def measured_mask(
     solid_mm3 = float(dense.sum()) * step**3
     if kind is None:
         is_part = solid_mm3 > SMALLEST_PART_MM3
-        # Not smoothed any more: blur alone makes a small solid nodule look like ground glass.
+        # Unsmoothed values, because blur makes a small solid nodule look like ground glass.
         alike = float((box.hu_zyx[core] > SOLID_HU).mean()) >= SOLID_SHARE
         kind = "solid" if alike else "part-solid" if is_part else "ground-glass"
     counted_mm3 = float(cropped.sum()) * step**3
@@ -164,7 +180,7 @@ def measured_mask(
         centre_lps=counted_lps if centre_lps is None else centre_lps,
         kind=kind,
         volume_mm3=mm3,
-        # No more than all of it may be wrong.
+        # The error is at most the whole volume.
         volume_error_mm3=min(area_mm2 * slack_mm, mm3),
         long_mm=long_mm,
         short_mm=short_mm,

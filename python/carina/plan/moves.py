@@ -1,4 +1,4 @@
-"""What the hand does on the way: turn, flex, advance, move by move."""
+"""Move of the hand along a route: turn, flexion and advance."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["Move"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Turn the scope, set the lever, then advance; one after the other, and nothing else."""
+    """Move of the hand: turn the scope, set the lever, then advance, one after the other."""
 
     turn_deg: float
-    """Change of roll, clockwise as the operator sees it."""
+    """Change of roll in degrees, clockwise as seen by the operator."""
     flexion_deg: float
-    """What the bending section is set to (not a change); above 0 the instrument's up."""
+    """Flexion in degrees that the lever is set to (not a change); above 0 the tip bends to the instrument's up side."""
     advance_mm: float
-    """Below 0 the scope is withdrawn."""
+    """Advance in mm; below 0 the scope is withdrawn."""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the move as plain JSON types."""
         return {"turn_deg": self.turn_deg, "flexion_deg": self.flexion_deg, "advance_mm": self.advance_mm}

@@ -1,4 +1,4 @@
-"""How often a needle hits: the share of the positions that the errors allow, by quadrature."""
+"""Share of needles that hit a nodule within the needle's position errors, by numerical quadrature."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ TIPS_AT_ONCE = 32
 @one_line
 @dataclass(frozen=True, slots=True)
 class NeedleErrors:
-    """Standard deviations of where a needle goes, against where it was meant to go.
+    """Standard deviations of the needle's direction and position from the planned ones.
 
-    The defaults are common knowledge, not measured (k).
+    The defaults are common knowledge, not measured.
     """
 
     angle_deg: float = 4.0
-    """Of its direction, on each of two axes."""
+    """Error of the direction in degrees, on each of two axes."""
     tip_mm: float = 0.7
-    """Of the scope's tip, on each of the two axes across the needle."""
+    """Error of the scope's tip in mm, on each of the two axes across the needle."""
 
     def __post_init__(self) -> None:
+        """Check the fields."""
         check_fields(self, angle_deg=any_number(), tip_mm=any_number())
         for name, value, most in (("angle_deg", self.angle_deg, 45.0), ("tip_mm", self.tip_mm, 20.0)):
             if not (math.isfinite(value) and 0.0 <= value <= most):
@@ -58,20 +59,21 @@ def hit_share(
 
     Parameters
     ----------
+    nodule
+        The target.
     tip_lps, aim_lps
-        (3,) where the needle leaves the scope, and what it is meant for.
+        (3,) LPS mm: point where the needle leaves the scope, and point that it is aimed at.
     reach_mm
-        How far it goes beyond the tip.
+        Length of the needle beyond the tip.
     errors
-        Gaussian errors of direction and place, taken together at the aim's distance.
+        Gaussian errors of direction and position, combined at the distance of the aim.
     moved_mm
-        The nodule may lie anywhere in a ball of this radius round where the CT shows it, and the needle is not aimed
-        anew.
+        Radius of the ball round its place in the CT in which the nodule may be; the needle is not aimed again.
 
     Returns
     -------
     float
-        0 to 1.
+        Share, 0 to 1.
     """
     along = aim_lps - tip_lps
     distance = float(np.linalg.norm(along))
@@ -82,17 +84,17 @@ def hit_share(
     if moved_mm <= 0.0:
         return _share(nodule, tip_lps[None], _cone(along, sigma, NUM_RINGS, NUM_ROUND), reach_mm)
     ball = _fibonacci_sphere(NUM_WAYS)
-    # Shells of equal volume.
+    # Shells of equal volume have equal weight.
     radii = moved_mm * ((np.arange(NUM_SHELLS) + 0.5) / NUM_SHELLS) ** (1.0 / 3.0)
     shifts = (radii[:, None, None] * ball).reshape(-1, 3)
     return _share(nodule, tip_lps - shifts, _cone(along, sigma, FEW_RINGS, FEW_ROUND), reach_mm)
 
 
 def _cone(along: Points, sigma_rad: float, num_rings: int, num_round: int) -> Points:
-    """Directions of equal weight in a Gaussian cone, (n, 3)."""
+    """Return directions (n, 3) of equal weight in a Gaussian cone."""
     across, up = axes_across(along)
     share = (np.arange(num_rings) + 0.5) / num_rings
-    # The two axes together: a Rayleigh distribution.
+    # The angle of a two-dimensional Gaussian has a Rayleigh distribution.
     off = np.minimum(sigma_rad * np.sqrt(-2.0 * np.log1p(-share)), 1.5)
     turn = 2.0 * np.pi * (np.arange(num_round)[None] + 0.5 * (np.arange(num_rings)[:, None] % 2)) / num_round
     side = np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * up
@@ -111,7 +113,7 @@ def _share(nodule: Nodule, tips: Points, ways: Points, reach_mm: float) -> float
 
 
 def axes_across(along: Points) -> tuple[Points, Points]:
-    """Two unit vectors across a direction and each other; of directions (..., 3) across each."""
+    """Return two unit vectors (..., 3) perpendicular to directions (..., 3) and to each other."""
     across = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=-1)])
     across /= np.sqrt((across * across).sum(axis=-1, keepdims=True))
     return across, np.cross(along, across)
@@ -119,7 +121,7 @@ def axes_across(along: Points) -> tuple[Points, Points]:
 
 @cache
 def _fibonacci_sphere(num: int) -> Points:
-    """Directions spread evenly over the sphere, (num, 3)."""
+    """Return directions (num, 3) spread evenly over the sphere."""
     n = np.arange(num)
     z = 1.0 - (2.0 * n + 1.0) / num
     across = np.sqrt(1.0 - z * z)

@@ -1,4 +1,4 @@
-"""A nodule grown from one click: its boundary, its volume and diameters, and how sure they are."""
+"""Segmentation of a nodule from one click: boundary, volume, diameters and their errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from carina.volume import Volume
 __all__ = ["Nodule", "NoduleKind", "grow_nodule"]
 
 MOST_STEPS = 60
-"""Voxels from the middle of a box to its side: a mass needs no finer ones."""
+"""Largest number of voxels from the centre of a box to its side; large masses get larger voxels."""
 
 
 @shows_progress
@@ -45,8 +45,8 @@ def grow_nodule(
     at_lps
         A point in the nodule, LPS mm; within 4 mm of its densest part, or in its cavity.
     wall
-        The airways' wall where it is at hand (`carina.wall_field`): what stands into an airway is a lesion of its own
-        then, and a click into a lumen is said to be one.
+        The airways' wall (`carina.wall_field`). With it, tissue that protrudes into an airway is segmented as a lesion
+        of its own, and a click into a lumen without a lesion is refused.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown. It may raise CancelledError.
@@ -54,16 +54,16 @@ def grow_nodule(
     Returns
     -------
     Nodule
-        Its boundary, and what is measured of it. Spicules and vessels are not part of it.
+        Its boundary and measures. Spicules and vessels are not part of it.
 
     Raises
     ------
     UsageError
-        If the point is no point, or outside the CT.
+        If ``at_lps`` is not a point, or is outside the CT.
     NoResultError
-        If nothing there stands out of the lung (code ``plan.no-nodule``), or what does has no end within 5 cm: a
-        consolidation, the chest wall, the heart (``plan.no-boundary``); if the point lies in an airway and nothing
-        stands into it there (``plan.in-airway``), or outside the body (``plan.outside-body``).
+        If nothing there is denser than the lung (code ``plan.no-nodule``); if the dense part does not end within 5 cm,
+        as in a consolidation, the chest wall or the heart (``plan.no-boundary``); if the point is in an airway and
+        nothing protrudes into it there (``plan.in-airway``); or if it is outside the body (``plan.outside-body``).
     CancelledError
         If ``progress`` raised it.
 
@@ -113,7 +113,7 @@ def grow_nodule(
         try:
             grown = Boundary(box, point, coarsest_mm, look)
         except NoResultError as error:
-            # In a larger box a cavity ends, and a mass has lung round it.
+            # A larger box may contain the whole cavity, or lung round a large mass.
             if half_mm == HALVES_MM[0] or problem.code != error.code:
                 problem = error
             continue

@@ -1,4 +1,4 @@
-"""A nodule as a value: where it is, how large, how sure that is, and the voxels that it has."""
+"""Value class of a nodule: position, size, errors and voxel mask."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NoduleKind = Literal["solid", "part-solid", "ground-glass"]
 
 RECORD_VERSION = 1
 MOST_VOXELS = 400**3
-"""Of a record's box: 20 cm at 0.5 mm. More is no nodule."""
+"""Largest number of voxels in a record: a box of 20 cm at 0.5 mm."""
 _NUMBERS = (
     "volume_mm3",
     "volume_error_mm3",
@@ -51,7 +51,7 @@ _NUMBERS = (
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodule:
-    """A nodule: where it is, how large, and how sure that is.
+    """Nodule with its position, size and errors.
 
     Examples
     --------
@@ -67,28 +67,32 @@ class Nodule:
     kind: NoduleKind
     volume_mm3: float
     volume_error_mm3: float
-    """Half the width of the interval that holds the true volume nine times of ten."""
+    """Half width of the interval that contains the true volume with 90 % probability."""
     long_mm: float
-    """Longest diameter in the axial plane that shows it largest."""
+    """Longest diameter in the axial plane with the largest cross-section."""
     short_mm: float
-    """The longest across ``long_mm`` in that plane."""
+    """Longest diameter perpendicular to ``long_mm`` in the same plane."""
     diameter_error_mm: float
-    """As ``volume_error_mm3``, for both diameters."""
+    """Half width of the 90 % interval of both diameters."""
     solid_mm3: float
-    """Of which solid: all of it but in a part-solid or ground-glass nodule."""
+    """Volume of the solid part; less than the whole in a part-solid or ground-glass nodule or one with a cavity."""
     density_hu: float
-    """Mean of its middle."""
+    """Mean density of the middle of the nodule, HU."""
     touches: tuple[str, ...]
-    """What it was cut from: "pleura" (of wall, mediastinum or diaphragm: the CT shows no difference), "vessel"; "edge
-    of the CT" where the scan ends in it."""
+    """Structures that the nodule was cut from.
+
+    ``pleura`` is chest wall, mediastinum or diaphragm, which the CT does not distinguish; ``vessel`` a vessel;
+    ``edge of the CT`` means that the scan ends in the nodule.
+    """
     inside_zyx: Mask
-    """(nz, ny, nx) in a box of its own, true inside."""
+    """(nz, ny, nx) mask in a box of its own."""
     lps_from_ijk: NDArray[np.float64]
-    """(4, 4) of that box; cubic voxels."""
+    """(4, 4) transform from voxel indices of the mask to LPS mm; cubic voxels."""
     notes: tuple[str, ...] = ()
-    """What a person should know about its boundary: that it was edited by hand, what of a file was left out."""
+    """Notes on the boundary for the user, for example that it was edited by hand or that parts were left out."""
 
     def __post_init__(self) -> None:
+        """Check the fields."""
         size = number_from(0.0, COORDINATE_MM, unit="mm")
         volume = number_from(0.0, 1e9, unit="mm3")
         check_fields(
@@ -110,17 +114,17 @@ class Nodule:
 
     @property
     def equivalent_mm(self) -> float:
-        """Diameter of the ball of its volume."""
+        """Diameter of the ball of equal volume."""
         return float((6.0 * self.volume_mm3 / np.pi) ** (1.0 / 3.0))
 
     @property
     def mean_mm(self) -> float:
-        """Mean of the two axial diameters, as guidelines measure (Fleischner 2017)."""
+        """Mean of the two axial diameters, as in guidelines (Fleischner 2017)."""
         return 0.5 * (self.long_mm + self.short_mm)
 
     @property
     def middle_lps(self) -> tuple[float, float, float]:
-        """The centroid; where that lies in a hollow of it, the nearest place that is well inside."""
+        """Centroid of the nodule, or the nearest deep point of its mask if the centroid is in a hollow."""
         if self.contains([self.centre_lps])[0]:
             return self.centre_lps
         depth = ball_distance(self.inside_zyx, 1.0)
@@ -135,7 +139,7 @@ class Nodule:
         return f"{self.kind} nodule, {self.long_mm:.1f} x {self.short_mm:.1f} mm, {ml:.{2 if ml >= 0.1 else 3}f} ml"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types, without the mask."""
+        """Return the nodule as plain JSON types, without the mask."""
         return {
             "centre_lps": list(self.centre_lps),
             "kind": self.kind,
@@ -151,9 +155,9 @@ class Nodule:
         }
 
     def to_record(self) -> dict[str, Any]:
-        """All of it in plain JSON types: what a file keeps. `from_record` makes the same nodule of it, bit for bit.
+        """Return the whole nodule as plain JSON types for a file; `from_record` restores it bit for bit.
 
-        The mask's voxels are bits, compressed: some kB for a nodule, 20 for a mass of 5 cm.
+        The voxels of the mask are compressed bits: some kB for a nodule, 20 kB for a mass of 5 cm.
         """
         packed = zlib.compress(np.packbits(self.inside_zyx).tobytes(), 6)
         return {
@@ -172,7 +176,7 @@ class Nodule:
         Raises
         ------
         UsageError
-            If it is no such record, or a newer one (code ``plan.record``).
+            If the record is not valid, or of a newer version (code ``plan.record``).
         """
         try:
             if record["version"] != RECORD_VERSION:
@@ -198,7 +202,7 @@ class Nodule:
 
     @check_arguments(points_lps=lps_points(or_none=True))
     def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
-        """How far points are from its boundary; 0 inside.
+        """Return the distances of points from the boundary; 0 inside.
 
         Parameters
         ----------
@@ -208,7 +212,7 @@ class Nodule:
         Returns
         -------
         numpy.ndarray
-            (n,) mm, exact to half a voxel of its box.
+            (n,) mm, exact to half a voxel of the mask.
         """
         points = np.atleast_2d(np.asarray(points_lps, dtype=np.float64))
         inside = np.argwhere(surface(self.inside_zyx))[:, ::-1] @ self.lps_from_ijk[:3, :3].T + self.lps_from_ijk[:3, 3]
@@ -218,7 +222,7 @@ class Nodule:
 
     @check_arguments(points_lps=lps_points(or_none=True))
     def contains(self, points_lps: ArrayLike) -> Mask:
-        """Whether points (n, 3) LPS mm lie in it, by the nearest voxel of its box."""
+        """Return whether points (n, 3) LPS mm are in the nodule, by the nearest voxel of its mask."""
         points = np.atleast_2d(np.asarray(points_lps, dtype=np.float64))
         ijk = np.rint((points - self.lps_from_ijk[:3, 3]) @ np.linalg.inv(self.lps_from_ijk[:3, :3]).T).astype(int)
         there = ((ijk >= 0) & (ijk < np.array(self.inside_zyx.shape[::-1]))).all(axis=1)
@@ -228,13 +232,19 @@ class Nodule:
 
 
 def _unpacked(text: str, shape: Any) -> Mask:
-    """Return the bits of a record as a mask; ``ValueError`` where their number does not fit the shape."""
+    """Return the bits of a record as a mask.
+
+    Raises
+    ------
+    ValueError
+        If their number does not fit the shape, or no voxel is inside.
+    """
     nz, ny, nx = (int(n) for n in shape)
     num = nz * ny * nx
     if min(nz, ny, nx) < 1 or num > MOST_VOXELS:
         raise ValueError(f"a box of {nx} x {ny} x {nz} voxels")
     expected = (num + 7) // 8
-    # A record may lie about its size: no more is unpacked than its shape holds.
+    # A wrong size in a record must not exhaust the memory, so the decompression stops at the size of the shape.
     unpacker = zlib.decompressobj()
     data = unpacker.decompress(base64.b64decode(text, validate=True), expected + 1)
     if len(data) != expected:

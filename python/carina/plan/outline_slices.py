@@ -22,8 +22,10 @@ ENCLOSED = 0.999
 SAME_OVERLAP = 0.9
 """Least intersection over union of two outlines that are one boundary drawn twice."""
 SAME_APART_VOX, SAME_APART_OVERLAP = 1.0, 0.7
-"""Outlines that are less than one voxel apart on average are one boundary: a CT does not show a thinner wall. Their
-overlap must be at least this, so that small hollows stay holes."""
+"""Largest mean distance in voxels and least overlap of two outlines that are one boundary.
+
+A CT does not show a wall that is thinner than one voxel. The least overlap ensures that small hollows stay holes.
+"""
 UNCLEAR_OVERLAP = 0.75
 """Largest overlap of a hole: nested outlines that overlap more may be a thin wall or two observers, and are refused."""
 CLOSES_VOX = 0.005
@@ -203,7 +205,15 @@ def _loops(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def coverage(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the share of each voxel (rows, columns) inside a closed outline (n, 2), columns first."""
+    """Return the share of each voxel (rows, columns) inside a closed outline (n, 2), columns first.
+
+    Parameters
+    ----------
+    points
+        (n, 2) outline, columns first; the last point joins the first.
+    shape
+        Number of rows and columns.
+    """
     rows, columns = shape
     found = np.zeros(shape)
     x0, y0 = points.T

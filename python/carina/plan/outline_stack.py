@@ -143,7 +143,7 @@ def _sum(parts: Sequence[Share], free: Sequence[bool], like: Share) -> NDArray[n
 
 def _parts(share: Share) -> list[Share]:
     """Split a shape into its connected parts."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     if not (share > 0.0).any():
         return []
@@ -180,7 +180,7 @@ def _distances(
 
 def _signed(share: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return the distance to the boundary in voxels, positive inside; None if no voxel is inside."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     inside = share >= 0.5
     if not inside.any() or inside.all():

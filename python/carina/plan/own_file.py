@@ -32,7 +32,7 @@ class OwnFile:
         Raises
         ------
         UsageError
-            If it cannot be read (code ``plan.own-file``).
+            If the file cannot be read (code ``plan.own-file``).
         """
         file = Path(path)
         try:
@@ -46,11 +46,29 @@ class OwnFile:
             raise UsageError(words, code="plan.own-file") from error
 
     def refusal(self, what: str, expected: str, found: object) -> UsageError:
-        """To be raised."""
+        """Return the error for a field with a wrong value.
+
+        Parameters
+        ----------
+        what
+            Name of the field.
+        expected
+            Expected values, as text.
+        found
+            Value that the file contains.
+        """
         return UsageError(f"{self.where}: {what}: expected {expected}; found {found!r}", code="plan.own-file")
 
     def check(self, form: str, version: int, names: Iterable[str]) -> None:
-        """Check that the document is an object of this format without unknown names."""
+        """Check that the document is an object of this format without unknown names.
+
+        Parameters
+        ----------
+        form, version
+            Expected format name and version.
+        names
+            Names of all allowed fields.
+        """
         if not isinstance(self.document, dict):
             raise self.refusal("the whole", "an object in braces", self.document)
         found = (self.document.get("format"), self.document.get("version"))
@@ -62,14 +80,14 @@ class OwnFile:
             raise self.refusal("names", f"only {', '.join(sorted(known))}", strange)
 
     def text(self, name: str) -> str:
-        """Words."""
+        """Return the field ``name``, a text that is not empty."""
         found = self.document.get(name)
         if not (isinstance(found, str) and 0 < len(found.strip()) <= MOST_LETTERS):
             raise self.refusal(name, f"words, at most {MOST_LETTERS} letters", found)
         return found
 
     def text_or_none(self, name: str) -> str | None:
-        """Words, or nothing."""
+        """Return the field ``name``, a text that is not empty, or None."""
         return None if self.document.get(name) is None else self.text(name)
 
     def flag(self, name: str, expected: str) -> bool:
@@ -80,14 +98,30 @@ class OwnFile:
         return found
 
     def size(self, name: str, most: float) -> float:
-        """Return the field ``name``, a number above 0."""
+        """Return the field ``name``, a number above 0.
+
+        Parameters
+        ----------
+        name
+            Name of the field.
+        most
+            Largest allowed value; the unit in messages follows from the name.
+        """
         found = self.document.get(name)
         if not _is_number(found) or not 0.0 < found <= most:
             raise self.refusal(name, f"a number above 0 up to {most:g} {_unit(name)}", found)
         return float(found)
 
     def number_or_none(self, name: str, most: float) -> float | None:
-        """Return the field ``name``, a number from 0 up, or None."""
+        """Return the field ``name``, a number from 0 up, or None.
+
+        Parameters
+        ----------
+        name
+            Name of the field.
+        most
+            Largest allowed value; the unit in messages follows from the name.
+        """
         found = self.document.get(name)
         if found is None:
             return None
@@ -96,7 +130,15 @@ class OwnFile:
         return float(found)
 
     def pair_or_none(self, name: str, most: float) -> tuple[float, float] | None:
-        """Two numbers from 0 up, or nothing."""
+        """Return the field ``name``, two numbers from 0 up, or None.
+
+        Parameters
+        ----------
+        name
+            Name of the field.
+        most
+            Largest allowed value; the unit in messages follows from the name.
+        """
         found = self.document.get(name)
         if found is None:
             return None

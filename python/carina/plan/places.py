@@ -1,4 +1,4 @@
-"""Where a scope may stand: every point of an airway tree's centrelines, against one target."""
+"""Positions on the airways' centrelines that a scope may have, and their relation to one target."""
 
 from __future__ import annotations
 
@@ -24,18 +24,21 @@ Points = NDArray[np.float64]
 BronchusSign = Literal["into", "beside", "none"]
 
 PLACES_MM = 0.7
-"""Places nearer to one another on a centreline are one."""
+"""Least distance in mm between two places on one branch."""
 FINE_MM = 0.175
-"""Between two places beside the best."""
+"""Distance in mm of the additional places beside the best ones."""
 INTO_MM, BESIDE_MM = 0.8, 2.0
-"""A lumen this near to the nodule leads into it, or lies against it."""
+"""Largest distance in mm of a lumen from a nodule that it leads into, and of one that it is beside."""
 DOUBTFUL = 0.5
-"""Below this confidence a branch is doubtful."""
+"""Confidence below which a branch is doubtful."""
 LOWER_LOBE_MM, ELSEWHERE_MM = 20.0, 15.0
-"""How far a nodule may lie from where the CT at full inspiration shows it: 17.6 mm on average, more than 20 mm in the
-lower lobes (85 lesions: Chen et al., Chest 2015;147:1275; s); 15 mm elsewhere (k)."""
+"""Largest distance in mm of a nodule from its place in a CT at full inspiration, in the lower lobes and elsewhere.
+
+The movement is 17.6 mm on average and more than 20 mm in the lower lobes (85 lesions; source: Chen et al., Chest
+2015;147:1275). The value of 15 mm elsewhere is common knowledge.
+"""
 SMOOTH_MM = 4.0
-"""Half the way over which a direction of the route is taken."""
+"""Half the length in mm over which a direction of the route is measured."""
 BEND_STEP_MM = 1.0
 
 _COLUMNS = ("points", "forward", "branch", "along_mm", "width", "radius")
@@ -44,20 +47,20 @@ _COLUMNS = ("points", "forward", "branch", "along_mm", "width", "radius")
 @one_line
 @dataclass(frozen=True, slots=True)
 class NearestPlace:
-    """The place in the airways that lies nearest to a target."""
+    """Place in the airways nearest to a target."""
 
     branch_id: int
     branch_name: str
     place_lps: tuple[float, float, float]
     along_mm: float
-    """From the root."""
+    """Distance from the root, mm."""
     width_mm: float
-    """Diameter of the largest ball that fits there."""
+    """Diameter of the largest ball that fits there, mm."""
     gap_mm: float
-    """From the middle of the airway to the target's edge."""
+    """Distance from the middle of the airway to the edge of the target, mm."""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the place as plain JSON types."""
         return {
             "branch_id": self.branch_id,
             "branch_name": self.branch_name,
@@ -69,16 +72,16 @@ class NearestPlace:
 
 
 class Ways:
-    """All points of a tree's branches, and what the way to each asks of a scope.
+    """Centreline points of a tree, with the width, bends and doubts of the path from the root to each point.
 
     Parameters
     ----------
     tree, wall
-        The airways, and their wall.
+        The airways and their wall.
     measures
-        Of this tree; None takes the largest ball as the diameter everywhere.
+        Measures of this tree. If None, the diameter is that of the largest ball everywhere.
     spacing_mm
-        The coarsest of the CT.
+        Largest spacing of the CT.
     """
 
     def __init__(
@@ -105,15 +108,23 @@ class Ways:
         self.branch: NDArray[Any] = joined([np.full(len(b.points), b.id) for b in branches])
         self.along_mm: Points = joined([along[b.id] for b in branches])
         self.width: NDArray[np.object_] = joined([widths[b.id] for b in branches])
-        """(n,) of `RouteWidth`."""
+        """(n,) `RouteWidth` of the path from the root to each point."""
         self.radius: Points = joined([b.wall_distance for b in branches])
 
     def of_branch(self, n: int) -> Branch:
-        """The branch of a place."""
+        """Return the branch of point ``n``."""
         return self._row[int(self.branch[n])]
 
     def asks(self, n: int, section_mm: float | None) -> Demands:
-        """What the way to a place asks of a scope whose tip and bending section are ``section_mm`` long."""
+        """Return width, bend and doubts of the path to point ``n``, which a scope must pass.
+
+        Parameters
+        ----------
+        n
+            Index of the point.
+        section_mm
+            Length of the scope's tip and bending section; None ignores bends.
+        """
         branch = self.of_branch(n)
         if branch.id not in self._doubts:
             self._doubts[branch.id] = self._doubts_of(branch)
@@ -137,7 +148,7 @@ class Ways:
 
 
 class Places(Ways):
-    """The same against one nodule."""
+    """Centreline points of a tree and their relation to one nodule."""
 
     def __init__(
         self,
@@ -153,7 +164,7 @@ class Places(Ways):
         self.distance: Points = np.linalg.norm(self.points - np.array(nodule.centre_lps), axis=1)
 
     def angle_deg(self, aim_lps: Points) -> Points:
-        """Between the airway and the way to an aim, at each place."""
+        """Return the angle in degrees between the airway and the direction to an aim, at each place."""
         off = aim_lps - self.points
         cosine = (off * self.forward).sum(axis=1) / np.maximum(np.linalg.norm(off, axis=1), 1e-9)
         found: Points = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -162,12 +173,24 @@ class Places(Ways):
     def within_reach(
         self, tool: Tool, aim_lps: Points, most_angle_deg: float, *, apart_mm: float = PLACES_MM
     ) -> NDArray[np.intp]:
-        """Places from which the tool may reach the nodule forwards, on each branch ``apart_mm`` or more apart."""
+        """Return the places from which the tool may reach the nodule forwards.
+
+        Parameters
+        ----------
+        tool
+            Tool with its reach.
+        aim_lps
+            (3,) LPS mm.
+        most_angle_deg
+            Largest angle between the airway and the direction to the aim.
+        apart_mm
+            Least distance of two places on one branch.
+        """
         near = self.distance <= tool.reach_mm + self.nodule.long_mm
         edge = np.full(len(self.distance), np.inf)
         if near.any():
             edge[near] = self.nodule.distance_mm(self.points[near])
-        # In an airway that runs through the nodule the aim may lie behind the tip and be reached all the same.
+        # If the airway passes through the nodule, the nodule is reached even if the aim is behind the tip.
         may = (edge <= tool.reach_mm) & ((self.angle_deg(aim_lps) <= most_angle_deg) | (edge <= 0.0))
         kept: list[int] = []
         for n in np.flatnonzero(may):
@@ -181,9 +204,14 @@ class Places(Ways):
         return np.array(kept, dtype=np.intp)
 
     def beside(self, spots: Iterable[tuple[int, float]]) -> Places:
-        """Places round those told by branch and way from the root, ``FINE_MM`` apart: what lies between two of before.
+        """Return a copy with places `FINE_MM` apart round given places.
 
-        Between two points of a centreline a way is as narrow as at the narrower of them.
+        The width at an interpolated place is the narrower one of its two neighbours.
+
+        Parameters
+        ----------
+        spots
+            Id of the branch and distance from the root in mm, of each given place.
         """
         steps = FINE_MM * np.arange(1, round(PLACES_MM / FINE_MM) + 1)
         at: dict[int, list[Points]] = {}
@@ -216,13 +244,13 @@ class Places(Ways):
         return finer
 
     def bronchus_sign(self) -> tuple[BronchusSign, str | None, tuple[float, float, float] | None]:
-        """Whether an airway leads into the nodule or lies beside it, which one, and where."""
+        """Return whether an airway leads into the nodule or is beside it, the name of the airway, and the place."""
         near = np.flatnonzero(self.distance <= self.nodule.long_mm + 6.0)
         if not near.size:
             return "none", None, None
         gap = self.nodule.distance_mm(self.points[near])
         angle = self.angle_deg(np.array(self.nodule.centre_lps))[near]
-        # An airway that leads there points there; one that passes by does not.
+        # The direction distinguishes an airway that leads into the nodule from one that passes it.
         into = (gap - self.radius[near] <= INTO_MM) & ((angle <= 60.0) | (gap <= 0.0))
         beside = gap - self.radius[near] <= BESIDE_MM
         for sign, which in (("into", into), ("beside", beside)):
@@ -232,17 +260,17 @@ class Places(Ways):
         return "none", None, None
 
     def moved_mm(self) -> float:
-        """How far the nodule may have moved, by the lobe of the airway that is nearest."""
+        """Return the largest distance in mm that the nodule may have moved, by the lobe of the nearest airway."""
         branch, _, _ = self._tree.nearest_branch(self.nodule.centre_lps)
         lobe = branch_side_and_lobe(self._tree)[branch.id]
-        # Where the lobe is not known, the larger of the two.
+        # The larger value also applies if the lobe is unknown.
         return LOWER_LOBE_MM if lobe in {"RLL", "LLL", None} else ELSEWHERE_MM
 
     def nearest(self) -> NearestPlace | None:
-        """The place nearest to the nodule's edge; None in a tree without branches."""
+        """Return the place nearest to the nodule's edge; None for a tree without branches."""
         if not len(self.points):
             return None
-        # The edge is nearest within a nodule's length of where the middle is.
+        # The place nearest to the edge is at most one nodule length farther from the centre than the nearest place.
         near = np.flatnonzero(self.distance <= float(self.distance.min()) + self.nodule.long_mm)
         gap = self.nodule.distance_mm(self.points[near])
         n = int(near[np.argmin(gap)])
@@ -257,7 +285,7 @@ class Places(Ways):
         )
 
     def carina_mm(self, branch: Branch) -> float | None:
-        """From the root to the main carina, on the way to a branch; None where the tree shows none."""
+        """Return the distance in mm from the root to the main carina on the path to a branch; None if there is none."""
         inside = 0.0
         for one in self._tree.lineage(branch.id):
             if one.name in {"RMB", "LMB"}:
@@ -269,7 +297,7 @@ class Places(Ways):
 
 
 def branch_doubts(branch: Branch) -> tuple[str, ...]:
-    """What must be said of a branch wherever a route over it is shown."""
+    """Return the warnings about a branch that every view of a route over it shows."""
     if branch.kind == "bridge":
         return (f"{branch_title(branch)} is a bridge across an obstruction: the CT shows no airway there",)
     if branch.kind == "manual":
@@ -281,14 +309,14 @@ def branch_doubts(branch: Branch) -> tuple[str, ...]:
 
 
 def branch_title(branch: Branch) -> str:
-    """RB6, or branch 17"""
+    """Return the name of a branch, such as ``RB6``, or ``branch 17`` if it has none."""
     return branch.name or f"branch {branch.id}"
 
 
 def _along(tree: AirwayTree) -> dict[int, Points]:
-    """Return for the points of each branch the way from the root, mm."""
+    """Return for the points of each branch the distance from the root, mm."""
     along: dict[int, Points] = {}
-    # Parents come first.
+    # Parents precede their children in the tree.
     for branch in tree.branches:
         own = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
         along[branch.id] = own if branch.parent is None else own + along[branch.parent][-1]
@@ -296,7 +324,14 @@ def _along(tree: AirwayTree) -> dict[int, Points]:
 
 
 def _bends(lineage: tuple[Branch, ...] | list[Branch], section_mm: float) -> tuple[Points, Points, Points]:
-    """Places along a way, 1 mm apart, the sharpest turn over ``section_mm`` up to there in degrees, and where it is."""
+    """Return the sharpest turn up to each place along a path.
+
+    Returns
+    -------
+    at, worst, where
+        Distances along the path in mm, 1 mm apart; sharpest turn over ``section_mm`` up to there in degrees; distance
+        at which it occurs.
+    """
     points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.arange(section_mm, along[-1] + 1e-6, BEND_STEP_MM)

@@ -1,8 +1,8 @@
-"""How wide the way is: the largest ball that passes at each point of a centreline.
+"""Clearance along an airway: the largest ball that passes each point of a centreline.
 
-A centreline found in voxels lies a third of a millimetre beside the middle, and up to 2 mm at forks; there a ball round
-its own point is smaller than the one that passes (docs/decisions/0122). So the ball is moved across the airway to where
-it fits best.
+A centreline from voxels is a third of a millimetre off the middle of the lumen, and up to 2 mm at forks, where a ball
+round its own point is smaller than the one that passes (docs/decisions/0122). Therefore the ball is moved across the
+airway to its best position.
 """
 
 from __future__ import annotations
@@ -19,29 +19,36 @@ __all__ = ["rooms_mm"]
 Points = NDArray[np.float64]
 
 SHIFTS_MM = (0.5, 0.5, 0.5, 0.5, 0.5, 0.25, 0.12, 0.06)
-"""The ball is moved in steps of these, as long as it grows: it never goes through a wall. At a fork the way cuts the
-corner up to 2 mm beside the middle."""
+"""Steps in mm by which the ball is moved while it grows, so that the ball never passes through a wall.
+
+At a fork the centreline cuts the corner up to 2 mm beside the middle.
+"""
 NUM_ROUND = 8
 HALF_SAMPLE_MM = 0.2
-"""The distance to the wall peaks on the lumen's middle line, and a field with samples 0.4 mm apart cuts the peak off by
-some 0.25 mm: it is measured beside the line."""
+"""Half the sample distance of the wall field in mm.
+
+The distance to the wall has its peak on the middle line of the lumen. A field with samples 0.4 mm apart cuts off some
+0.25 mm of the peak, so the distance is measured beside the line.
+"""
 INWARDS_MM = 0.19
-"""How much smaller the nearest wall of eight directions makes a round lumen's radius, on three CTs whose airways are
-known (0.55 to 0.9 mm, radii 0.8 to 4 mm: 0.13 to 0.23)."""
+"""Correction in mm of the radius, because the nearest wall of eight directions underestimates a round lumen's radius.
+
+Measured on three CTs with known airways (0.55 to 0.9 mm, radii 0.8 to 4 mm): 0.13 to 0.23 mm.
+"""
 SMOOTH_MM = 1.0
-"""Half the way over which widths are averaged: a scope's tip is longer, and a noisy wall is not a narrow one."""
+"""Half the length in mm over which widths are averaged to reduce noise of the wall; a scope's tip is longer."""
 
 
 def rooms_mm(branch: Branch, wall: WallField | None) -> Points:
-    """Diameter of the largest ball near each point of a branch, and no more than that of its lumen's area.
+    """Return the diameter of the largest ball near each point of a branch, at most that of the lumen's area.
 
     Parameters
     ----------
     branch
-        Of the airways that the wall belongs to.
+        Branch of the airways that the wall belongs to.
     wall
-        None takes the ball round each point of the centreline. Where the wall knows no lumen (a bridge, a drawn
-        branch) the branch's own radius counts.
+        The wall. If None, the ball is centred on each point of the centreline. Where the wall contains no lumen (a
+        bridge, a drawn branch), the branch's own radius is used.
 
     Returns
     -------
@@ -67,7 +74,7 @@ def rooms_mm(branch: Branch, wall: WallField | None) -> Points:
         better = room[first, rows] > best
         middle = np.where(better[:, None], tried[first, rows], middle)
         best = np.where(better, room[first, rows], best)
-    # Halfway to the wall all round: towards the nearest wall the distance falls off as the way goes.
+    # The distance is measured half-way to the wall in all directions; towards the nearest wall it decreases linearly.
     off = 0.5 * np.maximum(best, 0.0) + HALF_SAMPLE_MM
     tried = middle + off[:, None] * ring
     nearest = (wall.distance_mm(tried.reshape(-1, 3)).reshape(NUM_ROUND, -1) + off).min(axis=0)

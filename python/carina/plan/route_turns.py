@@ -1,4 +1,4 @@
-"""From a route to its list of turns (docs/decisions/0124)."""
+"""Computation of the list of turns of a route (docs/decisions/0124)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Points = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 TOGETHER_MM = 2.0
-"""Forks no farther apart than this are one turn: a tip of 3 mm cannot stop between them."""
+"""Largest distance in mm between forks that form one turn, because a tip of 3 mm cannot stop between them."""
 MOST_RIDGE_MM = 60.0
 MOST_DEPTH_MM = 600.0
 SIDES = {"R": "right", "L": "left", "A": "anterior", "P": "posterior", "S": "superior", "I": "inferior"}
@@ -52,29 +52,33 @@ def turn_list(
     moves: Sequence[Move] | None = None,
     ends_along_mm: Sequence[float] | None = None,
 ) -> TurnList:
-    """Fork by fork: where the opening is seen, how far it is, and what the hand does.
+    """Return the list of turns of a route: at each fork the opening, the distances and the moves of the hand.
 
     Parameters
     ----------
     tree
         The tree that the route was planned in.
     planned
-        The route; the list ends where its scope stands.
+        The route; the list ends at the position of its scope.
     carina_ridge_mm
-        How far the ridge of the main carina lies beyond the place where the axes of the bronchi meet
-        (`main_carina_ridge_mm`): then the ridge is the zero, as in theatre. Without it the zero is where the axes
-        meet, and a note says so.
+        Distance of the ridge of the main carina beyond the point where the axes of the bronchi meet
+        (`main_carina_ridge_mm`). Distances are then measured from the ridge, as in a bronchoscopy. Without it they are
+        measured from the point where the axes meet, and a note states this.
     carina_depth_mm
-        What the scope shows at nose or mouth when its tip is at the main carina; depths that follow from it are
-        estimates.
+        Insertion depth at nose or mouth when the tip is at the main carina; depths computed from it are estimates.
     moves, ends_along_mm
-        A drive along the route, and how far along it the tip is when each of its moves ends, mm from the tree's root
-        along the centrelines (`DrivenRoute.ends_along_mm`).
+        Moves of a drive along the route, and the distance of the tip along it at the end of each move, mm from the
+        tree's root along the centrelines (`DrivenRoute.ends_along_mm`).
+
+    Returns
+    -------
+    TurnList
+        One turn for each fork or group of close forks.
 
     Raises
     ------
     UsageError
-        If the tree has no such branch, a number is out of range, or moves and insertions do not go together.
+        If the tree has no such branch, a number is out of range, or moves and distances differ in number.
 
     Examples
     --------
@@ -149,9 +153,19 @@ def turn_list(
 
 
 def main_carina_ridge_mm(volume: Volume, airways: Airways, planned: PlannedRoute) -> float | None:
-    """How far the ridge of the main carina lies beyond the place where the axes of the main bronchi meet, mm.
+    """Return the distance in mm of the main carina's ridge beyond the point where the axes of the main bronchi meet.
 
-    None where the tree shows no main carina on the way, or no ridge of wall.
+    Parameters
+    ----------
+    volume, airways
+        The CT and its airways.
+    planned
+        Route over the main carina.
+
+    Returns
+    -------
+    float or None
+        None if the route passes no main carina, or no ridge of wall is found.
     """
     if planned.from_carina_mm is None:
         return None
@@ -161,16 +175,19 @@ def main_carina_ridge_mm(volume: Volume, airways: Airways, planned: PlannedRoute
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fork:
-    """A fork on the way."""
+    """Fork of a route."""
 
     mother: Branch
     daughter: Branch
     at_mm: float
-    """From the root."""
+    """Distance from the root, mm."""
 
 
 def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
-    """The forks on a way, those that lie together in one list. Where one branch alone goes on, there is no fork."""
+    """Return the forks of a route; forks at most `TOGETHER_MM` apart form one group.
+
+    The end of a branch with a single child is not a fork.
+    """
     groups: list[list[_Fork]] = []
     at_mm = 0.0
     for mother, daughter in itertools.pairwise(lineage):
@@ -186,14 +203,14 @@ def _forks(lineage: Sequence[Branch]) -> list[list[_Fork]]:
 
 
 def _eye(way: Points, fork: _Fork, branches: Sequence[Branch]) -> Points:
-    """Where the eye stands before a fork: on the way, so in the lumen."""
+    """Return the position of the camera before a fork; it is on the centreline, so in the lumen."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     at_mm = max(fork.at_mm - stand_mm(fork.mother), 0.0)
     eye: Points = np.array([np.interp(at_mm, along, way[:, axis]) for axis in range(3)])
     end = fork.mother.points[-1]
     if float(np.linalg.norm(end - eye)) > SAME_PLACE_MM:
         return eye
-    # The route begins at this fork: look at it against the middle of its branches.
+    # The route begins at this fork: the camera looks from the opposite side of the branches' middle.
     ahead = np.mean([branch.points[opening_index(branch)] - end for branch in branches], axis=0)
     length = float(np.linalg.norm(ahead))
     ahead = ahead / length if length > 0.0 else np.array([0.0, 0.0, -1.0])
@@ -202,14 +219,14 @@ def _eye(way: Points, fork: _Fork, branches: Sequence[Branch]) -> Points:
 
 
 def _enters_mm(mother: Branch, branch: Branch) -> float:
-    """Diameter of the largest ball that gets a diameter into a branch, past the lumen of the one before."""
+    """Return the diameter of the largest ball that enters a branch by one diameter, beyond the parent's lumen."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     reach = float(np.median(mother.radius)) + 2.0 * float(np.median(branch.radius))
     return 2.0 * float(branch.wall_distance[along <= reach].min())
 
 
 def _sides(forward: Points, into: Points) -> tuple[str, ...]:
-    """The patient's directions to which an opening lies, seen along the mother branch."""
+    """Return the patient's directions of an opening, as seen along the parent branch."""
     ahead = forward / np.linalg.norm(forward)
     across = into - float(into @ ahead) * ahead
     if float(np.linalg.norm(across)) < SAME_PLACE_MM:
@@ -238,9 +255,9 @@ def _angle_deg(one: Points, other: Points) -> float:
 def _moves_by_fork(
     forks_mm: Sequence[float], moves: Sequence[Move] | None, ends_along_mm: Sequence[float] | None
 ) -> tuple[list[tuple[Move, ...] | None], tuple[Move, ...] | None]:
-    """The moves of each turn, and those after the last: each move once, in order.
+    """Return the moves of each turn, and those after the last turn; each move occurs once, in order.
 
-    A move that begins before a fork belongs to it: it is what takes the tip past it.
+    A move that begins before a fork belongs to this fork, because it moves the tip past it.
     """
     if moves is None:
         return [None] * len(forks_mm), None

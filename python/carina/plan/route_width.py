@@ -1,8 +1,8 @@
-"""The narrowest diameter of the way to each place of a tree, with its error (docs/decisions/0130).
+"""Narrowest diameter of the path from the root to each point of a tree, with its error (docs/decisions/0130).
 
-Where the airways were measured it is what their sections let pass (`carina.track.TreeMeasures.passage`). Where they
-could not be measured (drawn branches, bridges, the last thin ones, the end of the CT) it is the largest ball in the
-lumen found, whose error is several times larger.
+Where the airways were measured, the diameter is that of the largest ball that passes their sections
+(`carina.track.TreeMeasures.passage`). Where they could not be measured (drawn branches, bridges, the last thin ones,
+the end of the CT), it is that of the largest ball in the segmented lumen, whose error is several times larger.
 """
 
 from __future__ import annotations
@@ -28,35 +28,41 @@ WidthSource = Literal["sections", "ball"]
 Fit = Literal["fits", "may fit", "does not fit"]
 
 SURE = 0.9
-"""A scope *fits* from this chance up, and does *not fit* at what is left below its rest."""
+"""Least chance at which a scope *fits*; at a chance of at most 1 less this value it *does not fit*."""
 EXCESS_SIGMA_MM = 0.15
-"""Of a scope's true size: ten scopes exceed their stated tip by 0.19 to 0.66 mm (s; the deviation is our estimate)."""
+"""Standard deviation in mm of a scope's true size.
+
+Ten scopes exceed their stated tip by 0.19 to 0.66 mm, by a published source; the deviation is our estimate.
+"""
 DEVIATIONS_90 = 1.645
-"""Standard deviations on each side of a mean that hold 90 % of a normal distribution."""
+"""Number of standard deviations on each side of the mean that contain 90 % of a normal distribution."""
 BALL_SHARE, BALL_SLICES = 0.3, 1.0
-"""Error of a ball: share of it, and of the coarsest spacing. 91 % of the routes of painted patients to which it applies
-have their true diameter within the error; the ball is 2 % too small in slices of .7 mm and half of the lumen in slices
-of 3 mm (``carina_bench.plan_widths``)."""
+"""Error of a ball's diameter: share of the diameter, and multiple of the largest spacing.
+
+91 % of the routes in CTs with painted airways have their true diameter within this error
+(``carina_bench.plan_widths``).
+"""
 CUT_MM = 10.0
-"""So far from where the tree begins widths do not count: the CT may cut the trachea there."""
+"""Distance in mm from the beginning of the tree in which widths are ignored: the CT may cut the trachea there."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class RouteWidth:
-    """The narrowest diameter of a route."""
+    """Narrowest diameter of a route."""
 
     mm: float
     error_mm: float
-    """Half of an interval meant to hold the truth in 90 of 100 cases."""
+    """Half width of the interval that contains the true diameter with 90 % probability."""
     at_mm: float
-    """Where, from the root."""
+    """Distance of the narrowest place from the root, mm."""
     source: WidthSource = "sections"
-    """``ball`` where the diameter, or how small it may be, rests on a stretch that could not be measured."""
+    """Source of the diameter; ``ball`` if it or its lower limit depends on a part that could not be measured."""
     why: str | None = None
-    """Why a stretch could not be measured, and where; None by sections."""
+    """Part that could not be measured, and the reason; None for ``sections``."""
 
     def __post_init__(self) -> None:
+        """Check the fields."""
         check_fields(
             self,
             mm=number_from(0.0, 1000.0, unit="mm"),
@@ -68,33 +74,33 @@ class RouteWidth:
 
     @property
     def lower_mm(self) -> float:
-        """The lower end of the interval."""
+        """Lower end of the interval, mm."""
         return self.mm - self.error_mm
 
     @property
     def words(self) -> str:
-        """3.2 ± 0.3 mm, or 2.4 ± 1.5 mm by the largest ball"""
+        """Diameter as text: *3.2 ± 0.3 mm*, or *2.4 ± 1.5 mm by the largest ball*."""
         by = " by the largest ball" if self.source == "ball" else ""
         return f"{self.mm:.1f} \u00b1 {self.error_mm:.1f} mm{by}"
 
     @property
     def place_words(self) -> str:
-        """the narrowest place, 201 mm along the route, is 3.2 ± 0.3 mm wide"""
+        """Narrowest place as text: *the narrowest place, 201 mm along the route, is 3.2 ± 0.3 mm wide*."""
         mm = f"{self.mm:.1f} \u00b1 {self.error_mm:.1f} mm"
         return f"the narrowest place, {self.at_mm:.0f} mm along the route, is {mm} wide"
 
     def chance(self, scope: ScopePreset) -> float:
-        """Return how likely a scope is to pass, by the errors of the diameter and of the scope's size."""
+        """Return the probability that a scope passes, by the errors of the diameter and of the scope's size."""
         sigma = math.hypot(self.error_mm / DEVIATIONS_90, EXCESS_SIGMA_MM)
         return 0.5 * (1.0 + math.erf((self.mm - scope.fit_mm) / sigma / math.sqrt(2.0)))
 
     def fit(self, scope: ScopePreset) -> Fit:
-        """Return whether a scope fits, fits if the errors are in its favour, or does not fit."""
+        """Return whether a scope fits, may fit within the errors, or does not fit."""
         chance = self.chance(scope)
         return "fits" if chance >= SURE else "does not fit" if chance <= 1.0 - SURE else "may fit"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types: the keys of a route in `plan.json`."""
+        """Return the width as plain JSON types, with the keys of a route in `plan.json`."""
         return {
             "narrowest_mm": self.mm,
             "narrowest_error_mm": self.error_mm,
@@ -105,12 +111,20 @@ class RouteWidth:
 
 
 def ball_error_mm(diameter_mm: Points | float, spacing_mm: float) -> Any:
-    """Return the error of the largest ball, as `RouteWidth.error_mm`; ``spacing_mm`` is the coarsest of the CT."""
+    """Return the error of the largest ball, as `RouteWidth.error_mm`; ``spacing_mm`` is the largest of the CT.
+
+    Parameters
+    ----------
+    diameter_mm
+        Diameter of the ball, or an array of diameters.
+    spacing_mm
+        Largest spacing of the CT.
+    """
     return BALL_SHARE * diameter_mm + BALL_SLICES * spacing_mm
 
 
 def matches_tree(measures: TreeMeasures, tree: AirwayTree) -> bool:
-    """Whether measures are those of a tree, by the present method."""
+    """Return whether measures belong to a tree and come from the present method."""
     return len(measures.branches) == len(tree.branches) and all(
         own.branch_id == branch.id and len(own.at_mm) == len(branch.points) and not own.is_by_earlier_method
         for own, branch in zip(measures.branches, tree.branches, strict=True)
@@ -120,20 +134,20 @@ def matches_tree(measures: TreeMeasures, tree: AirwayTree) -> bool:
 def widths_on_the_way(
     tree: AirwayTree, wall: WallField | None, measures: TreeMeasures | None, spacing_mm: float
 ) -> dict[int, Widths]:
-    """Return for each branch the narrowest diameter of the way to each of its points, (n,) of `RouteWidth`.
+    """Return for each branch the narrowest diameter of the path to each of its points, (n,) of `RouteWidth`.
 
     Parameters
     ----------
     tree, wall
-        The airways, and their wall; without a wall the ball is the one round each point of the centreline.
+        The airways and their wall; without a wall the ball is centred on each point of the centreline.
     measures
-        Of this tree; None takes the ball everywhere.
+        Measures of this tree; None uses the ball everywhere.
     spacing_mm
-        The coarsest of the CT.
+        Largest spacing of the CT.
     """
     found: dict[int, Widths] = {}
     starts: dict[int, float] = {}
-    # Parents come first.
+    # Parents precede their children in the tree.
     for branch in tree.branches:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
         before: RouteWidth | None = None
@@ -171,7 +185,7 @@ def _places(
     if branch.parent is None:
         own = at >= min(CUT_MM, float(along[-1]))
         at, diameter, error = at[own], diameter[own], error[own]
-        # At both ends of the trachea a section may be missing.
+        # Sections may be missing at both ends of the trachea.
         unmeasured = unmeasured[:0] if len(at) else np.arange(len(along))
     if len(unmeasured):
         room = rooms_mm(branch, wall)
@@ -186,10 +200,10 @@ def _places(
 
 
 def _cumulated(places: _Places, along: Points, before: RouteWidth | None) -> Widths:
-    """Return the narrowest of the places up to each point of a centreline and of the way before.
+    """Return the narrowest width up to each point of a centreline, including the path before the branch.
 
-    A point without a place of its own has the next one, too: where a branch leaves its parent its own sections begin
-    some way along it, and a scope that stands there is in the branch already.
+    A point without a place of its own also uses the next place: where a branch leaves its parent, the branch's first
+    section is some distance along the branch, and a scope at the point is in the branch already.
     """
     widths = np.empty(len(along), dtype=object)
     now, used = before, 0
@@ -213,7 +227,7 @@ def _width(places: _Places, n: int) -> RouteWidth:
 
 
 def _narrower(before: RouteWidth | None, here: RouteWidth) -> RouteWidth:
-    """Return the narrower of two places. Its error covers the lower end of both."""
+    """Return the narrower of two widths, with an error that covers the lower ends of both."""
     if before is None:
         return here
     if before.mm <= here.mm and before.lower_mm <= here.lower_mm:

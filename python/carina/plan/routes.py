@@ -1,8 +1,8 @@
-"""Ways to a target that lies outside the airways: where the scope stands, and the last leg through the wall.
+"""Routes to a target outside the airways: the position of the scope, and the last leg through the wall.
 
-Every point of the centrelines from which the tool may reach is looked at; of each branch the best place is kept. Routes
-that the planned scope gets to come first, then those that it may get to; among equals the score decides, whose parts
-are told (docs/decisions/0122).
+Every centreline point from which the tool may reach the target is evaluated, and the best one of each branch is
+returned. Routes that the planned scope reaches come first, then those that it may reach; the score ranks routes of the
+same class (docs/decisions/0122).
 """
 
 from __future__ import annotations
@@ -62,75 +62,75 @@ __all__ = [
 Points = NDArray[np.float64]
 
 PLANNED_SCOPE = "thin"
-"""The thinnest whose channel takes a needle of 1.8 mm; unless another is chosen."""
+"""Default scope: the thinnest one whose channel takes a needle of 1.8 mm."""
 MOST_ANGLE_DEG = 100.0
-"""A needle that leaves at more than this from the airway's axis comes back at the scope."""
+"""Largest angle in degrees between needle and airway's axis; a needle at a larger angle would hit the scope."""
 MOST_ROUTES = 5
 MOST_AIMS = 3
 APART_MM = 4.0
-"""Routes to one aim that stand nearer to one another are one."""
+"""Least distance in mm between the scope positions of two routes to one aim."""
 BEYOND_MM, LEAST_MARGIN_MM, ROUND_MM = 10.0, 3.0, 6.0
-"""Looked at beyond the target's far edge, beside the needle, and round both, since filters need room."""
+"""Margins in mm of the examined box: beyond the target's far edge, beside the needle, and for the filters' reach."""
 MOST_BOX_MM = 60.0
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedRoute:
-    """A way along the airways to where the scope stands, and from there into the target."""
+    """Route along the airways to the position of the scope, and from there into the target."""
 
     branch_id: int
-    """Where the scope stands."""
+    """Id of the branch in which the scope stands."""
     branch_name: str
     along_mm: float
-    """From the root, where the tip stands."""
+    """Distance of the tip from the root, mm."""
     from_carina_mm: float | None
-    """The same from the main carina; None where the tree shows none on the way."""
+    """Distance of the tip from the main carina, mm; None if the route passes no main carina."""
     forward: tuple[float, float, float]
-    """The airway's direction there."""
+    """Direction of the airway at the tip, LPS."""
     width: RouteWidth
-    """The narrowest diameter of the way, with its error."""
+    """Narrowest diameter of the route, with its error."""
     fit: Fit
-    """Whether the scope with its margin fits, fits if the errors are in its favour, or does not fit."""
+    """Whether the scope with its margin fits, may fit within the errors, or does not fit."""
     leg: LastLeg
     parts: dict[str, float]
-    """Of the score, each 0 to 1 (`ScoreWeights`)."""
+    """Parts of the score, each 0 (best) to 1 (`ScoreWeights`)."""
     score: float
-    """0 to 1, 1 the best."""
+    """Score, 0 to 1 (best)."""
     doubts: tuple[str, ...]
-    """What must be said of this route wherever it is shown: branches drawn by hand, bridges, doubtful ones."""
+    """Warnings that every view of the route shows: drawn branches, bridges, doubtful branches."""
     aim: int = 0
-    """Which of the plan's aims, from 0."""
+    """Index of the aim among the plan's aims, from 0."""
     outlook: Outlook = "may reach"
-    """Whether scope and tool get there, by width, bend, doubts and reach; the verdict is a drive (`judge_scope`)."""
+    """Whether scope and tool reach the target, by width, bend, doubts and reach; `judge_scope` simulates the drive."""
     chance: float = 1.0
-    """How likely that is, by the same four."""
+    """Probability of reaching the target, by the same four criteria."""
     limits: tuple[str, ...] = ()
-    """What stands against it, or may."""
+    """Reasons why the scope or the tool does not, or may not, reach the target."""
     bend_deg: float = 0.0
-    """The sharpest turn of the way, over the length of the scope's rigid tip and bending section."""
+    """Sharpest turn of the route in degrees, over the length of the scope's rigid tip and bending section."""
     tools: tuple[str, ...] = ()
-    """Names of those that pass the scope's channel and reach the target from there."""
+    """Names of the tools that pass the scope's channel and reach the target from there."""
     hold: ScopeHold | None = None
-    """Roll and lever where the scope stands; None until a drive has found them."""
+    """Roll and lever at the position of the scope; None until a drive is simulated."""
 
     @property
     def key(self) -> str:
-        """The same for the same place and aim, whatever its rank: "17-204.5", "17-204.5-2" for the second aim."""
+        """Identifier of the place and aim, independent of the rank: "17-204.5", or "17-204.5-2" for the second aim."""
         return f"{self.branch_id}-{self.along_mm:.1f}" + (f"-{self.aim + 1}" if self.aim else "")
 
     @property
     def narrowest_mm(self) -> float:
-        """The narrowest diameter of the way, without its error."""
+        """Narrowest diameter of the route in mm, without its error."""
         return self.width.mm
 
     @property
     def fits(self) -> bool:
-        """Whether the scope with its margin fits, whatever the errors."""
+        """Whether the scope with its margin fits with high probability."""
         return self.fit == "fits"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the route as plain JSON types."""
         return {
             "key": self.key,
             "branch_id": self.branch_id,
@@ -168,7 +168,7 @@ def _check_target(where: str, name: str, value: object) -> None:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan(Tabular):
-    """A target and the ways to it, the best first.
+    """Target and the routes to it, the best one first.
 
     As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each route: its number from 1, fields of
     `PlannedRoute`, ``past_carina_mm``, and of its last leg ``to_target_mm``, ``in_target_mm``, ``vessel_mm`` and
@@ -188,26 +188,29 @@ class Plan(Tabular):
     tool: Tool
     bronchus_sign: BronchusSign
     sign_branch: str | None
-    """The airway that shows it."""
+    """Name of the airway that shows the bronchus sign."""
     sign_lps: tuple[float, float, float] | None
-    """Where it does: the slices through this place prove it."""
+    """Place of the bronchus sign, LPS mm; slices through it show the sign."""
     moved_mm: float
     routes: tuple[PlannedRoute, ...]
     why: str | None
-    """Why there is no route, and what would help; None where there is one."""
+    """Reason why there is no route, and what would help; None if there is a route."""
     notes: tuple[str, ...] = field(default=())
-    """What must be known of the airways, the target and the tool."""
+    """Notes on the airways, the target and the tool."""
     aims: tuple[tuple[float, float, float], ...] = ()
-    """Points in the target that the needle is meant for, LPS mm."""
+    """Points in the target that the needle is aimed at, LPS mm."""
     vessel_margin_mm: float = 3.0
     weights: ScoreWeights = field(default_factory=ScoreWeights)
     nearest: NearestPlace | None = None
-    """The place in the airways nearest to the target, whether or not a route leads there; None where there is none."""
+    """Place in the airways nearest to the target, independent of the routes; None if there is none."""
     carina_ridge_mm: float | None = None
-    """How far the ridge of the main carina lies beyond the place where the axes of the main bronchi meet, from which
-    `PlannedRoute.from_carina_mm` counts; None where no ridge was found."""
+    """Distance in mm of the main carina's ridge beyond the point where the axes of the main bronchi meet.
+
+    `PlannedRoute.from_carina_mm` is measured from that point. None if no ridge was found.
+    """
 
     def __post_init__(self) -> None:
+        """Check the fields."""
         check_fields(
             self,
             nodule=instance(Nodule, "get one from carina.grow_nodule"),
@@ -256,11 +259,11 @@ class Plan(Tabular):
 
     @check_arguments(route=instance(PlannedRoute, "take one of the plan's routes"))
     def past_carina_mm(self, route: PlannedRoute) -> float | None:
-        """Where a route's scope stands, from the ridge of the main carina, as in theatre; None where there is none."""
+        """Return the distance in mm of a route's tip from the main carina's ridge; None if the route passes none."""
         return None if route.from_carina_mm is None else route.from_carina_mm - (self.carina_ridge_mm or 0.0)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the plan as plain JSON types."""
         return {
             "format": "carina-plan",
             "version": 1,
@@ -317,7 +320,7 @@ def plan_route(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Plan:
-    """Ways to a nodule: where a scope stands, and the needle's way from there.
+    """Plan the routes to a nodule: the position of the scope, and the path of the needle from there.
 
     Parameters
     ----------
@@ -326,22 +329,22 @@ def plan_route(
     target
         A target with its aims, a nodule, or a point in one, LPS mm (`grow_nodule`).
     scope, tool
-        Instruments or their names in the libraries. A tool that does not pierce needs a target in a lumen or against
-        it. What a scope can reach is told by its drive.
+        Instruments, or their names in the libraries. A tool that does not pierce needs a target in a lumen or against
+        it. The reach of a scope is only estimated here; `judge_scope` simulates its drive.
     aims
-        (k, 3) up to three points in the target, LPS mm, that the tool is meant for; its centroid unless told. Each
-        route tells which.
+        (k, 3) up to three points in the target, LPS mm, that the tool is aimed at; the centroid of the target if None.
+        Each route states its aim.
     vessel_margin_mm
-        A vessel nearer to the needle than this counts against a route, and is listed.
+        Distance from the needle below which a vessel lowers the score and is listed.
     moved_mm
-        How far the target may have moved since the CT; by lobe unless told.
+        Largest movement of the target since the CT; it follows from the lobe if None.
     errors, weights
-        Of the needle, and of the score.
+        Errors of the needle, and weights of the score.
     wall
-        The airways' wall where it is at hand (`carina.wall_field`); else it is made.
+        Wall of the airways (`carina.wall_field`); computed if None.
     measures
-        The airways' measures where they are at hand (`carina.measure_tree`). Without them, and where they are of
-        another tree or by an earlier method, the airways are measured.
+        Measures of the airways (`carina.measure_tree`). They are computed if None, or if they belong to another tree or
+        come from an earlier method.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -351,17 +354,17 @@ def plan_route(
     Returns
     -------
     Plan
-        With no route, and the reason in words, where no tool gets to the target from an airway that was found.
+        Plan with its routes. Without a route, ``why`` states the reason.
 
     Raises
     ------
     UsageError
-        If a number is out of range or a name unknown, an aim lies outside the target, or airways or target belong to
+        If a number is out of range or a name unknown, an aim is outside the target, or airways or target belong to
         another CT.
     NoResultError
         If there is no nodule at the point (`grow_nodule`).
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     Examples
     --------
@@ -381,7 +384,7 @@ def plan_route(
             raise UsageError(f"{name}: expected 0 to {most:g}; found {value}", code="plan.range")
     say = _Steps(share_function(progress_function(progress), "planning the routes"), cancel)
     if not isinstance(target, PlanTarget | Nodule):
-        # With the wall a lesion in an airway is told as such.
+        # The wall lets `grow_nodule` recognise a lesion in an airway.
         wall = wall_field(volume, airways, cancel=cancel) if wall is None else wall
         target = grow_nodule(volume, target, wall=wall)
     if isinstance(target, PlanTarget):
@@ -403,14 +406,14 @@ def plan_route(
     candidates = [(n, aim) for aim in range(len(meant)) for n in places.within_reach(used, meant[aim], MOST_ANGLE_DEG)]
     kept: tuple[PlannedRoute, ...] = ()
     if candidates:
-        # From the farthest tip to beyond the target, with what lies beside the needle.
+        # The box extends from the farthest tip to beyond the target, with margins beside the needle.
         farthest = max(float(places.distance[n]) for n, _ in candidates)
         half = max(farthest, 0.5 * nodule.long_mm + BEYOND_MM) + max(vessel_margin_mm, LEAST_MARGIN_MM) + ROUND_MM
         around = surroundings(volume, np.array(nodule.centre_lps), min(half, MOST_BOX_MM), nodule, wall)
         scene = NeedleScene(nodule, wall, around, used, errors or NeedleErrors(), vessel_margin_mm)
         search = _Search(scene, judge, meant)
         best = {key: search.best(drafts) for key, drafts in search.drafts(places, candidates, say).items()}
-        # The best place of a branch may lie between two of those.
+        # The best place of a branch may be between two of the evaluated ones.
         for aim, aim_lps in enumerate(meant):
             finer = places.beside((one.branch_id, one.along_mm) for one in best.values() if one.aim == aim)
             near = [(n, aim) for n in finer.within_reach(used, aim_lps, MOST_ANGLE_DEG, apart_mm=0.0)]
@@ -450,7 +453,7 @@ def plan_route(
 
 @dataclass(frozen=True, slots=True)
 class _Search:
-    """For the best place of each branch and aim."""
+    """Search for the best place for each pair of branch and aim."""
 
     scene: NeedleScene
     judge: Judge
@@ -459,7 +462,7 @@ class _Search:
     def drafts(
         self, places: Places, candidates: Sequence[tuple[Any, int]], say: Callable[[float], None] | None = None
     ) -> dict[tuple[int, int], list[PlannedRoute]]:
-        """Routes to places and aims, by branch and aim, whose needles go as they are aimed and reach the target."""
+        """Return the routes whose needles reach the target, by branch and aim, without the needle's errors."""
         found: dict[tuple[int, int], list[PlannedRoute]] = {}
         for step, (n, aim) in enumerate(candidates):
             if say is not None:
@@ -471,9 +474,9 @@ class _Search:
         return found
 
     def best(self, drafts: Sequence[PlannedRoute], found: PlannedRoute | None = None) -> PlannedRoute:
-        """Return the best of drafts with the needle's errors, or ``found`` if that is better.
+        """Return the best of several drafts with the needle's errors, or ``found`` if that is better.
 
-        What cannot be the best even if no needle missed is not looked at.
+        A draft that could not be the best even without a miss is not evaluated.
         """
         for draft in sorted(drafts, key=order):
             if found is not None and order(found) <= order(draft):
@@ -488,7 +491,7 @@ class _Search:
 
 
 def _aims(nodule: Nodule, aims: ArrayLike | None) -> Points:
-    """(k, 3) points in the nodule."""
+    """Return the aims, (k, 3) points in the nodule, LPS mm."""
     if aims is None:
         return np.array([nodule.middle_lps], dtype=np.float64)
     try:
@@ -547,7 +550,7 @@ def _route(places: Places, n: int, aim: int, leg: LastLeg, judge: Judge) -> Plan
 
 
 class _Steps:
-    """Progress and cancel between steps."""
+    """Callable that reports progress and checks for cancellation between steps."""
 
     def __init__(self, on_share: Callable[[float], None] | None, cancel: Callable[[], bool] | None) -> None:
         self._on_share, self._cancel = on_share, cancel
@@ -560,9 +563,9 @@ class _Steps:
 
 
 def standing_apart(routes: Sequence[PlannedRoute]) -> tuple[PlannedRoute, ...]:
-    """Return the best of a ranked list, without routes whose place is near that of a better one to the same aim.
+    """Return the best routes of a ranked list, without routes near a better one to the same aim.
 
-    The best to each aim is among them.
+    The best route to each aim is always returned.
     """
     kept: list[PlannedRoute] = []
     for route in routes:

@@ -1,4 +1,4 @@
-"""An own bronchoscope from a file."""
+"""User's own bronchoscope, read from a file."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ NAMES = (
     "bending_mm",
     "bend_radius_mm",
 )
-# What the mechanics take (crates/scope, body.rs).
+# Limits of the mechanics (crates/scope, body.rs).
 LEAST_TIP_MM, MOST_TIP_MM = 1.4, 7.8
 MOST_FLEXION_DEG = 229.0
 BENDING_MM, RIGID_MM, LENGTH_MM = (10.0, 100.0), (2.0, 20.0), (100.0, 1000.0)
 
 
 def scope_from_file(path: str | Path) -> ScopePreset:
-    """An own bronchoscope from a JSON file, as `scope_to_json` writes it; what is null or left out is unknown.
+    """Read the user's own bronchoscope from a JSON file in the format of `scope_to_json`; null or missing is unknown.
 
-    The lens is the generic one, for no maker publishes theirs.
+    The generic lens is used, because no manufacturer publishes the data of its lenses.
 
     Raises
     ------
     UsageError
-        If it cannot be read, or says what no scope can be: the file, the figure, what was expected, what was found
-        (code ``plan.own-file``).
+        If the file cannot be read or contains impossible values. The message states the file, the field, the expected
+        and the found value (code ``plan.own-file``).
     """
     file = OwnFile.read(path)
     file.check(FORMAT, VERSION, NAMES)
@@ -79,7 +79,7 @@ def scope_from_file(path: str | Path) -> ScopePreset:
 
 
 def scope_to_json(scope: ScopePreset) -> dict[str, Any]:
-    """What `scope_from_file` reads."""
+    """Return a scope as plain JSON types, which `scope_from_file` reads."""
     values = {name: getattr(scope, name) for name in NAMES}
     return {
         "format": FORMAT,

@@ -1,4 +1,4 @@
-"""By what routes are ranked: first by whether the planned scope gets there, then by a score whose parts are told."""
+"""Ranking of routes: first by whether the planned scope reaches their end, then by a score with weighted parts."""
 
 from __future__ import annotations
 
@@ -22,80 +22,97 @@ Outlook = Literal["reaches", "may reach", "does not reach"]
 RANK: dict[Outlook, int] = {"reaches": 0, "may reach": 1, "does not reach": 2}
 
 DEEP_MM = 8.0
-"""So much of a needle's way in the target is enough for a sample."""
+"""Length in mm of the needle in the target that suffices for a sample."""
 SURE = 0.9
-"""Told *reaches* from this chance up, *does not reach* at what is left below its rest."""
+"""Least probability of *reaches*; at a probability of at most 1 less this value the outlook is *does not reach*."""
 BEND_SIGMA_DEG = 8.0
-"""Of the angle that a route asks of the bending section (k)."""
+"""Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 DEPTH_SIGMA_MM = 0.5
-"""Of where the target's edge lies along the needle (k)."""
+"""Standard deviation in mm of the position of the target's edge along the needle (common knowledge)."""
 MEDIASTINUM_MM = 2.0
-"""Where the needle crosses more of it, a vessel may lie there unseen."""
+"""Largest length in mm of mediastinum on the needle path in which no hidden vessel is assumed."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class ScoreWeights:
-    """What each part of a route's score counts. A part is 0 at its best and 1 where it is as bad as can be."""
+    """Weights of the parts of a route's score; each part is 0 at its best and 1 at its worst."""
 
     misses: float = 0.25
-    """Needle positions that miss."""
+    """Weight of the needle positions that miss."""
     way: float = 0.15
-    """Way outside the lumen, of the tool's reach."""
+    """Weight of the distance outside the lumen, divided by the tool's reach."""
     angle: float = 0.15
-    """Angle between needle and airway, of 90 degrees."""
+    """Weight of the angle between needle and airway, divided by 90 degrees."""
     narrow: float = 0.3
-    """What the narrowest place on the way lacks for the scope, of the scope's own size; 1 where it lacks a quarter."""
+    """Weight of the missing width at the narrowest place.
+
+    The missing width is relative to the scope's size; the part is 1 if a quarter is missing.
+    """
     vessels: float = 0.1
-    """What the nearest vessel lacks of the margin; 1 where mediastinum is crossed, whose vessels are not seen."""
+    """Weight of a vessel within the margin.
+
+    The part is 1 if the needle crosses mediastinum, whose vessels are not visible.
+    """
     shallow: float = 0.15
-    """What the needle's way in the target lacks of 8 mm, or of the target's own length."""
+    """Weight of a short length in the target, compared with 8 mm or 90 % of the target's short diameter."""
 
     def __post_init__(self) -> None:
+        """Check the weights."""
         check_fields(self, **dict.fromkeys(self.__slots__, number_from(0.0, 1e6)))
         values = [getattr(self, name) for name in self.__slots__]
         if not all(math.isfinite(v) and v >= 0.0 for v in values) or sum(values) <= 0.0:
             raise UsageError(f"weights: expected numbers from 0 up, not all 0; found {values}", code="plan.weights")
 
     def to_json(self) -> dict[str, float]:
-        """Plain JSON types."""
+        """Return the weights as plain JSON types."""
         return {name: float(getattr(self, name)) for name in self.__slots__}
 
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The worst place on a way."""
+    """Worst value along a path from the root, and its place."""
 
     value: float
     at_mm: float
-    """From the root."""
+    """Distance of the place from the root, mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """What the way to a place asks of a scope."""
+    """Width, bend and doubts of a path from the root, which a scope must pass."""
 
     width: RouteWidth
-    """The narrowest place."""
+    """Narrowest diameter of the path."""
     bend_deg: Worst
-    """The sharpest turn over the length of rigid tip and bending section; where that ends."""
+    """Sharpest turn in degrees over the length of rigid tip and bending section, and the place where it ends."""
     doubts: tuple[str, ...]
     trust: float
-    """How sure it is that the way is airway: 1 without doubts."""
+    """Probability that the whole path is airway; 1 without doubts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Judge:
-    """By what a route is judged."""
+    """Criteria for the judgement of a route."""
 
     scope: ScopePreset
     margin_mm: float
     weights: ScoreWeights
     reach_mm: float
-    """How far the tool works beyond the scope's tip."""
+    """Distance in mm beyond the scope's tip that the tool reaches."""
 
     def parts(self, leg: LastLeg, narrowest_mm: float, nodule: Nodule) -> dict[str, float]:
-        """Of the score, each 0 to 1 (`ScoreWeights`)."""
+        """Return the parts of the score, each 0 (best) to 1 (`ScoreWeights`).
+
+        Parameters
+        ----------
+        leg
+            Needle path of the route.
+        narrowest_mm
+            Narrowest diameter of the route.
+        nodule
+            The target.
+        """
         near = 0.0 if self.margin_mm <= 0.0 or leg.vessel_mm is None else 1.0 - leg.vessel_mm / self.margin_mm
         found = {
             "misses": 1.0 - leg.hit_share,
@@ -108,13 +125,23 @@ class Judge:
         return {name: float(np.clip(part, 0.0, 1.0)) for name, part in found.items()}
 
     def score(self, parts: dict[str, float]) -> float:
-        """0 to 1, 1 the best."""
+        """Return the score, 0 to 1 (best)."""
         total = sum(getattr(self.weights, name) for name in parts)
         lost = sum(getattr(self.weights, name) * part for name, part in parts.items())
         return 1.0 - float(lost) / float(total)
 
     def outlook(self, way: Demands, leg: LastLeg | None = None) -> tuple[Outlook, float, tuple[str, ...]]:
-        """Whether it gets there by width, bend, doubts and the tool's reach; how likely; what stands against it."""
+        """Return whether the scope reaches a place, the probability, and the reasons against it.
+
+        The criteria are width, bend, doubts about the airways and, with a leg, the tool's reach.
+
+        Parameters
+        ----------
+        way
+            Width, bend and doubts of the path to the place.
+        leg
+            Needle path from the place; None ignores the tool's reach.
+        """
         found: Outlook = "may reach" if way.doubts else "reaches"
         chance = way.trust
         limits = []
@@ -158,16 +185,16 @@ class Judge:
 
 
 def bending_mm(scope: ScopePreset) -> float | None:
-    """Length of rigid tip and bending section; None where it is not known."""
+    """Return the length of rigid tip and bending section in mm; None if it is not known."""
     return None if scope.bending_mm is None else float(np.mean(scope.bending_mm)) + (scope.rigid_tip_mm or 0.0)
 
 
 def order(route: Any) -> tuple[Any, ...]:
-    """Return the sort key of a route: what the scope reaches, then the score; for *may reach*, times its chance."""
+    """Return the sort key of a route: the outlook, then the score, multiplied by the probability for *may reach*."""
     score = route.score * route.chance if route.outlook == "may reach" else route.score
     return RANK[route.outlook], -score, route.branch_id, route.aim
 
 
 def _share(sigmas: float) -> float:
-    """Of a Gaussian below so many standard deviations."""
+    """Return the probability of a standard normal variable below a value."""
     return 0.5 * (1.0 + math.erf(sigmas / math.sqrt(2.0)))

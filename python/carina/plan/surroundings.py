@@ -1,4 +1,4 @@
-"""What lies round a target: vessels, and tissue too thick to be one, as far as the CT shows them."""
+"""Segmentation of the tissue round a target: vessels, and tissue too thick to be a vessel."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ Mask = NDArray[np.bool_]
 
 SMOOTH_MM = 0.7
 RISE_HU = 250.0
-"""What stands out of the lung by this much is tissue: a vessel of 1 mm, blurred, still does."""
+"""Rise over the lung in HU that counts as tissue; a blurred vessel of 1 mm still exceeds it."""
 WALL_MM = 1.5
-"""Tissue this near to a lumen is its wall."""
+"""Distance in mm from a lumen within which tissue is the airway's wall."""
 LINE_WALL_MM = 1.0
-"""What is a line, not a plate, is a vessel beside a lumen down to this."""
+"""Distance in mm from a lumen beyond which a line-shaped structure is a vessel; a plate-shaped one needs `WALL_MM`."""
 BLUR_MM = 1.5
-"""Tissue this near to the nodule is its own edge."""
+"""Distance in mm from the nodule within which tissue is the nodule's blurred edge."""
 THICKEST_VESSEL_MM = 14.0
-"""Thicker than this it is mediastinum, chest wall or diaphragm."""
+"""Largest diameter in mm of a vessel; thicker tissue is mediastinum, chest wall or diaphragm."""
 LEAST_MM3 = 12.0
-"""A smaller piece is noise."""
+"""Least volume in mm3 of a piece; smaller pieces are noise."""
 SLAB = 48
-"""Slices in which walls are asked for between two looks at whether to stop."""
+"""Number of slices for which wall distances are computed between two checks for cancellation."""
 
 OnShare = Callable[[float], None]
 
@@ -46,36 +46,47 @@ OnShare = Callable[[float], None]
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """Tissue in a box round a target. Arteries and veins are not told apart.
+    """Tissue in a box round a target; arteries and veins are not distinguished.
 
-    Vessels thinner than about 0.7 mm are not seen, and those of the mediastinum are not visible without contrast.
+    Vessels thinner than about 0.7 mm are not found, and those of the mediastinum are not visible without contrast.
     """
 
     box: Box
     lung_hu: float
     vessel: Mask
     thick: Mask
-    """Mediastinum, chest wall, diaphragm, or a consolidation."""
+    """Mask of mediastinum, chest wall, diaphragm, or a consolidation."""
     vessel_mm: NDArray[np.float32]
-    """Distance to the nearest vessel; infinite where there is none."""
+    """Distance in mm to the nearest vessel; infinite if there is none."""
     thick_mm: NDArray[np.float32]
     sure: NDArray[np.float32]
-    """How sure it is that a voxel of ``vessel`` is one, 0.5 to 1; 0 elsewhere. What stands out by itself is 1."""
+    """Confidence that a voxel of ``vessel`` is a vessel, 0.5 to 1; 0 elsewhere.
+
+    It is 1 for vessels above the threshold of density.
+    """
 
     fissure: FissureBox | None = None
-    """Fissures that are seen, of the whole lungs; None where nobody looked for them."""
+    """Visible fissures of the whole lungs; None if they were not searched."""
 
     def vessel_tree(self) -> VesselTree:
-        """The vessels as lines with radii; made anew each time."""
+        """Compute the vessels as lines with radii; the result is not cached."""
         return grow_tree(self.box, self.vessel, self.sure)
 
     def read(self, of: NDArray[Any], points_lps: NDArray[np.float64]) -> NDArray[Any]:
-        """Values of an array of the box at the nearest voxels, (n,); they mean nothing where it holds no point."""
+        """Return the values of an array of the box at the nearest voxels of points, (n,); undefined outside the box.
+
+        Parameters
+        ----------
+        of
+            (nz, ny, nx) array of the box.
+        points_lps
+            (n, 3) LPS mm.
+        """
         found: NDArray[Any] = of[tuple(np.clip(self._ijk(points_lps), 0, np.array(of.shape[::-1]) - 1).T[::-1])]
         return found
 
     def holds(self, points_lps: NDArray[np.float64]) -> Mask:
-        """Whether points lie in the box and in the CT, (n,)."""
+        """Return which points are inside the box and the CT, (n,)."""
         ijk = self._ijk(points_lps)
         inside = ((ijk >= 0) & (ijk < np.array(self.vessel.shape[::-1]))).all(axis=1)
         found: Mask = inside & self.read(self.box.known, points_lps)
@@ -86,7 +97,7 @@ class Surroundings:
 
     @property
     def vessels_ml(self) -> float:
-        """Volume of the vessels in the box."""
+        """Volume of the vessels in the box, ml."""
         return float(self.vessel.sum()) * self.box.step_mm**3 / 1000.0
 
 
@@ -99,9 +110,20 @@ def surroundings(
     *,
     fissure: FissureBox | None = None,
 ) -> Surroundings:
-    """The tissue in a box of ``half_mm`` round a point, without the nodule and the airways' own walls.
+    """Segment the tissue in a box round a point, without the nodule and the airways' own walls.
 
-    ``fissure`` is what was seen of the fissures (`carina.plan.lobes`), where that is at hand.
+    Parameters
+    ----------
+    volume
+        The CT.
+    centre_lps, half_mm
+        (3,) centre of the box, LPS mm, and half its side length.
+    nodule
+        Nodule that is excluded, or None.
+    wall
+        Wall of the airways.
+    fissure
+        Visible fissures (`carina.plan.lobes`), stored in the result.
     """
     return replace(_seen(Box.around(volume, centre_lps, half_mm), nodule, wall), fissure=fissure)
 
@@ -110,16 +132,16 @@ def surroundings(
 def lung_surroundings(
     volume: Volume, wall: WallField, *, box: Box | None = None, progress: ProgressChoice = None
 ) -> Surroundings:
-    """The same for the whole of both lungs, at 1 mm: for pictures of the vessels, not for needles.
+    """Segment the tissue of both lungs at 1 mm, for the display of vessels, not for the planning of needles.
 
-    Vessels thinner than about 1 mm are seen in part.
+    Vessels thinner than about 1 mm are incomplete.
 
     Parameters
     ----------
     volume, wall
         The CT and the wall of its airways.
     box
-        `lung_box` of the CT, where it is at hand.
+        `lung_box` of the CT; computed if None.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown. It may raise CancelledError.
@@ -134,14 +156,14 @@ def lung_surroundings(
 
 
 def lung_box(volume: Volume) -> Box:
-    """Both lungs at 1 mm along LPS; only they are ``known``, with the vessels and airways in them.
+    """Return both lungs at 1 mm along LPS; only voxels of the lungs, with their vessels and airways, are ``known``.
 
     Raises
     ------
     NoResultError
-        If there is none (code ``plan.no_lung``).
+        If there is no lung in the CT (code ``plan.no_lung``).
     """
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     image: Any = sitk.GetImageFromArray(volume.hu_zyx)
     image.SetSpacing([float(s) for s in volume.spacing_mm])
@@ -149,7 +171,7 @@ def lung_box(volume: Volume) -> Box:
     axes = volume.lps_from_ijk[:3, :3] / np.array(volume.spacing_mm)
     is_mirrored = float(np.linalg.det(axes)) < 0.0
     if is_mirrored:
-        # ITK's axes are right-handed: slices are counted from the other end.
+        # ITK axes must be right-handed, so the order of the slices is reversed.
         image = sitk.GetImageFromArray(np.ascontiguousarray(volume.hu_zyx[::-1]))
         image.SetSpacing([float(s) for s in volume.spacing_mm])
         image.SetOrigin([float(k) for k in volume.to_lps(np.array([0.0, 0.0, volume.shape_zyx[0] - 1.0]))])
@@ -170,7 +192,7 @@ def lung_box(volume: Volume) -> Box:
     matrix = np.eye(4)
     matrix[:3, 3] = low
     in_ct = values > OUTSIDE_HU + 1.0
-    # What vessels and airways take out of the lungs belongs to them.
+    # A morphological closing adds the vessels and airways to the lungs.
     closed = ball_distance(ball_distance(~np.pad(inside, 6), 4.0) < CLOSED_MM, 4.0)[6:-6, 6:-6, 6:-6] >= CLOSED_MM - 2.0
     start = (low - whole_low) / 4.0
     for axis, num in enumerate(values.shape):
@@ -181,13 +203,13 @@ def lung_box(volume: Volume) -> Box:
 
 OUTSIDE_HU = -4096.0
 AIR_HU, SIDE_AIR_HU = -980.0, -950.0
-"""Darker than this in the middle a piece is gas or the air round the body, at the sides of the CT sooner."""
+"""Median densities in HU below which a dark piece is gas or outer air; the second is for pieces at the sides."""
 CLOSED_MM = 12.0
-"""Holes of the lungs up to twice this wide are vessels and airways in them."""
+"""Radius in mm of the closing of the lungs; holes up to twice this width are vessels and airways in them."""
 
 
 def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_mm: float, outside_hu: float) -> Any:
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     to = sitk.ResampleImageFilter()
     to.SetSize([int(n) for n in np.floor((high - low) / step_mm) + 1])
@@ -201,8 +223,8 @@ def _cut(image: Any, low: NDArray[np.float64], high: NDArray[np.float64], step_m
 
 
 def _lung(coarse: NDArray[np.float32]) -> Mask:
-    """Large dark pieces that are no plain air: of a CT that is cut close, lungs reach the sides too."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    """Return large dark pieces other than air; in a closely cropped CT lungs reach the sides too."""
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     dark = sitk.GetImageFromArray((coarse < -500.0).astype(np.uint8))
     labels: Any = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(dark)))
@@ -226,7 +248,7 @@ def _seen(box: Box, nodule: Nodule | None, wall: WallField, on_share: OnShare = 
     smooth = smoothed(box.hu_zyx, SMOOTH_MM / box.step_mm)
     lung_hu = lung_median_hu(smooth)
     on_share(0.15)
-    # Most of a lung is neither dense nor near a wall: walls are asked for where something is.
+    # Distances to the wall are computed only near dense voxels, which are a small part of a lung.
     to_wall = _to_wall(box, wall, smooth > lung_hu + 0.5 * LINE_RISE_HU, lambda share: on_share(0.15 + 0.3 * share))
     dense = (smooth > lung_hu + RISE_HU) & (to_wall < -WALL_MM)
     clear = to_wall < -LINE_WALL_MM
@@ -257,7 +279,7 @@ def _distance(mask: Mask, step_mm: float) -> NDArray[np.float32]:
 
 
 def _to_wall(box: Box, wall: WallField, where: Mask, on_share: OnShare) -> NDArray[np.float32]:
-    """Signed distance to the airways' wall, above 0 in a lumen; far outside where it was not asked for."""
+    """Return the signed distance to the airways' wall in mm, above 0 in a lumen; minus infinity where not computed."""
     found = np.full(where.shape, -np.inf, dtype=np.float32)
     num = len(where)
     for first in range(0, num, SLAB):
@@ -268,13 +290,13 @@ def _to_wall(box: Box, wall: WallField, where: Mask, on_share: OnShare) -> NDArr
 
 
 def _centres(box: Box, where: Mask, first: int = 0) -> NDArray[np.float64]:
-    """Of the voxels of a mask of some slices, from the ``first`` on."""
+    """Return the centres (n, 3) LPS mm of the voxels of a mask whose first slice is ``first``."""
     k, j, i = np.nonzero(where)
     return np.stack([i, j, k + first], axis=1) * box.step_mm + box.lps_from_ijk[:3, 3]
 
 
 def _large_pieces(mask: Mask, least_voxels: float) -> Mask:
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     pieces = sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True)
     kept: Any = sitk.RelabelComponent(pieces, minimumObjectSize=max(int(least_voxels), 1))

@@ -1,4 +1,4 @@
-"""A target of a plan: a nodule with a name, a priority, where it lies, and what in it is aimed at."""
+"""Target of a plan: a nodule with a name, a priority, its location and the aims in it."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ __all__ = ["PlanTarget", "TargetSource", "proposed_aims"]
 Point = tuple[float, float, float]
 
 TargetSource = Literal["click", "mask", "seg", "rtstruct", "sphere", "edited"]
-"""How its boundary came about. *Sphere*: set by hand where the CT shows no boundary; *edited*: changed by hand."""
+"""Origin of a target's boundary: ``sphere`` is set by hand where the CT shows none, ``edited`` is changed by hand."""
 
 MOST_AIMS = 3
 AIM_OFF_MM = 1.0
-"""An aim this far outside the boundary is still in the nodule: the edge of a voxel."""
+"""Largest distance in mm of an aim outside the boundary (the edge of a voxel)."""
 PRIORITIES = (1, 9)
 NAME_CHARS, NOTE_CHARS, ID_CHARS = 80, 2000, 64
 EDGE_AIM = 0.65
-"""Aims in the periphery lie this far out, as a share of the way from the middle to the boundary."""
+"""Distance of aims in the periphery from the middle, as a share of the distance to the boundary."""
 APART_MM = 3.0
-"""Nearer to each other two aims are one: a needle cannot tell them apart."""
+"""Least distance in mm between two aims; a needle cannot distinguish nearer ones."""
 RECORD_VERSION = 1
 _PLAIN = re.compile(r"[^\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]*")
 
@@ -39,7 +39,7 @@ _PLAIN = re.compile(r"[^\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]*")
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanTarget:
-    """What a plan is made for.
+    """Target of a plan.
 
     Examples
     --------
@@ -54,20 +54,21 @@ class PlanTarget:
     """
 
     target_id: str
-    """1 to 64 letters, digits, hyphens and underscores."""
+    """Identifier: 1 to 64 letters, digits, hyphens and underscores."""
     name: str
     nodule: Nodule
     seed_lps: Point
-    """What was clicked, or the middle of what a file holds, LPS mm."""
+    """Clicked point, or the middle of a structure from a file, LPS mm."""
     source: TargetSource
     where: Whereabouts
     note: str = ""
     priority: int = 1
-    """1 (first) to 9."""
+    """Priority, 1 (first) to 9."""
     aims: tuple[Point, ...] = ()
-    """One to three places in the nodule, LPS mm, the first the most wanted; its middle where none is given."""
+    """One to three points in the nodule, LPS mm, in order of preference; its middle if none is given."""
 
     def __post_init__(self) -> None:
+        """Check the fields, and set the aims to the nodule's middle if none is given."""
         if not re.fullmatch(rf"[A-Za-z0-9_-]{{1,{ID_CHARS}}}", self.target_id):
             raise UsageError(
                 f"target: expected an identifier of 1 to {ID_CHARS} letters, digits, - and _", code="plan.target"
@@ -88,21 +89,24 @@ class PlanTarget:
 
     @property
     def words(self) -> str:
-        """nodule in RB3: solid nodule, 12.3 x 10.1 mm, 0.74 ml, beside the pleura"""
+        """Target as text, such as *nodule in RB3: solid nodule, 12.3 x 10.1 mm, 0.74 ml, beside the pleura*."""
         told = ", ".join([self.nodule.words, WHERE_WORDS[self.where]])
         return f"{self.name}: {told}" if self.name else told
 
     def with_nodule(self, nodule: Nodule) -> PlanTarget:
-        """The same target after its boundary was edited: aims that lie in it no more give way to its middle."""
+        """Return the target with an edited nodule; aims outside the new boundary are removed.
+
+        If no aim is left, the middle of the nodule becomes the aim.
+        """
         kept = tuple(aim for aim in self.aims if nodule.distance_mm([aim])[0] <= AIM_OFF_MM)
         return replace(self, nodule=nodule, source="edited", aims=kept)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types, without the mask."""
+        """Return the target as plain JSON types, without the mask."""
         return {**self._told(), "nodule": self.nodule.to_json()}
 
     def to_record(self) -> dict[str, Any]:
-        """All of it in plain JSON types: what a file keeps."""
+        """Return the whole target as plain JSON types for a file."""
         return {"version": RECORD_VERSION, **self._told(), "nodule": self.nodule.to_record()}
 
     def _told(self) -> dict[str, Any]:
@@ -119,12 +123,12 @@ class PlanTarget:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> PlanTarget:
-        """The target that `to_record` wrote.
+        """Return the target that `to_record` wrote.
 
         Raises
         ------
         UsageError
-            If it is no such record, or a newer one (code ``plan.record``).
+            If the record is not valid, or of a newer version (code ``plan.record``).
         """
         try:
             if record["version"] != RECORD_VERSION:
@@ -145,15 +149,22 @@ class PlanTarget:
 
 
 def proposed_aims(nodule: Nodule, *, near_lps: ArrayLike | None = None) -> tuple[Point, ...]:
-    """Up to three aims: the middle of a nodule, and its periphery at both ends of its longest axis.
+    """Propose up to three aims: the middle of a nodule, and its periphery at both ends of its longest axis.
 
-    A large mass may be dead in its middle: then the periphery is what a needle should take. Aims nearer than 3 mm to
+    The middle of a large mass may be necrotic, and then a needle should sample the periphery. Aims nearer than 3 mm to
     another are left out, so that a small nodule has one.
 
     Parameters
     ----------
+    nodule
+        The nodule.
     near_lps
-        (3,) where the scope will stand: the end of the axis nearer to it comes first.
+        (3,) position of the scope, LPS mm; the end of the axis nearer to it comes first.
+
+    Returns
+    -------
+    tuple[Point, ...]
+        Aims in LPS mm.
     """
     middle = np.array(nodule.middle_lps)
     matrix = nodule.lps_from_ijk
@@ -174,7 +185,7 @@ def proposed_aims(nodule: Nodule, *, near_lps: ArrayLike | None = None) -> tuple
 def _toward(
     nodule: Nodule, points: NDArray[np.float64], along: NDArray[np.float64], middle: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """A place in the nodule toward the end of an axis; well inside, where it is not too thin there."""
+    """Return a point of the nodule towards the end of an axis, at some depth below the boundary if possible."""
     goal = middle + EDGE_AIM * (points[int(np.argmax(along))] - middle)
     depth = ball_distance(nodule.inside_zyx, 1.0)[nodule.inside_zyx]
     allowed = (along > 0.0) & (depth >= 0.3 * depth.max())

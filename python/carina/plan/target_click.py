@@ -1,4 +1,4 @@
-"""A target from one click."""
+"""Target from one click."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from carina.volume import Volume
 __all__ = ["is_plain_nodule", "target_from_click"]
 
 PLAIN_MM, DEEP_MM = 8.0, 1.5
-"""A vessel beside a bronchus is hardly this wide in the lung; a click on a nodule lies this far inside it."""
+"""Least equivalent diameter in mm of a plain nodule, and its least depth in mm round the click.
+
+A vessel beside a bronchus in the lung is hardly as wide.
+"""
 PLAIN_RATIO = 0.55
-"""Of the shortest to the longest of its main axes: a vessel is longer than it is wide."""
+"""Least ratio of the shortest to the longest main axis of a plain nodule; a vessel is elongated."""
 
 
 def target_from_click(
@@ -27,14 +30,16 @@ def target_from_click(
     name: str = "",
     wall: WallField | None = None,
 ) -> PlanTarget:
-    """The target at a place; see `grow_nodule`, also for what is refused.
+    """Segment the target at a place; `grow_nodule` lists the errors.
 
     Parameters
     ----------
     volume, at_lps
         A chest CT, HU, and a point (3,), LPS mm.
+    target_id, name
+        Identifier and name of the target.
     wall
-        The airways' wall where it is at hand (`carina.wall_field`): without it a lesion in an airway is not told.
+        Wall of the airways (`carina.wall_field`); without it a lesion in an airway is not recognised.
 
     Examples
     --------
@@ -56,9 +61,9 @@ def target_from_click(
 
 
 def is_plain_nodule(target: PlanTarget) -> bool:
-    """Whether what was grown is plainly a nodule, and not the wall or the vessel beside an airway.
+    """Return whether a segmented target is clearly a nodule, and not the wall or the vessel beside an airway.
 
-    It lies in the lung, is 8 mm or more across, about as wide as it is long, and was clicked well inside.
+    Such a target is in the lung, at least 8 mm in diameter, about as wide as it is long, and was clicked well inside.
     """
     nodule = target.nodule
     if target.where not in {"lung", "beside pleura"} or nodule.equivalent_mm < PLAIN_MM:

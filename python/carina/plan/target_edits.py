@@ -1,4 +1,4 @@
-"""A target's boundary changed by hand: by its diameter, with a brush, or set as a ball where the CT shows none."""
+"""Edits of a target's boundary by hand: by diameter, with a brush, or as a sphere where the CT shows no boundary."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ RESIZED, BRUSHED, SPHERE = (
     "a sphere set by hand: the CT shows no boundary that was used",
 )
 SPHERE_OFF_MM = 2.0
-"""How far the boundary of a ball set by hand may be off, beyond what a drawn one may (k)."""
+"""Additional uncertainty in mm of a sphere's boundary, beyond that of a drawn boundary (common knowledge)."""
 
 
 def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
-    """The same nodule with its boundary moved outward or inward everywhere alike, to a long axial diameter.
+    """Move the boundary of a nodule by the same distance everywhere, to a given long axial diameter.
 
     Parameters
     ----------
     nodule, volume
-        The nodule, and its CT: kind stays, density and volume are measured anew.
+        The nodule and its CT. The kind stays; density and volume are measured again.
     diameter_mm
-        The new ``long_mm``, 1 to 150 mm.
+        New ``long_mm``, 1 to 150 mm.
 
     Raises
     ------
     UsageError
-        If the diameter is out of range, so small that nothing is left, or reaches out of the CT by more than half
-        (code ``plan.edit``).
+        If the diameter is out of range, nothing of the nodule would be left, or more than half of it would be outside
+        the CT (code ``plan.edit``).
 
     Examples
     --------
@@ -59,39 +59,43 @@ def resized(nodule: Nodule, volume: Volume, diameter_mm: float) -> Nodule:
     step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
     by_mm = 0.5 * (diameter_mm - nodule.long_mm)
     inside, matrix = _padded(nodule, max(by_mm, 0.0) + 3.0 * step)
-    # Hollows in it stay as they are.
+    # Hollows are not resized.
     hollow = enclosed(inside)
     whole = inside | hollow
-    # Positive inside: the boundary lies at 0. Distances of voxels jump; smoothed a little they do not.
+    # Signed distance, positive inside. It is smoothed, because distances between voxels have steps.
     depth = smoothed(ball_distance(whole, step) - ball_distance(~whole, step), 0.6)
     radii = 0.5 * np.array([nodule.long_mm, nodule.short_mm, 0.0])
     radii[2] = 3.0 * nodule.volume_mm3 / (4.0 * np.pi * radii[0] * radii[1])
     if float(radii.min()) + by_mm < 0.5 * step:
         raise _refused("nothing of the target would be left; choose a larger diameter")
-    # Distances of voxels are too short by a part of one: as many are taken as the ellipsoid of its radii would have.
+    # Voxel distances are biased by a part of a voxel, so the number of voxels follows from the ellipsoid of the radii.
     num = round(nodule.volume_mm3 / step**3 * float(np.prod((radii + by_mm) / radii)))
     kept = np.zeros(depth.size, dtype=bool)
     kept[np.argsort(-depth, axis=None, kind="stable")[: max(num, 1)]] = True
     kept = kept.reshape(depth.shape) & ~hollow
     found = _edited(nodule, volume, _in_ct(volume, _main_piece(kept), matrix), matrix, RESIZED)
-    # What was set is told as it was set; voxels show it to half of one.
+    # The diameter is stored exactly as it was set; voxels represent it to half a voxel.
     return replace(found, long_mm=float(diameter_mm), short_mm=min(found.short_mm, float(diameter_mm)))
 
 
 def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: float, *, add: bool = True) -> Nodule:
-    """The same nodule with a ball added to it, or taken from it.
+    """Add a ball to a nodule, or remove a ball from it.
 
-    What a ball cuts off from the largest part goes with it.
+    After a removal only the largest connected part remains.
 
     Parameters
     ----------
+    nodule, volume
+        The nodule and its CT.
     centre_lps, radius_mm
-        The brush: (3,) LPS mm in the CT, and 0.5 to 40 mm.
+        Centre of the brush, (3,) LPS mm in the CT, and its radius, 0.5 to 40 mm.
+    add
+        Whether the ball is added or removed.
 
     Raises
     ------
     UsageError
-        If the brush lies outside the CT, does not touch the nodule, or leaves nothing of it (code ``plan.edit``).
+        If the brush is outside the CT, does not touch the nodule, or leaves nothing of it (code ``plan.edit``).
     """
     _check(volume, radius_mm, BRUSH_MM, "brush radius")
     centre = _point_in(volume, centre_lps)
@@ -111,10 +115,12 @@ def brushed(nodule: Nodule, volume: Volume, centre_lps: ArrayLike, radius_mm: fl
 
 
 def sphere(volume: Volume, centre_lps: ArrayLike, diameter_mm: float) -> Nodule:
-    """A ball as a target, where the CT shows no boundary: a node in the mediastinum, a place in a consolidation.
+    """Return a ball as a target where the CT shows no boundary, as in the mediastinum or in a consolidation.
 
     Parameters
     ----------
+    volume
+        The CT.
     centre_lps, diameter_mm
         (3,) LPS mm in the CT, and 1 to 150 mm.
 
@@ -140,13 +146,13 @@ def _edited(nodule: Nodule, volume: Volume, inside: Mask, matrix: Place, note: s
     hollow = enclosed(inside)
     if not hollow.any():
         return found
-    # As of one that was grown: its volume is that of its outer surface.
+    # As for a segmented nodule, the volume is that inside the outer surface.
     hollow_mm3 = float(hollow.sum()) * float(np.linalg.norm(matrix[:3, 0])) ** 3
     return replace(found, volume_mm3=found.volume_mm3 + hollow_mm3)
 
 
 def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None = None) -> tuple[Mask, Place]:
-    """The nodule's voxels in a box that is larger by a margin, and holds a ball as well."""
+    """Return the nodule's mask and transform, enlarged by a margin and, if given, by a ball."""
     matrix = nodule.lps_from_ijk
     step = float(np.linalg.norm(matrix[:3, 0]))
     low = np.zeros(3, dtype=int)
@@ -166,7 +172,7 @@ def _padded(nodule: Nodule, margin_mm: float, also: tuple[Place, float] | None =
 
 
 def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
-    """What of it lies in the CT: at least half."""
+    """Return the part of a mask inside the CT; it must be at least half."""
     known = Box.at(volume, matrix, inside.shape).known
     kept = inside & known
     if kept.sum() < 0.5 * inside.sum():
@@ -175,7 +181,7 @@ def _in_ct(volume: Volume, inside: Mask, matrix: Place) -> Mask:
 
 
 def _main_piece(mask: Mask) -> Mask:
-    """The piece with most voxels."""
+    """Return the connected part with most voxels."""
     left, best = mask.copy(), np.zeros_like(mask)
     while left.sum() > best.sum():
         first = np.unravel_index(int(left.argmax()), left.shape)
@@ -187,7 +193,7 @@ def _main_piece(mask: Mask) -> Mask:
 
 
 def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.float64]:
-    """Distances of all voxels from a point, mm."""
+    """Return the distances of all voxels from a point, mm."""
     k, j, i = np.indices(shape)
     places = np.stack([i, j, k], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
     off: NDArray[np.float64] = np.linalg.norm(places - point, axis=-1)
@@ -195,7 +201,7 @@ def _off(shape: tuple[int, ...], matrix: Place, point: Place) -> NDArray[np.floa
 
 
 def _near(mask: Mask, step_mm: float) -> Mask:
-    """A mask and the voxels beside it."""
+    """Return a mask dilated by one voxel across faces."""
     return ball_distance(~mask, step_mm) <= 1.1 * step_mm
 
 

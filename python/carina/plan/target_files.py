@@ -1,4 +1,4 @@
-"""Targets from files: a mask, a DICOM segmentation, or a structure set, each only for the CT that it belongs to."""
+"""Targets from files: a mask, a DICOM segmentation or a structure set, each only for the CT that it belongs to."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from carina.volume.watch import Watch
 __all__ = ["target_from_file"]
 
 LEAST_MM2 = 0.01
-"""An outline that encloses less is a point or a line."""
+"""Least area in mm2 of an outline; a smaller one is a point or a line."""
 UNCHECKED = "its file does not say on which CT it was drawn; only its position was checked"
 NO_DICOM = "whether it was drawn on this very CT could not be checked; only its position was"
 PART_OF_SCAN = "the segmentation covers only part"
@@ -64,20 +64,21 @@ def target_from_file(
     volume
         The CT that the target is planned in.
     structure
-        Number or name of the structure (label, segment, ROI). Needed only where the file holds several.
+        Number or name of the structure (label, segment, ROI). Required only if the file contains several.
     at_lps
-        (3,) LPS mm: which part, where the structure has several.
+        (3,) point in LPS mm that selects a part of the structure, if it has several.
     ct
-        The folder or a file from which the CT was opened, or what `ct_references` read of it: then the references in
-        a DICOM file are compared with it.
-        What refers to a CT with other coordinates is refused; without this the position alone is checked, and the
-        target says so.
+        Folder or file from which the CT was opened, or its `ct_references`, with which the references in a DICOM file
+        are compared. A file that refers to a CT with other coordinates is refused. Without ``ct`` only the position is
+        checked, and a note of the target states this.
+    target_id
+        Identifier of the target.
     name
-        The target's name; that of the structure where none is given.
+        Name of the target; the name of the structure if None.
     resample
-        Take a mask on another grid all the same (not from outlines).
+        Whether to accept a mask on another grid (not for outlines).
     wall
-        The airways' wall, where it is known: it tells whether the target lies in an airway.
+        Wall of the airways, with which a target in an airway is recognised.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -87,12 +88,12 @@ def target_from_file(
     Raises
     ------
     VolumeImportError
-        If the file is damaged, is of another CT or another grid (codes as `open_mask` has them), or if it holds
-        several structures and none is chosen (`MaskLabelError`).
+        If the file is damaged, belongs to another CT or has another grid (codes as for `open_mask`), or if it contains
+        several structures and none is selected (`MaskLabelError`).
     NoResultError
-        If the structure is empty, or has several parts and no point says which.
+        If the structure is empty, or has several parts and no point selects one.
     CancelledError
-        If ``cancel()`` returned true.
+        If ``cancel()`` returned True.
 
     Examples
     --------
@@ -119,7 +120,7 @@ def target_from_file(
         number, named = _label(file, volume, structure, resample=resample)
         mask = open_mask(file, volume, label=number, resample=resample, progress=watch.progress, cancel=cancel)
         nodule = nodule_from_mask(volume, mask, at_lps=at_lps)
-        # A nodule's file need not cover the scan.
+        # The note about partial coverage is dropped: the file of a nodule need not cover the whole scan.
         told = (note for note in nodule.notes if not note.startswith(PART_OF_SCAN))
         nodule = replace(nodule, notes=(*told, *notes))
     given = named[:NAME_CHARS] if name is None else name
@@ -129,7 +130,7 @@ def target_from_file(
 def _label(file: Path, volume: Volume, structure: int | str | None, *, resample: bool) -> tuple[int | None, str]:
     """Return the number and the name of the selected label; the name is empty where the file has none."""
     try:
-        # No file has this label: the refusal lists those that it has.
+        # No file has the label -1, so the error lists the labels of the file.
         open_mask(file, volume, label=-1, resample=resample)
     except MaskLabelError as error:
         labels = error.labels
@@ -216,7 +217,7 @@ def _chosen(file: Path, structures: tuple[Structure, ...], wanted: int | str | N
 
 
 def _about_ml(structure: Structure, volume: Volume) -> float:
-    """Area times the distance of slices; holes are not looked at."""
+    """Return the approximate volume in ml: area times slice distance, without regard to holes."""
     return sum(contour.area_mm2 for contour in structure.contours) * volume.spacing_mm[2] / 1000.0
 
 

@@ -1,4 +1,4 @@
-"""Targets from masks, which a user drew or a program made."""
+"""Targets from masks that were drawn by a user or made by a program."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from carina.volume import Mask, Volume
 __all__ = ["nodule_from_mask", "one_piece", "target_from_mask", "target_of"]
 
 CRUMB = 0.05
-"""A piece smaller than this share of the largest is left out: a stray voxel."""
+"""Share of the largest part below which a part is ignored as stray voxels."""
 PIECE_MM = 5.0
-"""A piece is meant by a point in it or this near to it."""
+"""Largest distance in mm of a point from the part that it selects."""
 
 
 def nodule_from_mask(volume: Volume, mask: Mask | NDArray[np.bool_], *, at_lps: ArrayLike | None = None) -> Nodule:
     """Return the nodule of a mask on a CT's own grid.
 
-    Its volume is what the mask holds; the error is that of a drawn boundary, half a voxel on all sides (k).
+    The volume is that of the mask; the error is that of a drawn boundary, half a voxel on all sides (common knowledge).
 
     Parameters
     ----------
     volume, mask
-        The CT, and a mask as `open_mask` gives it or (nz, ny, nx) bool.
+        The CT, and a mask from `open_mask` or an array (nz, ny, nx) of bool.
     at_lps
-        (3,) LPS mm: which piece, where the mask has several.
+        (3,) point in LPS mm that selects a part, if the mask has several.
 
     Raises
     ------
     UsageError
         If the mask has another shape than the CT (code ``plan.mask``).
     NoResultError
-        If it is empty, has several pieces and no point says which, or is no nodule by its size.
+        If the mask is empty, is too large for a nodule, or has several parts and no point selects one.
 
     Examples
     --------
@@ -87,12 +87,16 @@ def target_from_mask(
     at_lps: ArrayLike | None = None,
     wall: WallField | None = None,
 ) -> PlanTarget:
-    """Return a target from a mask on a CT's own grid; see `nodule_from_mask`.
+    """Return a target from a mask on a CT's own grid.
 
     Parameters
     ----------
+    volume, mask, at_lps
+        As for `nodule_from_mask`.
+    target_id, name
+        Identifier and name of the target.
     wall
-        The airways' wall, where it is known: it tells whether the target lies in an airway.
+        Wall of the airways, with which a target in an airway is recognised.
     """
     nodule = nodule_from_mask(volume, mask, at_lps=at_lps)
     return target_of(volume, nodule, "mask", target_id=target_id, name=name, wall=wall)
@@ -115,12 +119,21 @@ def target_of(
 def one_piece(volume: Volume, drawn: Drawn, at_lps: ArrayLike | None) -> tuple[Drawn, tuple[str, ...]]:
     """Return one connected part of a mask, and notes on the parts that were left out.
 
+    Parameters
+    ----------
+    volume
+        The CT.
+    drawn
+        Shares of its voxels.
+    at_lps
+        (3,) point in LPS mm that selects the part; None if there is only one.
+
     Raises
     ------
     NoResultError
-        If there are several and no point says which, or none lies at the point.
+        If there are several parts and no point selects one, or no part is at the point.
     """
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     image = sitk.GetImageFromArray((drawn.share_zyx > 0.0).astype(np.uint8))
     labels: NDArray[Any] = sitk.GetArrayFromImage(sitk.RelabelComponent(sitk.ConnectedComponent(image, True)))

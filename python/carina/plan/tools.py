@@ -1,7 +1,8 @@
-"""Instruments that go through a scope's working channel: what is known of each, and on what basis.
+"""Library of instruments for the working channel of a scope, with the basis of each value.
 
-Basis as in the library of scopes: ``s`` was read in a source, ``k`` is common knowledge that was not checked against
-the maker's data. Unknown is None, never a guess. An own instrument comes from a file (`tool_from_file`).
+The basis is as in the library of scopes: ``s`` was read in a source, ``k`` is common knowledge that was not checked
+against the manufacturer's data. An unknown value is None, never a guess. `tool_from_file` reads the user's own
+instruments.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ __all__ = ["DEFAULT_TOOL", "Tool", "tool", "tool_from_file", "tool_from_json", "
 
 DEFAULT_TOOL = "needle-21g"
 CLEARANCE_MM = 0.1
-"""A tool slides in a channel that is so much wider (k)."""
+"""Least difference in mm between the diameters of channel and tool (common knowledge)."""
 FORMAT, VERSION = "carina-tool", 1
 _MOST = {"outer_mm": 10.0, "reach_mm": 100.0, "rigid_mm": 100.0, "flexion_loss_deg": 180.0}
 
@@ -27,26 +28,30 @@ _MOST = {"outer_mm": 10.0, "reach_mm": 100.0, "rigid_mm": 100.0, "flexion_loss_d
 @one_line
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """One instrument. Lengths in mm; None where nothing is known."""
+    """Instrument for the working channel; lengths in mm, None if unknown."""
 
     name: str
     title: str
     outer_mm: float
-    """What the channel must let pass: needle with sheath."""
+    """Diameter that the channel must let pass: needle with sheath."""
     reach_mm: float
-    """How far beyond the scope's tip it works: a needle's throw, or how far a flexible tool is pushed under vision."""
+    """Distance beyond the scope's tip at which the tool works.
+
+    For a needle it is the throw, for a flexible tool the distance that it is pushed under vision.
+    """
     pierces: bool
-    """Goes through an airway's wall; others stay in the lumen."""
+    """Whether the tool passes through the wall of an airway; other tools stay in the lumen."""
     rigid_mm: float | None
-    """Longest part that does not bend."""
+    """Length of the longest part that does not bend."""
     basis: str
-    """``s`` or ``k``, or which figure is which."""
+    """Basis of the values: ``s`` (source), ``k`` (common knowledge), or a text that states the basis of each."""
     source: str | None = None
-    """Where what is marked ``s`` was read."""
+    """Source of the values that are marked ``s``."""
     flexion_loss_deg: float | None = None
-    """What the scope's greatest flexion loses with it in the channel."""
+    """Loss of the scope's greatest flexion with the tool in the channel, degrees."""
 
     def __post_init__(self) -> None:
+        """Check the lengths and the loss of flexion."""
         for what, most in _MOST.items():
             value = getattr(self, what)
             needed = what in {"outer_mm", "reach_mm"}
@@ -57,11 +62,11 @@ class Tool:
                 raise UsageError(f"{what}: expected {expected}; found {value}", code="plan.tool")
 
     def passes(self, channel_mm: float) -> bool:
-        """Whether it slides through a channel of this width."""
+        """Return whether the tool slides through a channel of this diameter."""
         return channel_mm - self.outer_mm >= CLEARANCE_MM - 1e-9
 
     def to_json(self) -> dict[str, Any]:
-        """What `tool_from_json` reads."""
+        """Return the tool as plain JSON types, which `tool_from_json` reads."""
         return {"format": FORMAT, "version": VERSION, **{one.name: getattr(self, one.name) for one in fields(self)}}
 
 
@@ -72,9 +77,8 @@ _CRYO_19 = "cryobiopsy with 1.1 and 1.9 mm probes: J Bras Pneumol 2022, PMC99703
 _CRYO_17 = "cryobiopsy with 1.1 and 1.7 mm probes: Respir Res 2024, doi 10.1186/s12931-024-02700-w"
 _DIAMETER = "diameter s, rest k"
 
-# What a tool costs in flexion was measured for few scopes and only against one another: a forceps took up to 20.5
-# degrees more than a needle or a catheter (abstract in referencecitationanalysis.com, 5.1 and 6.2 mm scopes). No figure
-# of a single tool was found, so it is unknown for all of them.
+# The loss of flexion is unknown for all tools: it was measured for few scopes and only between tools. A forceps took up
+# to 20.5 degrees more than a needle or a catheter (abstract in referencecitationanalysis.com, 5.1 and 6.2 mm scopes).
 _TOOLS = (
     Tool("needle-21g", "Aspiration needle, 21 G", 1.8, 15.0, True, 15.0, "k"),
     Tool("needle-19g", "Aspiration needle, 19 G", 1.9, 15.0, True, 15.0, "k"),
@@ -98,14 +102,14 @@ _TOOLS = (
         _GUIDED,
     ),
     Tool("ultrasound-1.7", "Radial ultrasound probe, 1.7 mm (UM-S20-20R)", 1.7, 40.0, False, None, "k"),
-    # The source says 1.9 mm; 1.95 is what it is sold as (k), and the more careful of the two.
+    # The source states 1.9 mm. The trade size of 1.95 mm (k) is used, because it is the safer one.
     Tool("guide-sheath", "Guide sheath, 1.95 mm (K-201)", 1.95, 40.0, False, None, "k", _GUIDED),
     Tool("guide-sheath-large", "Guide sheath, 2.55 mm (K-203)", 2.55, 40.0, False, None, "k"),
 )
 
 
 def tools() -> tuple[Tool, ...]:
-    """All instruments.
+    """Return all instruments of the library.
 
     Examples
     --------
@@ -116,12 +120,12 @@ def tools() -> tuple[Tool, ...]:
 
 
 def tool(name: str) -> Tool:
-    """The instrument of that name.
+    """Return the instrument with a name.
 
     Raises
     ------
     UsageError
-        If there is none; all are listed.
+        If there is none; the message lists all names.
     """
     found = next((one for one in _TOOLS if one.name == name), None)
     if found is None:
@@ -131,24 +135,24 @@ def tool(name: str) -> Tool:
 
 
 def tool_from_file(path: str | Path) -> Tool:
-    """An own instrument from a JSON file, as `Tool.to_json` writes it.
+    """Read the user's own instrument from a JSON file in the format of `Tool.to_json`.
 
     Raises
     ------
     UsageError
-        If it cannot be read, or says something that a tool cannot be: the file, the figure, what was expected, what was
-        found (code ``plan.own-file``).
+        If the file cannot be read or contains impossible values. The message states the file, the field, the expected
+        and the found value (code ``plan.own-file``).
     """
     return _tool(OwnFile.read(path))
 
 
 def tool_from_json(document: Any, *, where: str = "tool") -> Tool:
-    """An own instrument from parsed JSON; ``where`` begins what is said of an error.
+    """Return the user's own instrument from parsed JSON; error messages begin with ``where``.
 
     Raises
     ------
     UsageError
-        As `tool_from_file`.
+        If the document contains impossible values, as for `tool_from_file`.
 
     Examples
     --------

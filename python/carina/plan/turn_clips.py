@@ -1,7 +1,7 @@
-"""The stretch to each turn as a short clip, which ends in the picture of the turn.
+"""Short clip of the flight to each turn, which ends with the picture of the turn.
 
-A clip is a strip of frames for a page without software: few, small, and drawn like the still pictures, without the
-mottling and micro relief that are not the patient's.
+A clip is a strip of few, small frames, which an HTML page plays without other software. The frames are rendered like
+the still pictures, without the artificial mottling and micro relief.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ from carina.volume import Volume
 __all__ = ["MOST_FRAMES", "TurnClip", "turn_clips"]
 
 MOST_FRAMES = 24
-"""A strip of 24 pictures of 256 pixels is 0.08 MB: ten forks leave a report that can be sent by mail."""
+"""Largest number of frames; a strip of 24 frames of 256 pixels is 0.08 MB, small enough for reports by mail."""
 SIZES_PX = (64, 512)
 LONGEST_S = 4.0
-"""A longer flight is shown faster: with so few frames it would stutter."""
+"""Longest duration in s; a longer flight is shown faster, because with so few frames it would stutter."""
 QUALITY = 70
-"""Of the JPEG. The still beside the clip, which proves the opening, is a PNG."""
+"""Quality of the JPEG. The still picture beside the clip is a PNG."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnClip:
-    """How one stretch looks on the way."""
+    """Clip of the flight along one stretch of a route."""
 
     turn: Turn
     operator: Operator
     frames: tuple[NDArray[np.uint8], ...] = field(repr=False)
-    """(size, size, 3) each; the last is the turn's own picture, unmarked."""
+    """Frames of (size, size, 3) each; the last one is the picture of the turn without marks."""
     cameras: tuple[Pose, ...] = field(repr=False)
-    """As many."""
+    """Camera of each frame."""
     duration_s: float
-    """From the first frame to the last."""
+    """Time from the first frame to the last, s."""
 
     @property
     def size_px(self) -> int:
@@ -57,7 +57,7 @@ class TurnClip:
         return int(self.frames[0].shape[0])
 
     def strip(self) -> bytes:
-        """All frames below one another, as one JPEG."""
+        """Return all frames below one another as one JPEG."""
         return bytes(
             simplejpeg.encode_jpeg(
                 np.concatenate(self.frames), quality=QUALITY, colorspace="RGB", colorsubsampling="420"
@@ -79,22 +79,22 @@ def turn_clips(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[TurnClip | None, ...]:
-    """A clip of each stretch of a route.
+    """Render a clip of each stretch of a route.
 
     Parameters
     ----------
     volume, airways, planned
         The CT, its airways, and the route that was planned in them.
     turns
-        Its list of turns, of `carina.plan.turn_list`.
+        List of turns of the route (`carina.plan.turn_list`).
     operator
-        Which way up.
+        Position of the operator, which determines the orientation of the picture.
     size_px
         Width and height of a frame, 64 to 512.
     num_frames
-        Of each clip, 2 to 24.
+        Number of frames of each clip, 2 to 24.
     renderer
-        One that shows this volume with these airways, where it is at hand; else it is made.
+        Renderer of this volume with these airways; created if None.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -104,16 +104,16 @@ def turn_clips(
     Returns
     -------
     tuple
-        In the order of the turns; None for a stretch without length, as between two forks that are one.
+        Clips in the order of the turns; None for a stretch without length, as between two forks at one place.
 
     Raises
     ------
     UsageError
         If a size or number is out of range.
     NoResultError
-        If a turn does not say where it is seen from.
+        If a turn has no camera position.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     check_type("turn_clips", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("turn_clips", "airways", airways, Airways, "get airways from carina.find_airways")
@@ -129,7 +129,8 @@ def turn_clips(
     report = progress_function(progress)
     made: list[TurnClip | None] = []
     for index, turn in enumerate(turns.turns):
-        turn.camera(operator)  # refuses a turn that is seen from nowhere, which is no stretch without length
+        # raises if the turn has no camera position; the handler below is only for stretches without length
+        turn.camera(operator)
         try:
             times, poses = turn_flight(airways.tree, planned, turns, index, operator=operator)
         except NoResultError:

@@ -1,4 +1,4 @@
-"""The stretch from one turn to the next as a flight: times and poses, to be filmed."""
+"""Flight from one turn to the next, as times and camera poses for a video."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Points = NDArray[np.float64]
 SPEEDS_MM_S = (1.0, 200.0)
 RATES_HZ = (1.0, 120.0)
 TURN_DEG_S = 60.0
-"""The picture turns no faster than this on average, or nobody can follow it."""
+"""Largest mean rotation of the picture in degrees/s that a viewer can follow."""
 SHORTEST_S = 1.0
 SHORT_MM = 1e-3
 
@@ -39,34 +39,35 @@ def turn_flight(
     speed_mm_s: float = 20.0,
     rate_hz: float = 25.0,
 ) -> tuple[NDArray[np.float64], tuple[Pose, ...]]:
-    """The flight to a turn from the one before: it begins with that one's picture and ends with this one's.
+    """Return the flight to a turn from the one before; it begins and ends with the pictures of these turns.
 
     Parameters
     ----------
     tree, planned
-        What the list was made of.
+        Tree and route of the list of turns.
     turns
-        Of `carina.plan.turn_list`; `examples/05_turns` shows all of it.
+        List of turns (`carina.plan.turn_list`); `examples/05_turns` shows a complete example.
     index
-        Of the turn; 0 comes from where the route begins, ``len(turns.turns)`` goes on to where the scope is parked.
+        Index of the turn. The flight to turn 0 begins at the beginning of the route; ``len(turns.turns)`` is the flight
+        to the final position of the scope.
     operator
-        Which way up.
+        Position of the operator, which determines the orientation of the picture.
     speed_mm_s
-        Of the fastest part, 1 to 200; slower where the picture would turn too fast.
+        Speed of the fastest part, 1 to 200; the flight is slower where the picture would turn too fast.
     rate_hz
-        Of the frames, 1 to 120.
+        Frames per second, 1 to 120.
 
     Returns
     -------
     times_s, poses
-        (n,) from 0, and as many cameras.
+        (n,) times from 0, and n camera poses.
 
     Raises
     ------
     UsageError
         If there is no such turn, or a number is out of range.
     NoResultError
-        If the stretch has no length, or a turn does not say where it is seen from.
+        If the stretch has no length, or a turn has no camera position.
     """
     check_type("turn_flight", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
     check_type("turn_flight", "planned", planned, PlannedRoute, "it is one of the routes of carina.plan_route")
@@ -81,7 +82,7 @@ def turn_flight(
     end_mm, beyond_mm, last = way.before(index, operator)
     if end_mm - begin_mm < SHORT_MM:
         raise NoResultError("the stretch to this turn has no length, so there is nothing to fly", code="plan.no-way")
-    # As far as the fork: at the end the gaze is along the branch, and not into the next.
+    # The path ends at the fork, so that the camera looks along the branch at the end, and not into the next one.
     points = way.between(begin_mm, max(beyond_mm, ahead_mm))
     path = FlightPath(points, up_lps=None if first is None else _tuple(-first.down_lps))
     length_mm = end_mm - begin_mm
@@ -90,7 +91,7 @@ def turn_flight(
     steps = np.linspace(0.0, length_mm, max(2, math.ceil(length_mm / 0.5) + 1))
     rough = [_eased(path, base, off, float(s), length_mm) for s in steps]
     turned = sum(_angle_rad(a, b) for a, b in itertools.pairwise(rough))
-    # An even start and end: the middle is half as fast again as the mean.
+    # With smooth acceleration the largest speed is 1.5 times the mean speed.
     duration_s = max(SHORTEST_S, 1.5 * length_mm / speed_mm_s, math.degrees(turned) / TURN_DEG_S)
     times = np.linspace(0.0, duration_s, max(2, round(duration_s * rate_hz) + 1))
     share = times / duration_s
@@ -99,7 +100,7 @@ def turn_flight(
 
 
 class _Way:
-    """The way of a route with the places from which its turns are seen."""
+    """Centreline of a route, with the positions of its turns and their cameras."""
 
     def __init__(self, tree: AirwayTree, planned: PlannedRoute, turns: TurnList) -> None:
         points = np.concatenate([branch.points for branch in tree.lineage(planned.branch_id)])
@@ -110,7 +111,10 @@ class _Way:
         self._forks_mm = np.cumsum([turn.from_fork_mm for turn in turns.turns])
 
     def before(self, index: int, operator: Operator) -> tuple[float, float, Pose | None]:
-        """Where a turn is seen from along the way, its fork, and its camera; the route's own ends have none."""
+        """Return the camera position along the route, the position of the fork in mm, and the camera of a turn.
+
+        Both ends of the route have no camera.
+        """
         if index < 0:
             return 0.0, 0.0, None
         if index == len(self._turns.turns):
@@ -122,13 +126,13 @@ class _Way:
         return self._nearest_mm(camera.position_lps, fork_mm), fork_mm, camera
 
     def between(self, begin_mm: float, end_mm: float) -> Points:
-        """The points from one place to another."""
+        """Return the points of the centreline between two positions."""
         inner = self._along[(self._along > begin_mm + SHORT_MM) & (self._along < end_mm - SHORT_MM)]
         at = np.concatenate([[begin_mm], inner, [end_mm]])
         return np.stack([np.interp(at, self._along, self._points[:, axis]) for axis in range(3)], axis=1)
 
     def _nearest_mm(self, point: Points, before_mm: float) -> float:
-        """The place nearest to a point, no farther than a fork."""
+        """Return the position along the route nearest to a point, not beyond a fork."""
         best = (math.inf, 0.0)
         for n in range(len(self._points) - 1):
             if self._along[n] > before_mm:
@@ -137,7 +141,7 @@ class _Way:
             along = b - a
             share = float(np.clip((point - a) @ along / float(along @ along), 0.0, 1.0))
             away = float(np.linalg.norm(point - a - share * along))
-            # The later one of two as near: the way may touch itself.
+            # Of two equally near positions the later one counts, because the route may touch itself.
             if away <= best[0] + 1e-9:
                 best = (away, float(self._along[n] + share * (self._along[n + 1] - self._along[n])))
         return min(best[1], before_mm)
@@ -150,14 +154,14 @@ def _posed(path: FlightPath, at_mm: float, base: Points) -> Pose:
 
 
 def _off(pose: Pose, wanted: Pose | None, operator: Operator) -> tuple[Points, Points]:
-    """What leads from a pose of the path to the one that is wanted there (level, where none is): a turn and a shift."""
+    """Return rotation and shift from a pose of the path to a wanted pose; a level pose if none is wanted."""
     there = levelled(pose.position_lps, pose.forward_lps, operator) if wanted is None else wanted
     turn = vector_from_rotation(orthonormal(pose.lps_from_camera[:3, :3].T @ there.lps_from_camera[:3, :3]))
     return turn, there.position_lps - pose.position_lps
 
 
 def _eased(path: FlightPath, base: Points, off: list[tuple[Points, Points]], at_mm: float, length_mm: float) -> Pose:
-    """The path's pose with what it is off at both ends, each fading towards the other."""
+    """Return the pose of the path with the corrections of both ends, blended along the stretch."""
     share = at_mm / length_mm
     late = share * share * (3.0 - 2.0 * share)
     pose = _posed(path, at_mm, base).lps_from_camera.copy()

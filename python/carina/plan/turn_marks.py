@@ -1,4 +1,4 @@
-"""What is drawn over the picture of a turn: the edge of the opening, and the clock."""
+"""Marks drawn over the picture of a turn: the edge of the opening, and the clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,17 @@ DARK_RGB: Colour = (8, 10, 12)
 
 
 def draw_edge(rgb: Rgb, field: Field, width_px: float, colour: Colour) -> None:
-    """A line of one width along the level 1/2 of a field, on a dark rim."""
+    """Draw a line along the contour 0.5 of a field, on a dark rim.
+
+    Parameters
+    ----------
+    rgb
+        (height, width, 3) picture, changed in place.
+    field
+        (height, width) values whose contour at 0.5 is drawn.
+    width_px, colour
+        Width and colour of the line.
+    """
     down, across = np.gradient(field)
     away = np.abs(field - 0.5) / np.maximum(np.hypot(down, across), 1e-3)
     _blend(rgb, 0.7 * np.clip(0.5 * width_px + 1.5 - away, 0.0, 1.0), DARK_RGB)
@@ -31,7 +41,17 @@ def draw_edge(rgb: Rgb, field: Field, width_px: float, colour: Colour) -> None:
 
 
 def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None:
-    """Hour ticks round the picture, a wedge where the opening is, the other openings' hours, and the turn in words."""
+    """Draw hour ticks, a wedge at the opening, the hours of the other openings, and the turn as text.
+
+    Parameters
+    ----------
+    rgb
+        (height, width, 3) picture, changed in place.
+    turn, operator
+        The turn, and the position of the operator for the hours.
+    colour
+        Colour of the opening to enter.
+    """
     height = rgb.shape[0]
     dial = _Dial(rgb)
     size = 2 if dial.scale >= 0.75 else 1
@@ -40,21 +60,21 @@ def draw_clock(rgb: Rgb, turn: Turn, operator: Operator, colour: Colour) -> None
     taken = turn.hour(operator)
     if taken is not None:
         at = turn.clock_head if operator == "head" else turn.clock_facing
-        # It points at the opening itself and not at the whole hour.
+        # The wedge is at the opening itself, not at the whole hour.
         dial.wedge(at, colour)
         dial.write(f"{taken}", at, size, colour)
     for other in turn.others:
         told = other.hour(operator)
         if told is not None and told != taken:
             dial.write(f"{told}", float(told), 1, QUIET_RGB)
-    # In two lines, so that a long name does not run into the letter at the bottom.
+    # Two lines, so that a long name does not overlap the letter at the bottom.
     said = hour_words(taken).replace("\u2019", "'")
     for row, words in ((16, turn.to_branch), (6, said)):
         write_on(rgb, words, 4 * size, height - row * size, size=size, rgb_of=colour)
 
 
 class _Dial:
-    """The clock round a picture; lengths in pixels of a picture of 512."""
+    """Clock round a picture; lengths in pixels of a picture of 512 pixels."""
 
     def __init__(self, rgb: Rgb) -> None:
         self._rgb = rgb
@@ -67,7 +87,7 @@ class _Dial:
         self._outer = 0.5 * min(height, width) - 36.0 * self.scale
 
     def tick(self, hour: float, *, long: bool) -> None:
-        """A line towards the middle."""
+        """Draw a line towards the middle."""
         length = (9.0 if long else 6.0) * self.scale
         along = np.minimum(self._radius - (self._outer - length), self._outer - self._radius)
         off = self._off_px(hour)
@@ -76,21 +96,21 @@ class _Dial:
             _blend(self._rgb, share, colour)
 
     def wedge(self, hours: float, colour: Colour) -> None:
-        """A triangle that points inwards."""
+        """Draw a triangle that points inwards."""
         length = 16.0 * self.scale
         inwards = np.clip((self._radius - (self._outer - length)) / length, 0.0, 1.0)
         within = (self._radius >= self._outer - length) & (self._radius <= self._outer)
         _blend(self._rgb, np.clip(7.0 * self.scale * inwards - self._off_px(hours) + 0.5, 0.0, 1.0) * within, colour)
 
     def write(self, text: str, hours: float, size: int, colour: Colour) -> None:
-        """A number inside the ring."""
+        """Draw a text inside the ring."""
         height, width = self._rgb.shape[:2]
         angle, radius = hours / 12.0 * math.tau, self._outer - (16.0 + 6.0 * size) * self.scale
         column, row = width / 2 + radius * math.sin(angle), height / 2 - radius * math.cos(angle)
         write_on(self._rgb, text, round(column), round(row), align=0.5, size=size, rgb_of=colour)
 
     def _off_px(self, hours: float) -> Field:
-        """How far pixels lie from the line to an hour, along their circle."""
+        """Return the distance of each pixel from the line to an hour, in pixels along the pixel's circle."""
         off: Field = np.abs((self._hours - hours + 6.0) % 12.0 - 6.0) / 12.0 * math.tau * self._radius
         return off
 

@@ -1,7 +1,7 @@
-"""A still picture of each turn: levelled, from before the fork, with the right opening outlined.
+"""Still picture of each turn: level, from before the fork, with the opening to enter outlined.
 
-The outline is the edge of what belongs to the branch among the first walls that the picture shows, so it ends where a
-wall is in front. Mottling and micro relief, which are not the patient's, are off.
+The outline is the edge of the visible wall of the branch, so it ends where another wall is in front. The artificial
+mottling and micro relief are off.
 """
 
 from __future__ import annotations
@@ -35,54 +35,57 @@ Points = NDArray[np.float64]
 Field = NDArray[np.float64]
 
 FOV_DEG = 120.0
-"""As wide as the instruments of the library look, so that an opening beside the axis is in the picture too."""
+"""Field of view, as wide as that of the library's scopes, so that an opening beside the axis is in the picture too."""
 SIZES_PX = (128, 2048)
 LINE_PX = 2.5
 """Width of the outline in a picture of 512 pixels."""
 SMOOTH_PX = 2.0
-"""The first walls' noise that the outline does not follow, in a picture of 512 pixels."""
+"""Smoothing of the outline against noise of the walls, in a picture of 512 pixels."""
 LEAST_SHARE = 2e-4
-"""Of the picture: a smaller patch of an opening is not outlined, and the opening is told to be out of view."""
+"""Least share of the picture for an opening that is outlined; a smaller one is reported as out of view."""
 ROUTE_RGB = (79, 211, 230)
 DOUBTFUL_RGB = (244, 180, 76)
-"""Of an opening into a branch that the CT does not show for certain."""
+"""Colour of an opening into a branch that the CT does not show with certainty."""
 NEAR_MM = 80.0
-"""Walls are told apart by the branches within this distance of the fork."""
+"""Distance in mm from the fork within which branches are considered when walls are assigned to branches."""
 PLACES_MM = 0.7
-"""Of a centreline, for distances to its tube."""
+"""Distance in mm between the centreline points from which the distance to a branch's surface is computed."""
 COARSE = 2
-"""Walls are told apart at every second pixel both ways: their edge is smoothed in any case."""
+"""Step in pixels at which walls are assigned to branches; their edge is smoothed in any case."""
 BESIDE_MM = 4.0
-"""A wall farther outside a tube than this is not the tube's."""
+"""Largest distance in mm of a wall outside a branch's surface that still belongs to the branch."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnPicture:
-    """What is seen before one turn."""
+    """Picture before one turn."""
 
     turn: Turn
     operator: Operator
     picture: Picture
-    """With outline, hours and letters drawn in; it knows where its pixels are."""
+    """Picture with outline, hours and letters, and the positions of its pixels."""
     in_view: bool
-    """The opening is seen from there, and outlined; else a fold of the wall hides it and only its hour is marked."""
+    """Whether the opening is visible and outlined.
+
+    If not, a fold of the wall hides the opening, and only its hour is marked.
+    """
     outline: NDArray[np.bool_]
-    """(height, width), what is seen of the branch that is entered: inside its outline."""
+    """(height, width) mask of the visible part of the branch to enter."""
 
     @property
     def rgb(self) -> NDArray[np.uint8]:
-        """(height, width, 3)."""
+        """Pixels of the picture, (height, width, 3)."""
         return self.picture.rgb
 
     @property
     def camera(self) -> Pose:
-        """Where it is seen from."""
+        """Pose of the camera."""
         return self.turn.camera(self.operator)
 
     @property
     def words(self) -> str:
-        """What is below the picture."""
+        """Caption of the picture."""
         seen = "" if self.in_view else "; the opening itself is not in view from here"
         return f"{self.turn.to_branch}, {hour_words(self.turn.hour(self.operator))}{seen}"
 
@@ -91,12 +94,12 @@ class TurnPicture:
         return np.array(self.rgb, dtype=dtype, copy=copy)
 
     def png(self) -> bytes:
-        """The picture as a PNG that says where its camera was (`carina.render.read_png_pose`)."""
+        """Return the picture as a PNG that contains the pose of the camera (`carina.render.read_png_pose`)."""
         place = json.dumps(self.picture.place(), allow_nan=False)
         return png_bytes(np.ascontiguousarray(self.rgb), {KEYWORD: place})
 
     def _repr_png_(self) -> bytes:
-        """The picture in a notebook."""
+        """Return the picture for a notebook."""
         return self.png()
 
 
@@ -113,22 +116,22 @@ def turn_pictures(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[TurnPicture, ...]:
-    """One picture of each turn of a route.
+    """Render one picture of each turn of a route.
 
     Parameters
     ----------
     volume, airways
         The CT and the airways that the route was planned in.
     turns
-        Of `carina.plan.turn_list`; `examples/05_turns` shows all of it.
+        List of turns (`carina.plan.turn_list`); `examples/05_turns` shows a complete example.
     operator
-        Which way up.
+        Position of the operator, which determines the orientation of the picture.
     size_px
         Width and height, 128 to 2048.
     marked
-        Off leaves out outline, clock and letters.
+        Whether to draw outline, clock and letters.
     renderer
-        One that shows this volume with these airways, where it is at hand; else it is made.
+        Renderer of this volume with these airways; created if None.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -138,16 +141,16 @@ def turn_pictures(
     Returns
     -------
     tuple of TurnPicture
-        In the order of the turns.
+        Pictures in the order of the turns.
 
     Raises
     ------
     UsageError
         If the size is out of range.
     NoResultError
-        If a turn does not say where it is seen from.
+        If a turn has no camera position.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     check_type("turn_pictures", "volume", volume, Volume, "open a volume with carina.open_volume")
     check_type("turn_pictures", "airways", airways, Airways, "get airways from carina.find_airways")
@@ -170,7 +173,7 @@ def turn_pictures(
 
 
 def turn_view(renderer: Renderer, camera: Pose, size_px: int) -> AirwayView:
-    """What stills and clips of the turns show from a place: nothing in it is decoration."""
+    """Return the view of the still pictures and clips from a camera, without artificial texture."""
     return AirwayView(
         camera,
         fov_deg=FOV_DEG,
@@ -206,13 +209,13 @@ def _picture(
 
 
 def _belongs(tree: AirwayTree, turn: Turn, walls_lps: Points) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which first walls (h, w, 3) are those of the branch that is entered or of what lies beyond it; and which others'.
+    """Return the masks of the walls (h, w, 3) of the branch to enter or its descendants, and of other branches.
 
-    A wall belongs to the tube whose surface is nearest: least distance from the centreline, less the radius. The branch
-    begins where its middle has left the lumen of all others: what is before that is the fork's.
+    A wall belongs to the branch with the nearest surface: least distance from the centreline, less the radius. The
+    branch to enter begins where its centreline leaves the lumen of all other branches.
     """
     below = {turn.to_branch_id}
-    # Parents come first.
+    # Parents precede their children in the tree.
     for branch in tree.branches:
         if branch.parent in below:
             below.add(branch.id)
@@ -239,7 +242,7 @@ def _belongs(tree: AirwayTree, turn: Turn, walls_lps: Points) -> tuple[NDArray[n
 
 
 def _least_gap_mm(points: Points, tubes: list[tuple[Points, Field]]) -> Field:
-    """How far outside the nearest of some tubes points lie; infinite where that is more than :data:`BESIDE_MM`."""
+    """Return the distance of points outside the nearest of several tubes; infinite if it exceeds :data:`BESIDE_MM`."""
     found = np.full(len(points), np.inf)
     for line, radius in tubes:
         if not len(line):
@@ -253,7 +256,7 @@ def _least_gap_mm(points: Points, tubes: list[tuple[Points, Field]]) -> Field:
 
 
 def _places(branch: Branch) -> tuple[Points, Field]:
-    """Even places of a centreline (n, 3), and the radii (n,) there."""
+    """Return evenly spaced points of a centreline (n, 3) and the radii (n,) there."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(branch.points, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / PLACES_MM) + 1))
     line = np.stack([np.interp(at, along, branch.points[:, axis]) for axis in range(3)], axis=1)
@@ -261,7 +264,7 @@ def _places(branch: Branch) -> tuple[Points, Field]:
 
 
 def _to_surface_mm(points: Points, line: Points, radius: Field) -> Field:
-    """How far outside a tube points lie: distance from a place of its line, less the radius there; the least."""
+    """Return the least distance of points outside a tube: distance from a point of its line, less the radius there."""
     middle = line.mean(axis=0)
     away, line = points - middle, line - middle
     squared = (away**2).sum(axis=1)[:, None] + (line**2).sum(axis=1) - 2.0 * away @ line.T
@@ -270,7 +273,7 @@ def _to_surface_mm(points: Points, line: Points, radius: Field) -> Field:
 
 
 def _seed(picture: Picture, turn: Turn) -> tuple[float, float]:
-    """Where the middle of the opening falls in the picture; its nearest edge where it falls outside."""
+    """Return the position of the opening's middle in the picture, limited to the picture."""
     height, width = picture.rgb.shape[:2]
     at = None if turn.opening_lps is None else picture.pixel_of(turn.opening_lps)
     if at is None:
@@ -279,10 +282,10 @@ def _seed(picture: Picture, turn: Turn) -> tuple[float, float]:
 
 
 def _connected(mask: NDArray[np.bool_], others: NDArray[np.bool_], seed: tuple[float, float]) -> NDArray[np.bool_]:
-    """The patch of a mask that is nearest to a place (column, row), without holes that are nobody else's."""
+    """Return the part of a mask nearest to a position (column, row), without holes except those of other branches."""
     if not mask.any():
         return mask
-    # Slips of its wall round a corner hang on by a few pixels and are no part of the opening.
+    # Slivers of the wall behind a corner are connected by a few pixels and are not part of the opening.
     core = _shrunk(mask)
     core = core if core.any() else mask
     rows, columns = np.nonzero(core)
@@ -292,7 +295,7 @@ def _connected(mask: NDArray[np.bool_], others: NDArray[np.bool_], seed: tuple[f
     patch = _filled_from(start, core)
     if core is not mask:
         patch = ~_shrunk(~patch) & mask
-    # A hole cannot be reached from the border. Far down the lumen walls are no branch's.
+    # A hole cannot be reached from the border. Far walls in the lumen belong to no branch and count as holes.
     border = np.zeros_like(mask)
     border[[0, -1], :] = border[:, [0, -1]] = True
     hole = ~patch & ~_filled_from(border & ~patch, ~patch)
@@ -300,7 +303,7 @@ def _connected(mask: NDArray[np.bool_], others: NDArray[np.bool_], seed: tuple[f
 
 
 def _shrunk(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A mask without what lies within two pixels of its edge; beyond the picture it goes on."""
+    """Erode a mask by two pixels; the mask is continued beyond the edges of the picture."""
     found = mask
     for step in range(2):
         padded = np.pad(found, 1, mode="edge")
@@ -312,7 +315,7 @@ def _shrunk(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _filled_from(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """All of a mask that can be reached from a start by steps to a side: whole runs of rows and columns in turn."""
+    """Return the part of a mask that is connected to a start by sides, by alternate sweeps over rows and columns."""
     found = start & within
     while True:
         before = int(found.sum())
@@ -324,7 +327,7 @@ def _filled_from(start: NDArray[np.bool_], within: NDArray[np.bool_]) -> NDArray
 
 
 def _swept(found: NDArray[np.bool_], within: NDArray[np.bool_], *, axis: int, backwards: bool) -> NDArray[np.bool_]:
-    """Each run of ``within`` along an axis filled from its first found place onwards."""
+    """Fill each run of ``within`` along an axis from its first found pixel onwards."""
     a = np.moveaxis(found, axis, 1)
     w = np.moveaxis(within, axis, 1)
     if backwards:
@@ -339,7 +342,7 @@ def _swept(found: NDArray[np.bool_], within: NDArray[np.bool_], *, axis: int, ba
 
 
 def _smoothed(field: Field, sigma_px: float) -> Field:
-    """A Gaussian over a picture; the edge goes on outside."""
+    """Smooth a picture by a Gaussian; the values of the edge are continued outside."""
     reach = max(1, math.ceil(3.0 * sigma_px))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
     weights /= weights.sum()

@@ -1,4 +1,4 @@
-"""The words of a turn: hours, places and what the hand does."""
+"""Text of a turn: hours, places and moves of the hand."""
 
 from __future__ import annotations
 
@@ -10,16 +10,28 @@ __all__ = ["hour_words", "joined", "moves_words", "place_words", "with_depth"]
 
 STILL_DEG = 0.5
 STILL_MM = 0.5
-"""What would read 0 is left out."""
+"""Smallest turn, flexion and advance that the text contains; smaller ones would read 0."""
 
 
 def hour_words(hour: int | None) -> str:
-    """An hour as the window tells it."""
+    """Return an hour as text, as in the window."""
     return "straight ahead" if hour is None else f"{hour} o\u2019clock"
 
 
 def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: float | None, first: bool) -> str:
-    """How far along the route, as the beginning of a line."""
+    """Return a distance along the route as the beginning of a line.
+
+    Parameters
+    ----------
+    from_carina_mm
+        Distance from the main carina; None if there is no main carina.
+    from_fork_mm
+        Distance from the previous fork.
+    depth_mm
+        Depth at nose or mouth; None if it is not known.
+    first
+        Whether the turn is the first one of the route.
+    """
     if from_carina_mm is None:
         since = "from the start of the route" if first else "past the previous fork"
         return f"At {from_fork_mm:.0f} mm {since}"
@@ -28,14 +40,14 @@ def place_words(from_carina_mm: float | None, from_fork_mm: float, depth_mm: flo
 
 
 def with_depth(where: str, depth_mm: float | None) -> str:
-    """A place with its depth at nose or mouth, where one is known."""
+    """Return a place with its depth at nose or mouth, if the depth is known."""
     return (
         where if depth_mm is None else f"{where} (about {round(depth_mm / 5.0) / 2.0:g} cm on the scope, an estimate)"
     )
 
 
 def moves_words(moves: Sequence[Move]) -> str:
-    """What the hand does; advances under one roll and flexion are told together."""
+    """Return moves as text; consecutive advances with one roll and flexion are combined."""
     steps: list[Move] = []
     for move in moves:
         held = (
@@ -70,5 +82,5 @@ def _flexion_words(flexion_deg: float) -> str:
 
 
 def joined(words: Sequence[str]) -> str:
-    """A list in a sentence."""
+    """Return words as a list in a sentence."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

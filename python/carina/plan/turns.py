@@ -1,4 +1,4 @@
-"""The list of turns: fork by fork, where the opening is and what the hand does (docs/decisions/0124)."""
+"""List of turns: the opening and the moves of the hand at each fork of a route (docs/decisions/0124)."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ Zero = Literal["ridge", "axes"]
 @one_line
 @dataclass(frozen=True, slots=True)
 class OtherWay:
-    """An opening at a turn that is not taken."""
+    """Opening at a turn that is not entered."""
 
     name: str
     branch_id: int
     hour_head: int | None
-    """As the window tells it for an operator at the head; None where it lies straight ahead."""
+    """Hour in the window for an operator at the head; None if the opening is straight ahead."""
     opening_mm: float
-    """The largest ball that enters it."""
+    """Diameter of the largest ball that enters the opening, mm."""
 
     def hour(self, operator: Operator) -> int | None:
-        """For an operator there; None straight ahead."""
+        """Return the hour for a position of the operator; None if the opening is straight ahead."""
         if self.hour_head is None or operator == "head":
             return self.hour_head
         return whole_hour(turned_hours(self.hour_head))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the opening as plain JSON types."""
         return {
             "name": self.name,
             "branch_id": self.branch_id,
@@ -52,56 +52,58 @@ class OtherWay:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One fork of a route, or several that lie so close together that they are one turn."""
+    """Fork of a route, or several forks so close together that they form one turn."""
 
     from_branch: str
     to_branch: str
     to_branch_id: int
     fork_lps: tuple[float, float, float]
     from_carina_mm: float | None
-    """From the main carina along the route; below 0 before it, None where the tree shows none."""
+    """Distance from the main carina along the route, mm; below 0 before it, None if the tree has no main carina."""
     from_fork_mm: float
-    """From the fork before; from where the route begins for the first."""
+    """Distance from the previous fork, mm; for the first fork from the beginning of the route."""
     clock_head: float
-    """Where the opening is seen, 0 < hours <= 12, in the levelled picture of an operator at the patient's head."""
+    """Clock hour of the opening, 0 < hours <= 12, in the levelled picture of an operator at the patient's head."""
     clock_facing: float
-    """The same for an operator who faces the patient."""
+    """Clock hour of the opening for an operator who faces the patient."""
     angle_deg: float
-    """Between the way so far and the way on."""
+    """Angle in degrees between the branches before and after the fork."""
     diameter_mm: float
-    """Of the opening: the largest ball that enters the branch."""
+    """Diameter of the largest ball that enters the branch, mm."""
     moves: tuple[Move, ...] | None
-    """What the hand does from the fork before until the tip is past this one, in the verdict's drive; None where no
-    drive is known."""
+    """Moves of the hand from the previous fork until the tip is past this fork, in the drive of a verdict.
+
+    None if no drive is known.
+    """
     doubts: tuple[str, ...]
-    """What must be said of the branch that is entered."""
+    """Warnings about the branch to enter."""
     straight_ahead: bool = False
-    """The opening lies in the middle of the picture: its hours mean nothing and are not told."""
+    """Whether the opening is in the middle of the picture; its hours then have no meaning and are not shown."""
     sides: tuple[str, ...] = ()
-    """The patient's side to which the opening lies, the dominant first; none straight ahead."""
+    """The patient's directions of the opening, the dominant one first; empty if it is straight ahead."""
     others: tuple[OtherWay, ...] = ()
-    """The openings that are not taken, clockwise from the one that is."""
+    """Openings that are not entered, clockwise from the one that is."""
     through: tuple[str, ...] = ()
-    """Branches so short that they are passed within this turn."""
+    """Names of short branches that are passed within this turn."""
     at_main_carina: bool = False
     opening_lps: tuple[float, float, float] | None = None
-    """The middle of the branch that is entered, about a diameter past the fork."""
+    """Point in the middle of the branch to enter, about one diameter past the fork, LPS mm."""
     seen_from_lps: tuple[float, float, float] | None = None
-    """Where the eye stands from which the hours are told: a diameter before the fork, looking at it."""
+    """Position of the camera for the hours, LPS mm: one diameter before the fork, looking at the fork."""
 
     def hour(self, operator: Operator) -> int | None:
-        """The hour that the window tells, 1 to 12; None straight ahead."""
+        """Return the hour that the window shows, 1 to 12; None if the opening is straight ahead."""
         if self.straight_ahead:
             return None
         return whole_hour(self.clock_head if operator == "head" else self.clock_facing)
 
     def camera(self, operator: Operator) -> Pose:
-        """The camera in whose picture the hours are read.
+        """Return the camera in whose picture the hours are measured.
 
         Raises
         ------
         NoResultError
-            If the turn does not say where it is seen from.
+            If the turn has no camera position.
         """
         if self.seen_from_lps is None:
             raise NoResultError(
@@ -114,18 +116,18 @@ class Turn:
     def words(
         self, operator: Operator, *, depth_mm: float | None = None, first: bool = False, moves: bool = True
     ) -> str:
-        """One line as it is said at the bedside.
+        """Return the turn as one line of instructions.
 
         Parameters
         ----------
         operator
-            Whose picture the hours are read in.
+            Position of the operator for the hours.
         depth_mm
-            At nose or mouth, to be told as an estimate.
+            Depth at nose or mouth, shown as an estimate.
         first
-            It is the first turn of its route.
+            Whether the turn is the first one of its route.
         moves
-            Off leaves out what the hand does.
+            Whether to include the moves of the hand.
         """
         where = (
             with_depth("At the main carina", depth_mm)
@@ -147,7 +149,7 @@ class Turn:
         return f"{line}. Caution: {'; '.join(self.doubts)}" if self.doubts else line
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the turn as plain JSON types."""
         return {
             "from_branch": self.from_branch,
             "to_branch": self.to_branch,
@@ -177,7 +179,7 @@ class Turn:
 @one_line
 @dataclass(frozen=True, slots=True)
 class TurnList(Tabular):
-    """All forks of a route in order, and the place where the scope is parked.
+    """All turns of a route in order, and the final position of the scope.
 
     As a table (``to_pandas``, ``to_arrow``, ``to_columns``) it has a row for each turn: its number from 1,
     ``from_branch``, ``to_branch``, ``to_branch_id``, ``from_carina_mm``, ``from_fork_mm``, ``depth_estimate_mm``,
@@ -188,14 +190,16 @@ class TurnList(Tabular):
     park_from_carina_mm: float | None
     park_from_fork_mm: float
     carina_depth_mm: float | None
-    """Depth of the main carina at nose or mouth, as the user set it (an estimate); None where nobody did."""
+    """Depth of the main carina at nose or mouth in mm, as set by the user (an estimate); None if not set."""
     park_moves: tuple[Move, ...] | None = None
-    """What the hand does from the last fork to where the scope is parked; None where no drive is known."""
+    """Moves of the hand from the last fork to the final position of the scope; None if no drive is known."""
     zero: Zero | None = None
-    """What counts as the main carina: the ridge that is seen, or where the axes of the main bronchi meet, which lies
-    about a radius of the trachea above it. None where the tree shows no main carina."""
+    """Origin of distances: the visible ridge of the main carina, or the point where the axes of the main bronchi meet.
+
+    That point is about one radius of the trachea above the ridge. None if the tree has no main carina.
+    """
     notes: tuple[str, ...] = ()
-    """What must be said of the figures."""
+    """Notes on the distances and depths."""
 
     def _columns(self) -> Columns:
         own: dict[str, ColumnKind] = {
@@ -222,16 +226,16 @@ class TurnList(Tabular):
         )
 
     def depth_mm(self, from_carina_mm: float | None) -> float | None:
-        """What is read on the scope at nose or mouth, an estimate; None where no depth of the carina was set."""
+        """Return the estimated depth at nose or mouth in mm; None if no depth of the carina was set."""
         if self.carina_depth_mm is None or from_carina_mm is None:
             return None
         return self.carina_depth_mm + from_carina_mm
 
     def words(self, operator: Operator) -> tuple[str, ...]:
-        """The list as lines: each turn, then where to stop."""
+        """Return the list as lines: each turn, then the final position."""
         lines = []
         for n, turn in enumerate(self.turns):
-            # At the carina the scope shows what was set for it, whatever counts as zero.
+            # At the carina the depth is the one that the user set, whichever point is the origin of distances.
             depth = self.carina_depth_mm if turn.at_main_carina else self.depth_mm(turn.from_carina_mm)
             lines.append(turn.words(operator, depth_mm=depth, first=n == 0))
         where = place_words(
@@ -243,7 +247,7 @@ class TurnList(Tabular):
         return (*lines, f"{where}{beyond}, stop" + (f": {doing}" if doing else ""))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the list as plain JSON types."""
         return {
             "turns": [
                 {**turn.to_json(), "depth_estimate_mm": self.depth_mm(turn.from_carina_mm)} for turn in self.turns

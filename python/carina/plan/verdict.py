@@ -1,7 +1,8 @@
-"""Whether an instrument gets to where a route ends and can point its tool at the target.
+"""Verdict on whether an instrument reaches the end of a route and can point its tool at the target.
 
-What figures tell is told first (`carina.plan.verdict_checks`). An instrument that passes is driven along the route in
-the airways' own wall, from the trachea to where the route ends, and there pointed at the target.
+Checks without a simulation come first (`carina.plan.verdict_checks`). For an instrument that passes them, a drive along
+the route is simulated in the wall of the airways, from the trachea to the end of the route, where the tip is pointed at
+the target.
 """
 
 from __future__ import annotations
@@ -43,17 +44,30 @@ Points = NDArray[np.float64]
 Outcome = Literal["reaches", "may reach", "does not reach", "cannot say"]
 
 NEAR_MM = 1.5
-"""The tip is where it should be within this."""
+"""Largest distance in mm of the tip from the end of the route."""
 POINTS, BARELY = 0.5, 0.1
-"""It can be pointed where this share of needles hits; below the second it cannot: a pass can be repeated."""
+"""Shares of needles that hit: from the first up the scope points at the target, below the second it does not.
+
+The second is small, because a needle pass can be repeated.
+"""
 SLIMMER_MM, THINNEST_MM, SPARE_MM = 0.8, 1.5, 0.2
-"""An instrument that is about as wide as the airway is driven as one that is so much thinner than that."""
+"""Sizes in mm for an instrument about as wide as the airway, whose drive is simulated with a thinner substitute.
+
+The substitute is thinner than the airway by the first size, and has at least the second size. It is used if the airway
+is wider than the instrument by less than the third size.
+"""
 UNFOUND = 0.5
-"""Told where a scope lies along the route but no drive was found: the search may have missed one (k)."""
+"""Share reported if a scope fits along the route but no drive was found; the search may have missed one.
+
+The value is common knowledge, not measured.
+"""
 EFFORT_A_TRY = 1000.0
-"""One shorter drive is tried for so much of the effort that a search may take."""
+"""Search effort for which one shorter drive is tried."""
 LEVER_EFFORT = 0.3
-"""Of the effort for a drive, each search with less lever: it begins with the moves of a drive that arrived."""
+"""Effort of each search with a shorter lever, as a share of the effort for a drive.
+
+It is small, because the moves of a drive that arrived are tried first.
+"""
 NUM_THREADS = 2
 MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending section are common knowledge (k)"
 
@@ -61,25 +75,25 @@ MECHANICS = "the scope's mechanics in the airways' wall; rigid tip and bending s
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What one instrument can do on one route."""
+    """Result for one instrument on one route."""
 
     scope: ScopePreset
     outcome: Outcome
     share: float | None
-    """The least of the checks' shares."""
+    """Smallest share of the checks."""
     checks: tuple[Check, ...]
     reached_mm: float
-    """How far along the route its tip gets."""
+    """Distance that the tip reaches along the route, mm."""
     hold: ScopeHold | None
-    """Roll and lever that point at the target; None where it did not get there."""
+    """Roll and lever that point at the target; None if the scope did not arrive."""
     driven: DrivenRoute | None
-    """The drive; None where figures alone say that it does not get there, or too little is known of it."""
+    """Simulated drive; None if checks without a simulation decide, or too little is known about the instrument."""
     would: str | None
-    """What would have to be different, where it does not reach."""
+    """Changes with which the instrument would reach the target, as text; None if none is needed."""
 
     @property
     def words(self) -> str:
-        """reaches the standing place and can point at the target"""
+        """Verdict as text, such as *reaches the standing place and can point at the target*."""
         if self.outcome == "reaches":
             return "reaches the standing place and can point at the target"
         worst = [check for check in self.checks if check.answer in {"no", "unknown", "perhaps"}]
@@ -93,7 +107,7 @@ class Verdict:
         return f"{self.outcome}: {worst[0].words}"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the verdict as plain JSON types."""
         return {
             "scope": self.scope.name,
             "outcome": self.outcome,
@@ -131,36 +145,41 @@ def judge_scopes(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> tuple[Verdict, ...]:
-    """Verdicts of several instruments on one route, in their order.
+    """Judge several instruments on one route.
 
     Parameters
     ----------
     tree, plan, wall
-        The airways, what `plan_route` found, and the airways' wall.
+        The airways, the plan of `plan_route`, and the wall of the airways.
     route
-        One of the plan's; the first unless told.
+        Route of the plan; the first one if None.
     scopes
-        The whole library unless told.
+        Instruments; the whole library if None.
     entry_mm
-        From nose or mouth to where the tree begins; None leaves the length of the instrument open.
+        Distance from nose or mouth to the beginning of the tree; None leaves the check of the length open.
     errors
-        False takes all figures as exact.
+        Whether to consider the errors of measurements and instrument data; False treats them as exact.
     effort
-        How long a drive is searched (`search_drive`).
+        Limit of each search for a drive (`search_drive`).
     found
-        Told each verdict as soon as it is known: those that figures alone decide at once, then those that are driven.
+        Called with each verdict as soon as it is known: first those without a simulated drive, then those with one.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
         Called often; the work stops when it returns True.
 
+    Returns
+    -------
+    tuple[Verdict, ...]
+        Verdicts in the order of the instruments.
+
     Raises
     ------
     UsageError
         If the plan has no route, or a number is out of range.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     bench = _Bench(
         tree,
@@ -194,7 +213,7 @@ def judge_scopes(
         else:
             waiting[n] = figures
     with ThreadPoolExecutor(NUM_THREADS) as pool:
-        # Instruments of the same sizes move alike.
+        # Instruments with the same mechanical sizes share one simulated drive.
         drives: dict[tuple[Any, ...], Future[_Drive]] = {}
         for figures in waiting.values():
             assert figures.driven_as is not None
@@ -226,7 +245,27 @@ def judge_scope(
     effort: float = EFFORT,
     cancel: Callable[[], bool] | None = None,
 ) -> Verdict:
-    """The verdict of one instrument; see `judge_scopes`."""
+    """Judge one instrument on one route.
+
+    Parameters
+    ----------
+    tree, plan, wall, scope
+        The airways, the plan, the wall of the airways, and the instrument.
+    route, entry_mm, errors, effort, cancel
+        As for `judge_scopes`.
+
+    Returns
+    -------
+    Verdict
+        Its result.
+
+    Raises
+    ------
+    UsageError
+        If the plan has no route, or a number is out of range.
+    CancelledError
+        If ``cancel()`` returned True.
+    """
     bench = _Bench(
         tree,
         plan,
@@ -245,25 +284,25 @@ def judge_scope(
 
 @dataclass(frozen=True, slots=True)
 class _Figures:
-    """What figures tell of an instrument."""
+    """Results of the checks that need no simulated drive."""
 
     checks: tuple[Check, ...]
     driven_as: ScopePreset | None
-    """What is driven; None where it need not be, or cannot."""
+    """Instrument whose drive is simulated, or a thinner substitute; None if no drive is needed or possible."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    """What driving tells."""
+    """Results of a simulated drive."""
 
     route: DrivenRoute | None
     checks: tuple[Check, ...]
     bend: Check | None = None
-    """What takes the place of the bend's figures, where these leave it open and drives do not."""
+    """Check of the bend by drives, which replaces the one by angles; None if the drive did not arrive."""
 
 
 class _Bench:
-    """One route, on which instruments are judged."""
+    """Judgement of instruments on one route: checks without a simulation, then a simulated drive."""
 
     def __init__(
         self,
@@ -286,12 +325,12 @@ class _Bench:
         self.stopped = False
 
     def stop_if_cancelled(self) -> None:
-        """Raises `CancelledError` where someone wants that."""
+        """Raise `CancelledError` if cancellation is requested."""
         if self._is_cancelled():
             raise CancelledError("the verdicts were cancelled")
 
     def figures(self, scope: ScopePreset) -> _Figures:
-        """What needs no drive."""
+        """Return the checks that need no drive, and the instrument to be driven."""
         checks = (
             diameter_check(self._way.width, scope, errors=self._errors),
             bend_check(self._way, scope, errors=self._errors),
@@ -304,22 +343,22 @@ class _Bench:
         elif self._errors:
             room_mm = min(float(self._way.room_mm.min()), self._way.wall_room_mm)
             if checks[0].answer == "perhaps" or max(scope.tip_mm, scope.tube_mm or 0.0) > room_mm - SPARE_MM:
-                # As wide as the airway, within the errors: how it gets on is told of one that does pass.
+                # The scope is as wide as the airway within the errors: the drive of a thinner substitute is simulated.
                 slim = min(max(room_mm - SLIMMER_MM, THINNEST_MM), scope.tip_mm)
                 driven_as = replace(scope, tip_mm=slim, tube_mm=None)
         return _Figures(checks, driven_as)
 
     def undriven(self, scope: ScopePreset, figures: _Figures) -> Verdict:
-        """The verdict of figures alone: the scope is laid along the route as far as it goes."""
+        """Return the verdict without a drive; the reached distance is that of a scope laid along the route."""
         reached_mm = 0.0
         if figures.checks[1].answer != "unknown":
-            # Too wide to enter: it reaches nothing.
+            # A scope that is too wide to enter reaches nothing.
             with contextlib.suppress(UsageError):
                 reached_mm = self._laid_mm(scope)
         return _verdict(scope, figures.checks, min(reached_mm, self._way.park_mm), None, driven=False)
 
     def driven(self, scope: ScopePreset, figures: _Figures, drive: _Drive) -> Verdict:
-        """The verdict of figures and a drive."""
+        """Return the verdict from the checks and a simulated drive."""
         checks = drive.checks
         if figures.driven_as is not scope:
             doubt = "if it fits"
@@ -336,7 +375,7 @@ class _Bench:
         return _verdict(scope, (*told, *checks), reached_mm, route, driven=True)
 
     def drive(self, scope: ScopePreset) -> _Drive:
-        """Drive it, and point it at the target where it arrives."""
+        """Simulate the drive of an instrument, and point its tip at the target if it arrives."""
         try:
             route = search_drive(self._way, self._wall, scope, effort=self._effort, cancel=self._is_cancelled)
         except UsageError as error:
@@ -397,7 +436,7 @@ class _Bench:
 
 
 def _sizes(scope: ScopePreset) -> tuple[Any, ...]:
-    """What the mechanics know of an instrument."""
+    """Return the sizes of an instrument that determine its mechanics."""
     return (
         scope.tip_mm,
         scope.tube_mm or scope.tip_mm,
@@ -454,7 +493,7 @@ def _would(checks: tuple[Check, ...], *, driven: bool) -> str | None:
         ("drive", "no"): "it could be steered past that place, or stopped before it",
         ("pointing", "no"): "it could be aimed from another position on the route",
     }
-    # What was not driven might fail there too.
+    # Without a drive it is not known whether the instrument would also fail there.
     start = "would reach if " if driven else "could reach only if "
     if driven and any(check.answer == "perhaps" for check in checks):
         start = "might reach if "

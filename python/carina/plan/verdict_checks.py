@@ -1,6 +1,6 @@
-"""What an instrument must be able to do on a route, as far as figures tell: be thin, bend, be long, take the tool.
+"""Checks of an instrument on a route without a simulated drive: width, bend, length, and tool in the channel.
 
-Each check lists the figures that it rests on with their basis; an unknown figure gives *unknown*, never a default.
+Each check lists its data with their basis; a missing datum gives the answer *unknown*, never a default value.
 """
 
 from __future__ import annotations
@@ -22,29 +22,39 @@ __all__ = ["Answer", "Check", "bend_check", "channel_check", "diameter_check", "
 Answer = Literal["yes", "perhaps", "no", "unknown"]
 
 SURE = 0.9
-"""Told *yes* from this share of the errors up, *no* at what is left below its rest."""
+"""Least share for *yes*; at a share of at most 1 less this value the answer is *no*."""
 BEND_SIGMA_DEG = 8.0
-"""Of the angle that a route asks of the bending section (k)."""
+"""Standard deviation in degrees of the angle that a route requires of the bending section (common knowledge)."""
 LONGEST_ENTRY_MM = 250.0
-"""From the nose to the upper trachea it is hardly farther in an adult (k)."""
+"""Largest distance in mm from the nose to the upper trachea in an adult (common knowledge)."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that an instrument must be able to do."""
+    """Result of one check of an instrument on a route."""
 
     name: Literal["diameter", "bend", "length", "channel", "drive", "pointing"]
     answer: Answer
     share: float | None
-    """How likely it is, as far as the errors go; None where that cannot be said."""
+    """Probability of the answer *yes* within the errors; None if it cannot be computed."""
     words: str
     basis: str
-    """What it rests on: figures of the instrument with ``s`` or ``k``, and what was measured."""
+    """Basis of the answer: data of the instrument with ``s`` (source) or ``k`` (common knowledge), and measurements."""
 
 
 def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Check:
-    """Return whether a scope is thinner than the narrowest place of a route."""
+    """Return whether a scope is thinner than the narrowest place of a route.
+
+    Parameters
+    ----------
+    width
+        Narrowest diameter of the route.
+    scope
+        The instrument.
+    errors
+        Whether to consider the errors of measurement and instrument data.
+    """
     if errors:
         needs, share = scope.fit_mm, width.chance(scope)
         place, margin = width.place_words, f", and {FIT_MARGIN_MM:g} mm measured excess (s)"
@@ -59,7 +69,17 @@ def diameter_check(width: RouteWidth, scope: ScopePreset, *, errors: bool) -> Ch
 
 
 def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
-    """Whether its lever bends as far as the way does between both ends of its bending part."""
+    """Return whether the scope's lever bends as far as the route does over the length of its bending section.
+
+    Parameters
+    ----------
+    way
+        The route.
+    scope
+        The instrument.
+    errors
+        Whether to consider the error of the angle.
+    """
     if scope.flexion_deg is None or scope.bending_mm is None:
         words = "its flexion or bending section is not known"
         return Check("bend", "unknown", None, words, "flexion and bending section unknown")
@@ -82,7 +102,17 @@ def bend_check(way: DriveWay, scope: ScopePreset, *, errors: bool) -> Check:
 
 
 def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> Check:
-    """Whether it is long enough."""
+    """Return whether the scope is long enough.
+
+    Parameters
+    ----------
+    way
+        The route.
+    scope
+        The instrument.
+    entry_mm
+        Distance from nose or mouth to the beginning of the tree; None if it is not known.
+    """
     basis = f"working length ({_basis(scope)})"
     if scope.length_mm is None:
         return Check("length", "unknown", None, "its working length is not known", basis)
@@ -93,7 +123,7 @@ def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> C
             f"{park_mm:.0f} mm from the start of the airway tree; a working length of {scope.length_mm:.0f} mm "
             f"leaves {spare:.0f} mm from nose or mouth to that point"
         )
-        # From the nose to the carina there are some 320 mm at most in adults (k).
+        # In adults the nose is at most about 320 mm from the carina (common knowledge).
         return Check(
             "length", "yes" if spare >= LONGEST_ENTRY_MM else "no" if spare < 0 else "perhaps", None, words, basis
         )
@@ -103,7 +133,7 @@ def length_check(way: DriveWay, scope: ScopePreset, entry_mm: float | None) -> C
 
 
 def channel_check(scope: ScopePreset, tool: Tool) -> Check:
-    """Whether the tool slides through its channel."""
+    """Return whether the tool slides through the scope's channel."""
     basis = f"channel ({_basis(scope)}), {tool.title} ({tool.basis})"
     if scope.channel_mm is None:
         return Check("channel", "unknown", None, "its working channel is not known", basis)
@@ -116,7 +146,15 @@ def answer_of(share: float) -> Answer:
 
 
 def passes(spare: float, sigma: float) -> float:
-    """How likely it is that what is spare is above 0."""
+    """Return the probability that a difference with a Gaussian error is above 0.
+
+    Parameters
+    ----------
+    spare
+        The difference.
+    sigma
+        Standard deviation of its error; 0 for an exact difference.
+    """
     if sigma <= 0.0:
         return 1.0 if spare >= 0.0 else 0.0
     return 0.5 * (1.0 + math.erf(spare / sigma / math.sqrt(2.0)))

@@ -1,8 +1,9 @@
-"""How surely a scope bends round what figures leave open: its drive, once more with less lever.
+"""Check of a bend by simulated drives with a shorter lever, where a comparison of angles leaves the answer open.
 
-The angle that a route asks is compared with the lever's by figures (`bend_check`). Where the errors leave that open,
-the figures are stricter than the airway: its wall bends a scope as well. So the drive is asked, with a lever shorter by
-what the error may come to. What arrives with the shorter one arrives with the longer, as far as a search can tell.
+`bend_check` compares the angle that a route requires with the angle of the lever. If the errors leave the answer open,
+this comparison is stricter than reality, because the airway's wall bends a scope too. Therefore drives are simulated
+with a lever that is shorter by the possible error. A scope that arrives with the shorter lever also arrives with
+the full one, as far as a search can show.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from carina.scopes import ScopePreset, WallField
 __all__ = ["lever_check"]
 
 SHORTER = ((1.645, 0.95), (0.674, 0.85))
-"""Standard errors that the lever is shortened by, and the share told where a drive arrives so: the middle of what is
-left between this and the next."""
+"""Reductions of the lever in standard errors, and the share reported if a drive arrives with each.
+
+Each share is the middle of the range between this reduction and the next.
+"""
 AS_IT_IS = 0.62
-"""Told where a drive arrives with the whole lever alone."""
+"""Share reported if a drive arrives only with the full lever."""
 
 
 def lever_check(
@@ -35,23 +38,23 @@ def lever_check(
     effort: float,
     cancel: Callable[[], bool] | None = None,
 ) -> Check:
-    """What figures tell of a bend, settled by drives where they leave it open.
+    """Return the check of a bend, decided by simulated drives if the comparison of angles leaves it open.
 
     Parameters
     ----------
     way, wall, scope
-        The route, the airways' wall, the instrument as it was driven.
+        The route, the wall of the airways, and the instrument that was driven.
     figures
-        What `bend_check` found.
+        Result of `bend_check`.
     driven
-        The drive with the whole lever. Where it did not arrive, or the figures are sure, they stay what they are.
+        Drive with the full lever. If it did not arrive, or ``figures`` is not *perhaps*, ``figures`` is returned.
     effort, cancel
-        Of each search, as in `search_drive`.
+        Limit and cancellation of each search, as for `search_drive`.
 
     Raises
     ------
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     if figures.answer != "perhaps" or not driven.arrived or scope.flexion_deg is None:
         return figures

@@ -1,4 +1,4 @@
-"""Vessels thinner than what a threshold finds, by their shape; and the tree that vessels form."""
+"""Detection of vessels too thin for a threshold, by their shape, and the tree of all vessels."""
 
 from __future__ import annotations
 
@@ -18,76 +18,83 @@ Mask = NDArray[np.bool_]
 Values = NDArray[np.float32]
 
 THIN_SIGMA_MM = 0.7
-"""Of the Gaussian whose curvature is looked at; the blur of a CT comes to it."""
+"""Width in mm of the Gaussian before the curvature is computed; the blur of the CT adds to this width."""
 RISE_HU = 60.0
-"""A vessel stands out of the lung by at least this, smoothed by 0.5 mm."""
+"""Least rise of a vessel over the lung in HU, after smoothing by 0.5 mm."""
 LEAST_HU = 40.0
 TIMES_NOISE = 5.0
-"""Curvature across (HU, times the square of sigma): at least so much, and so many times what noise alone gives."""
+"""Least curvature across a vessel in HU (times sigma squared), and its least multiple of the curvature of noise."""
 LEAST_LENGTH_MM = 3.0
-"""A shorter piece is noise."""
+"""Least length in mm of a piece; shorter pieces are noise."""
 SLAB = 48
-"""Slices that are looked at together: memory of whole lungs."""
+"""Number of slices processed together, which limits the memory for whole lungs."""
 SPUR_MM = 2.0
-"""A branch shorter than this beyond what lies round its parent is a bump of it."""
+"""Least length in mm of a branch beyond the surface of its parent; a shorter one is a bump of the parent."""
 MOST_BRANCHES = 4000
 LOOK_EVERY = 20_000
-"""Voxels; most of them already belong to a branch."""
+"""Number of voxels between two progress reports; most voxels already belong to a branch."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class VesselBranch:
-    """A piece of a vessel from where it leaves another to its end."""
+    """Part of a vessel from where it leaves its parent to its end."""
 
     points_lps: NDArray[np.float64]
-    """(n, 3) middle line, from the wide end; voxel centres made smooth."""
+    """(n, 3) smoothed centreline in LPS mm, from the wide end."""
     radius_mm: NDArray[np.float64]
-    """(n,) largest ball inside what is seen. A vessel thinner than the CT resolves looks about 0.7 mm wide."""
+    """(n,) radius in mm of the largest ball inside the segmented vessel.
+
+    A vessel thinner than the CT resolves appears about 0.7 mm wide.
+    """
     parent: int | None
-    """Place of the branch that it leaves; None where a piece begins."""
+    """Index of the parent branch; None at the beginning of a piece."""
     sure: float
-    """Median over its voxels of how sure it is that they are vessel, 0 to 1."""
+    """Median confidence of its voxels, 0 to 1."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class VesselTree:
-    """Vessels as lines with radii. Arteries and veins are not told apart; where they touch they are one tree.
+    """Vessels as lines with radii; arteries and veins are not distinguished, and where they touch they form one tree.
 
-    Vessels of the mediastinum are not visible without contrast and are no part of it.
+    Vessels of the mediastinum are not visible without contrast and are not included.
     """
 
     branches: tuple[VesselBranch, ...] = field(repr=False)
-    """Parents come before those that leave them."""
+    """Branches; parents precede their children."""
     is_whole: bool = True
-    """False where there were more branches than are followed."""
+    """Whether all branches are included; False if there were more than `MOST_BRANCHES`."""
 
     @property
     def length_mm(self) -> float:
-        """Of all branches together."""
+        """Total length of all branches, mm."""
         return sum(float(np.linalg.norm(np.diff(b.points_lps, axis=0), axis=1).sum()) for b in self.branches)
 
 
 def thin_vessels(
     box: Box, lung_hu: float, clear: Mask, *, on_share: Callable[[float], None] | None = None
 ) -> tuple[Mask, Values]:
-    """Voxels of bright lines, and how sure it is of each that it is one.
+    """Return the voxels of bright lines, and the confidence of each voxel.
 
-    A line curves downwards in two directions across and hardly along; a plate (a fissure, the pleura) in one, and a
-    wall of a lumen not evenly.
+    The curvature of a line is negative in two directions across it and small along it. A plate (a fissure, the pleura)
+    has one such direction, and a wall of a lumen has two unequal ones.
 
     Parameters
     ----------
+    box
+        Part of the CT.
+    lung_hu
+        Density of the lung, HU.
     clear
-        (nz, ny, nx) where vessels can be: away from airways' walls, the nodule, thick tissue.
+        (nz, ny, nx) mask of possible vessels: away from airways' walls, the nodule and thick tissue.
     on_share
         Receives the share done; it may raise CancelledError.
 
     Returns
     -------
-    (NDArray, NDArray)
-        (nz, ny, nx) mask, and float32 0 to 1: 0.5 at the threshold, by how far the curvature stands above noise.
+    mask, sure
+        (nz, ny, nx) mask, and float32 confidence: 0.5 at the threshold, up to 1 with increasing curvature; 0 outside.
     """
     soft = smoothed(box.hu_zyx, 0.5 / box.step_mm)
     inner = box.known & clear
@@ -103,7 +110,7 @@ def thin_vessels(
 
 
 def _line_strength(box: Box, rises: Mask, plain: Mask) -> tuple[Values, float]:
-    """Curvature across where something rises, and its spread in plain lung."""
+    """Return the curvature across lines where the values rise, and the spread of the curvature in plain lung."""
     values = smoothed(box.hu_zyx, THIN_SIGMA_MM / box.step_mm)
     scale = np.float32((THIN_SIGMA_MM / box.step_mm) ** 2)
     found = np.zeros(values.shape, dtype=np.float32)
@@ -127,7 +134,7 @@ def _line_strength(box: Box, rises: Mask, plain: Mask) -> tuple[Values, float]:
 
 
 def second_differences(padded: Values) -> list[Values]:
-    """zz, yy, xx, zy, zx, yx of all but the outermost voxels, per voxel squared."""
+    """Return the second differences zz, yy, xx, zy, zx, yx of all but the outermost voxels, per voxel squared."""
     num = tuple(n - 2 for n in padded.shape)
 
     def at(z: int, y: int, x: int) -> Values:
@@ -145,7 +152,13 @@ def second_differences(padded: Values) -> list[Values]:
 
 
 def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
-    """Of symmetric 3x3 matrices given by zz, yy, xx, zy, zx, yx (n,): the least first (Smith, CACM 4 (1961) 168)."""
+    """Return the eigenvalues of symmetric 3x3 matrices, in ascending order (Smith, CACM 4 (1961) 168).
+
+    Parameters
+    ----------
+    second
+        Matrix elements zz, yy, xx, zy, zx, yx, (n,) each.
+    """
     a, b, c, d, e, f = second
     mean = (a + b + c) / 3.0
     spread = np.sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * (d * d + e * e + f * f)) / 6.0) + 1e-6
@@ -158,8 +171,8 @@ def eigenvalues(second: list[Values]) -> tuple[Values, Values, Values]:
 
 
 def _long_pieces(mask: Mask, step_mm: float) -> Mask:
-    """Pieces whose box's diagonal is long enough."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    """Return the pieces whose bounding box has a diagonal of at least `LEAST_LENGTH_MM`."""
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(mask.astype(np.uint8)), True))
     at = np.nonzero(labels)
@@ -178,21 +191,23 @@ def _long_pieces(mask: Mask, step_mm: float) -> Mask:
 
 
 def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float], None] | None = None) -> VesselTree:
-    """The vessels of a box as a tree: from each piece's widest place to its far ends, along the middle.
+    """Return the vessels of a box as a tree of centrelines, from the widest place of each piece to its ends.
 
     Parameters
     ----------
+    box
+        Box of the masks.
     vessel, sure
-        (nz, ny, nx) of the box.
+        (nz, ny, nx) mask of the vessels, and their confidence.
     on_share
         Receives the share done; it may raise CancelledError.
     """
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     if not vessel.any():
         return VesselTree(())
     depth = ball_distance(vessel, box.step_mm)
-    # By faces, as the front goes.
+    # Pieces are connected by faces, because the fast-marching front also spreads across faces.
     labels: Any = sitk.GetArrayFromImage(sitk.ConnectedComponent(sitk.GetImageFromArray(vessel.astype(np.uint8))))
     arrival = _arrival(vessel, depth, labels)
     owner = np.full(vessel.shape, -1, dtype=np.int32)
@@ -210,16 +225,15 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
             whole = False
             break
         way, parent = _downhill(np.array(np.unravel_index(int(start), vessel.shape)), arrival, owner)
-        # A way of voxels wavers about the middle: the deepest place beside it tells the width.
+        # The path of voxels deviates from the middle, so the radius is taken from the deepest neighbour.
         radius = _deepest(depth, way)
         if parent is not None:
-            # From the parent's middle line, not from the edge of what lies round it.
+            # The branch begins on the parent's centreline, not at the parent's surface.
             joint = ways[parent][((ways[parent] - way[0]) ** 2).sum(axis=1).argmin()]
             length = _length(way) * box.step_mm
             way = np.concatenate([joint[None], way])
         elif _length(way) * box.step_mm < SPUR_MM:
             continue
-        # A way of voxels wavers about the middle: the deepest place beside it tells the width.
         radius = _deepest(depth, way)
         number = len(branches) if parent is None or length >= SPUR_MM else parent
         _cover(owner, way, 1.3 * radius / box.step_mm + 1.0, number, vessel)
@@ -231,8 +245,11 @@ def grow_tree(box: Box, vessel: Mask, sure: Values, *, on_share: Callable[[float
 
 
 def _arrival(vessel: Mask, depth: Values, labels: NDArray[Any]) -> Values:
-    """How long a front takes from each piece's widest voxel, quicker in the middle; endless outside."""
-    import SimpleITK as sitk  # slow to load, and most of what is public here does not need it
+    """Return the arrival time of a fast-marching front from each piece's widest voxel; infinite outside.
+
+    The front is faster in the middle of a vessel.
+    """
+    import SimpleITK as sitk  # imported on use: it loads slowly, and few functions need it
 
     flat, of = depth.reshape(-1), labels.reshape(-1)
     inside = np.flatnonzero(of)
@@ -251,7 +268,7 @@ _AROUND = np.array([(z, y, x) for z in (-1, 0, 1) for y in (-1, 0, 1) for x in (
 
 
 def _downhill(at: NDArray[np.intp], arrival: Values, owner: NDArray[np.int32]) -> tuple[NDArray[np.intp], int | None]:
-    """The way to a branch that is known or to where the front began, from there to here."""
+    """Return the path from a known branch, or from the start of the front, to a voxel, and the index of the branch."""
     way = [at]
     top = np.array(arrival.shape) - 1
     while True:
@@ -280,7 +297,7 @@ def _length(way: NDArray[np.intp]) -> float:
 def _cover(
     owner: NDArray[np.int32], way: NDArray[np.intp], reach: NDArray[np.float64], number: int, vessel: Mask
 ) -> None:
-    """What lies round a way belongs to it, where nothing else came first."""
+    """Assign the free voxels round a path to a branch, in place."""
     shape = np.array(vessel.shape)
     for at, far in zip(way, reach, strict=True):
         whole = int(np.ceil(far))
@@ -293,7 +310,7 @@ def _cover(
 
 
 def _evened(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Its ends stay; the steps of voxels between them are taken away."""
+    """Smooth the voxel steps of a line; its ends are unchanged."""
     out = points
     for _ in range(2):
         if len(out) > 2:

@@ -1,4 +1,4 @@
-"""Where a target lies, in words: lung, pleura, airway, mediastinum or chest wall, outside the body."""
+"""Location of a target: lung, pleura, airway, mediastinum or chest wall, or outside the body."""
 
 from __future__ import annotations
 
@@ -27,25 +27,34 @@ WHERE_WORDS: dict[Whereabouts, str] = {
 }
 
 TISSUE_HU, OUTER_AIR_HU = -300.0, -940.0
-"""Nine tenths of the air round a body are darker than a lung at full inspiration (about -860 HU) or most emphysema."""
+"""Densities in HU of tissue and of the air round a body.
+
+90 % of the air's voxels are darker than the second, which is below a lung at full inspiration (about -860 HU) and most
+emphysema.
+"""
 WALL_HU = -400.0
 THICK_MM = 3.5
-"""What an opening by this radius leaves is no vessel, but chest wall, mediastinum or diaphragm."""
+"""Radius in mm of the opening that removes vessels; the rest is chest wall, mediastinum or diaphragm."""
 LOOK_MM = 12.0
-"""So far from a target its surroundings are looked at."""
+"""Distance in mm round a target that is examined."""
 SHELL_MM = (2.0, 4.0)
-"""Blur of the target's own edge ends before it."""
+"""Range of distances in mm of the shell round a target; the blur of the target's edge ends before the shell."""
 BURIED, BESIDE = 0.6, 0.06
-"""Share of that shell in thick tissue: round a target in the mediastinum, and round one on the pleura."""
+"""Least shares of thick tissue in the shell for a target in the mediastinum, and for one beside the pleura."""
 IN_LUMEN = 0.3
-"""Share of the voxels within 2 mm of its boundary that lie in a lumen, from which on a target lies in an airway."""
+"""Least share of lumen among the voxels within 2 mm of the boundary for a target in an airway."""
 
 
 def whereabouts(volume: Volume, nodule: Nodule, *, wall: WallField | None = None) -> Whereabouts:
-    """Where a target lies.
+    """Return the location of a target.
 
-    Pleura is chest wall, mediastinum or diaphragm: without contrast the CT shows no difference. An airway is told only
-    where its wall is known.
+    Parameters
+    ----------
+    volume, nodule
+        The CT and the target. *Pleura* includes mediastinum and diaphragm, which a CT without contrast does not
+        distinguish.
+    wall
+        Wall of the airways; without it a target in an airway is not recognised.
     """
     step = float(np.linalg.norm(nodule.lps_from_ijk[:3, 0]))
     pad = int(np.ceil(LOOK_MM / step))
@@ -72,16 +81,18 @@ def whereabouts(volume: Volume, nodule: Nodule, *, wall: WallField | None = None
 
 
 def is_outside_body(volume: Volume, point_lps: NDArray[np.float64], *, radius_mm: float = 2.0) -> bool:
-    """Whether, in its axial slice, there is only the air round the patient on two sides of a place or more.
+    """Return whether at least two of the four directions from a point in its axial slice contain only outer air.
 
-    Where the CT is cut to a part of the chest its sides end in lung: then it is not.
+    In a CT cropped to a part of the chest the rows end in lung, and the result is False.
 
     Parameters
     ----------
+    volume
+        The CT.
     point_lps
         (3,) LPS mm.
     radius_mm
-        What is nearer than this is the thing itself.
+        Distance from the point that is ignored, because the object itself is there.
     """
     axes = canonical_axes(volume.lps_from_ijk)
     geometry = canonical_geometry(volume)

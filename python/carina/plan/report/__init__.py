@@ -1,4 +1,4 @@
-"""The report of a plan: a page that opens anywhere, the same as PDF and JSON, and a sheet for the theatre."""
+"""Report of a plan as one self-contained HTML page, as PDF or as JSON, and a tracing sheet for the procedure."""
 
 from carina.plan.report.pdf_pages import Paper
 from carina.plan.report.sheet import PlanSheet, make_sheet

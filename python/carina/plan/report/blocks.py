@@ -1,4 +1,4 @@
-"""What a report is made of, the same for the page and for the PDF: sections of words, tables and drawings."""
+"""Content blocks of a report, common to the HTML page and the PDF: text, tables and drawings in sections."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from carina.plan.report.drawing import Drawing
 __all__ = ["Block", "Bullets", "Clip", "Facts", "Figure", "Figures", "Grid", "Section", "Tone", "Words"]
 
 MOST_ROWS = 14
-"""A table of no more rows stays on one page."""
+"""Largest number of rows of a table that is not divided between pages."""
 Tone = Literal["plain", "lead", "quiet", "warning"]
-"""*Lead* sums up; *warning* is red: what a person drew, and what forbids something."""
+"""Tone of a text: ``lead`` is a summary; ``warning`` is red, for drawn airways and for limits that forbid something."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Words:
-    """A paragraph."""
+    """Paragraph of text."""
 
     text: str
     tone: Tone = "plain"
@@ -28,7 +28,7 @@ class Words:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Bullets:
-    """Sentences below one another."""
+    """List of sentences."""
 
     items: tuple[str, ...]
     tone: Tone = "plain"
@@ -37,7 +37,7 @@ class Bullets:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Names with their values, the largest figures of a section."""
+    """Names with their values: the main figures of a section."""
 
     rows: tuple[tuple[str, str], ...]
 
@@ -45,7 +45,7 @@ class Facts:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table. ``shares`` are the columns' widths as parts of the whole; rows in ``warned`` are red."""
+    """Table; ``shares`` are relative column widths, and the rows with an index in ``warned`` are red."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -56,20 +56,20 @@ class Grid:
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """Frames that a page on a screen can play over a drawing; paper shows the drawing alone."""
+    """Frames that the HTML page plays over a drawing; the PDF shows only the drawing."""
 
     strip_jpeg: bytes = field(repr=False)
-    """The frames below one another, square."""
+    """Square frames below one another, as one JPEG image."""
     num_frames: int
     duration_s: float
     says: str
-    """What it shows, for those who cannot see it."""
+    """Text alternative for screen readers."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing with what it shows, and the way there."""
+    """Drawing with a caption and an optional clip."""
 
     drawing: Drawing
     caption: str = ""
@@ -79,7 +79,7 @@ class Figure:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Drawings side by side, at most so many in a row."""
+    """Drawings side by side, at most ``columns`` in a row."""
 
     items: tuple[Figure, ...]
     columns: int
@@ -91,7 +91,7 @@ Block = Words | Bullets | Facts | Grid | Figure | Figures
 @one_line
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A titled part of the report. ``name`` is a short word for programs and links."""
+    """Section of the report with a title; ``name`` is its short identifier for programs and links."""
 
     name: str
     title: str
@@ -100,5 +100,5 @@ class Section:
 
     @property
     def is_whole(self) -> bool:
-        """It is not parted between pages: there is no long table in it."""
+        """Whether the section is not divided between pages, because it contains no long table."""
         return not any(isinstance(block, Grid) and len(block.rows) > MOST_ROWS for block in self.blocks)

@@ -1,4 +1,4 @@
-// Clips over still pictures: each plays on a click or moves by hand, and at its end the still is seen again.
+// Clips over still pictures: a button or a slider plays each clip, and the still picture is visible at the end.
 "use strict";
 (() => {
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
@@ -8,13 +8,13 @@
     const screen = document.createElement("canvas");
     const paint = screen.getContext && screen.getContext("2d");
     if (!paint) continue;
-    // Paper shows the still, wherever the clip stands.
+    // The printed page always shows the still picture.
     screen.className = "on-screen";
     screen.hidden = true;
     controls.previousElementSibling.append(screen);
     let began = null;
 
-    /** A frame from 0; after the last the still itself. */
+    /** Show frame `frame`, counted from 0; after the last frame show the still picture. */
     function show(frame) {
       const side = strip.naturalWidth;
       screen.hidden = frame >= numFrames || side === 0;
@@ -40,14 +40,14 @@
 
     button.addEventListener("click", () => {
       if (began !== null) { stop(); return; }
-      // From where it was stopped; from the beginning where it is at its end.
+      // The clip continues at its position; at the end it starts again from the beginning.
       const from = Number(slider.value) % numFrames;
       began = performance.now() - (from / numFrames) * seconds * 1000;
       button.textContent = button.dataset.stop;
       requestAnimationFrame(step);
     });
     slider.addEventListener("input", () => { stop(); show(Number(slider.value)); });
-    // Who asks for less motion moves the clip by hand.
+    // With reduced motion there is no play button, only the slider.
     const settle = () => { button.hidden = calm.matches; if (calm.matches && began !== null) { stop(); show(numFrames); } };
     calm.addEventListener("change", settle);
     settle();

@@ -1,4 +1,4 @@
-"""The few colours of a report: black on white, one accent, one colour for the last leg, red for warnings."""
+"""Colours of a report: black on white, one accent, one colour for the last leg, red for warnings."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ INK = "#14181c"
 QUIET = "#5a646e"
 PALE = "#dfe4e8"
 ACCENT = "#0b5a8f"
-"""The route along the airways."""
+"""Colour of the route along the airways."""
 LEG = "#d35400"
-"""Target and last leg."""
+"""Colour of the target and of the last leg."""
 WARNING = "#c1001f"
-"""What was drawn by hand, and what forbids something: nothing else is red."""
+"""Colour of drawn airways and of limits that forbid something; nothing else is red."""
 TREE = "#b3bcc4"
-"""Airways that are not on the route."""
+"""Colour of airways that are not on the route."""
 ON_CT = {"target": "#ffd23f", "leg": "#ff8c2b", "lumen": "#59bdff", "text": "#ffffff", "halo": "#000000"}
-"""The same, bright enough for a slice."""
+"""Brighter colours for drawings over a CT slice."""

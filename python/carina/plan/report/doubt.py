@@ -1,4 +1,4 @@
-"""What of a plan is uncertain, and what of it a person drew, in sentences."""
+"""Sentences about the uncertainties of a plan and about its parts that were drawn by hand."""
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ from carina.volume import Volume
 __all__ = ["by_hand", "dense_words", "movement_words", "uncertain"]
 
 THICK_MM = 1.5
-"""Slices farther apart than this hide small airways and blur boundaries."""
+"""Slice distance in mm above which small airways are hidden and boundaries blurred."""
 DENSE_HU = 110.0
-"""Soft tissue without contrast medium is 20 to 60 HU, vessels with it 150 to 400 (k); tumours take up 20 to 60 (k)."""
+"""Density in HU above which a target may be a vessel or calcified.
+
+By common knowledge soft tissue without contrast medium is 20 to 60 HU and vessels with it are 150 to 400 HU; tumours
+take up 20 to 60 HU.
+"""
 BY_HAND = (BRUSHED, RESIZED, SPHERE)
-"""Of a target's notes: its boundary is a person's."""
+"""Notes of a target whose boundary was drawn by hand."""
 
 
 def movement_words(plan: Plan) -> str:
-    """The sentence on every page: how far the target may lie from where the CT shows it."""
+    """Return the sentence on every page about the movement of the target since the CT."""
     return (
         "CT taken at inspiration: in the procedure the target may lie up to "
         f"{plan.moved_mm:.0f} mm from where it is shown here."
@@ -40,7 +44,19 @@ def uncertain(
     turns: TurnList | None,
     verdicts: tuple[Verdict, ...],
 ) -> tuple[str, ...]:
-    """Sentences, what matters most first."""
+    """Return sentences about the uncertainties of a plan, the most important ones first.
+
+    Parameters
+    ----------
+    volume, airways, plan
+        The CT, its airways and the plan.
+    route
+        Route that the report describes; None if the plan has none.
+    turns
+        List of turns of the route; None if it was not computed.
+    verdicts
+        Verdicts of instruments on the route.
+    """
     found = [movement_words(plan) + _aimed_again(route), *_of_target(plan.nodule)]
     if route is not None:
         found += [f"{doubt}." for doubt in _doubts(route)]
@@ -64,7 +80,7 @@ def uncertain(
 
 
 def by_hand(airways: Airways, plan: Plan, route: PlannedRoute | None) -> tuple[str, ...]:
-    """What rests on a person's hand and not on the CT: of the route first, then of other routes and the whole tree."""
+    """Return sentences about drawn or bridged parts: of the route first, then of other routes and of the whole tree."""
     found = [f"Target: {note}." for note in plan.nodule.notes if note in BY_HAND]
     if route is not None:
         for branch in airways.tree.lineage(route.branch_id):
@@ -95,7 +111,7 @@ def _aimed_again(route: PlannedRoute | None) -> str:
 
 
 def dense_words(nodule: Nodule) -> str | None:
-    """That a target is denser than soft tissue; None where it is not."""
+    """Return a warning if a target is denser than soft tissue, else None."""
     if nodule.density_hu <= DENSE_HU:
         return None
     return (
@@ -159,7 +175,10 @@ def _of_ct(volume: Volume) -> list[str]:
 
 
 def _of_airways(airways: Airways, route: PlannedRoute | None) -> list[str]:
-    """Doubts about the airways of the route, and about all; those lost near the target are among the plan's notes."""
+    """Return doubts about the airways of the route and about all airways.
+
+    Airways that were lost near the target are among the plan's notes.
+    """
     lineage = {} if route is None else {branch.id: branch for branch in airways.tree.lineage(route.branch_id)}
     found = []
     for place in airways.uncertain:

@@ -1,4 +1,4 @@
-"""A drawing as a value: lines, circles, words and pictures. The page shows it as SVG, the PDF as vectors."""
+"""Drawing as a value: lines, circles, text and images; the HTML page shows it as SVG, the PDF as vector graphics."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from carina.display.html import escaped
 __all__ = ["Disc", "Drawing", "Label", "Pen", "Place", "Raster", "Shape", "Stroke", "svg"]
 
 Place = tuple[float, float]
-"""Right and down from the drawing's upper left corner, in its own unit (a point where it fills its page)."""
+"""Position right and down from the upper left corner, in the drawing's own unit (a point if it fills its page)."""
 Anchor = Literal["start", "middle", "end"]
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Pen:
-    """How a shape is drawn. Colours are ``#rrggbb``; None leaves out the line or the fill."""
+    """Style of a shape; colours are ``#rrggbb``, and None omits the line or the fill."""
 
     line: str | None = "#000000"
     width: float = 1.0
@@ -32,7 +32,7 @@ class Pen:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """A line through places; an area where it is closed."""
+    """Polyline, or polygon if ``closed``."""
 
     places: tuple[Place, ...]
     pen: Pen
@@ -42,7 +42,7 @@ class Stroke:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A circle."""
+    """Circle."""
 
     middle: Place
     radius: float
@@ -52,7 +52,7 @@ class Disc:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Label:
-    """One line of text; ``at`` is on its baseline."""
+    """Line of text; ``at`` is the anchor on its baseline."""
 
     at: Place
     text: str
@@ -61,13 +61,13 @@ class Label:
     anchor: Anchor = "start"
     bold: bool = False
     halo: str | None = None
-    """Colour of an edge that keeps it legible on a picture."""
+    """Colour of an outline that keeps the text legible on an image."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """A picture in a rectangle."""
+    """Image in a rectangle."""
 
     corner: Place
     size: Place
@@ -80,7 +80,7 @@ Shape = Stroke | Disc | Label | Raster
 @one_line
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Shapes on a sheet; later ones lie on top. ``says`` is what it shows, for those who cannot see it."""
+    """Shapes on a sheet, later ones in front; ``says`` is the text alternative for screen readers."""
 
     width: float
     height: float
@@ -89,7 +89,7 @@ class Drawing:
 
 
 def svg(drawing: Drawing) -> str:
-    """The drawing as an element of a page, without style attributes, which a strict page does not allow."""
+    """Return the drawing as an SVG element without style attributes, which the page's security policy forbids."""
     inner = "".join(_element(shape) for shape in drawing.shapes)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {drawing.width:g} {drawing.height:g}" role="img" '

@@ -1,4 +1,4 @@
-"""Drawings of a report: slices with their outlines, the needle's way as a bar, the tree from two sides."""
+"""Drawings of a report: slices with outlines, the needle path as a bar, and the airway tree from two sides."""
 
 from __future__ import annotations
 
@@ -34,12 +34,14 @@ SIDES = {
     "front": (np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0]), ("R", "L")),
     "left": (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]), ("A", "P")),
 }
-"""Right and down of a drawing as LPS directions: from the front the patient's right is on the left, from the patient's
-left side the front is."""
+"""Right and down directions (LPS) of each view, and its letters.
+
+In the front view the patient's right is on the left; in the view from the patient's left, anterior is on the left.
+"""
 
 
 def slice_drawing(one: SlicePicture) -> Drawing:
-    """A slice with target, airways and needle as lines over it, letters at its edges and a scale."""
+    """Return a slice with the outlines of target, airways and needle, orientation letters and a scale."""
     width, height = float(one.width_px), float(one.height_px)
     shapes: list[Shape] = [Raster((0.0, 0.0), (width, height), one.png)]
     shapes += [Stroke(line, Pen(ON_CT["lumen"], 1.4)) for line in one.lumen]
@@ -79,7 +81,15 @@ def _frame(width: float, height: float) -> Stroke:
 
 
 def needle_bar(leg: LastLeg, tool: Tool, *, width: float = 520.0) -> Drawing:
-    """What a needle crosses, in order, as a bar in mm from the scope's tip, and how far it reaches."""
+    """Return the tissues on the needle path as a bar in mm from the scope's tip, with the reach of the needle.
+
+    Parameters
+    ----------
+    leg, tool
+        Needle path and its tool.
+    width
+        Width of the drawing.
+    """
     total = max(leg.crossed[-1].end_mm, tool.reach_mm) if leg.crossed else tool.reach_mm
     scale = (width - 20.0) / total
     rows = _label_rows(leg.crossed, scale)
@@ -123,7 +133,7 @@ def _bar_words(one: Crossed) -> str:
 
 
 def _label_rows(crossed: Sequence[Crossed], scale: float) -> list[int]:
-    """In which row above the bar each name stands, so that none covers another."""
+    """Return the row above the bar for each label, so that labels do not overlap."""
     ends: list[float] = []
     rows = []
     for one in crossed:
@@ -134,13 +144,23 @@ def _label_rows(crossed: Sequence[Crossed], scale: float) -> list[int]:
         if row == len(ends):
             ends.append(0.0)
         ends[row] = start + 2.0 * half
-        # A line to a name in a higher row would cross what stands below it.
+        # Lower rows are filled first, so that no line to a higher label crosses a lower label.
         rows.append(row)
     return rows
 
 
 def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: float, height: float) -> Drawing:
-    """The airway tree seen from the front or from the patient's left, with the route, its forks and the target."""
+    """Return a drawing of the airway tree from the front or the patient's left, with route, forks and target.
+
+    Parameters
+    ----------
+    shape, forks
+        Shape of the tree with the route, and the numbered forks of the route.
+    side
+        ``front`` or ``left``.
+    width, height
+        Size of the drawing.
+    """
     right, down, (left_letter, right_letter) = SIDES[side]
     everything = np.concatenate([*(one.points_lps for one in shape.branches), shape.vertices_lps])
     flat = np.stack([everything @ right, everything @ down], axis=1)
@@ -173,7 +193,7 @@ def tree_drawing(shape: TreeShape, forks: Sequence[Fork], side: str, *, width: f
     taken: list[Place] = []
     for fork in forks:
         (at,) = placed(np.array([fork.place_lps]))
-        # Forks that lie over one another are told by the list.
+        # A fork hidden by another one has no number here; the list of turns contains it.
         if any(math.dist(at, other) < 9.5 for other in taken):
             continue
         taken.append(at)
@@ -197,7 +217,7 @@ def _scale_bar(scale: float, width: float, height: float) -> tuple[Shape, ...]:
 
 
 def _hull(places: Sequence[Place]) -> tuple[Place, ...]:
-    """The convex hull of places, in order (Andrew's monotone chain)."""
+    """Return the convex hull of places, in order (Andrew's monotone chain)."""
     ordered = sorted(set(places))
     if len(ordered) < 3:
         return tuple(ordered)

@@ -1,4 +1,4 @@
-"""The report as one page: pictures, styles and the tree to turn are inside it; it asks nothing of any network."""
+"""Report as one HTML page that contains all images, styles and scripts and loads nothing from a network."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["html_page"]
 TITLE = "Bronchoscopy plan"
 VIEWS = ("front", "back", "left", "right", "above", "below")
 TREE_AFTER = "airways"
-"""The section at whose end the tree to turn stands."""
+"""Name of the section after whose content the interactive tree is inserted."""
 PLAY, STOP = "Play the way there", "Stop"
 
 
 def html_page(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
-    """A document of these sections; nothing in it is loaded from elsewhere, and all text is shown as it is."""
+    """Return an HTML document of these sections; it loads nothing, and all text is escaped."""
     here = files("carina.plan.report")
     style = here.joinpath("page.css").read_text(encoding="utf-8")
     body = "".join(_section(part) for part in parts)
@@ -36,7 +36,7 @@ def html_page(sheet: PlanSheet, parts: tuple[Section, ...]) -> str:
         f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; "
         f"script-src {allowed}; base-uri 'none'; form-action 'none'"
     )
-    # In a script element nothing ends early where no "<" is written.
+    # The escape prevents the data from closing its script element.
     tree = json.dumps(sheet.shape.to_json(), separators=(",", ":")).replace("<", "\\u003c")
     tail = f'<script type="application/json" id="tree-data">{tree}</script>' if has_tree else ""
     tail += "".join(f"<script>{one}</script>" for one in scripts)
@@ -58,7 +58,7 @@ def _hash(text: str) -> str:
 
 
 def _running(sheet: PlanSheet) -> str:
-    """Head and foot of each printed page."""
+    """Return the head and foot of each printed page."""
     who = "" if sheet.patient is None else f" \u00b7 {sheet.patient}"
     left, right = (
         f"{TITLE}{who} \u00b7 {target_words(sheet)}",
@@ -90,7 +90,7 @@ def _section(part: Section) -> str:
     starts = f' class="{" ".join(kinds)}"' if kinds else ""
     blocks = [_block(block) for block in part.blocks]
     if part.name == TREE_AFTER:
-        # On a screen the tree is turned; on paper it is drawn from two sides.
+        # The screen shows an interactive tree, paper shows the tree from two sides.
         blocks[-1] = f'<div class="on-paper">{blocks[-1]}</div>{_tree()}'
     return f'<section id="{escaped(part.name)}"{starts}><h2>{escaped(part.title)}</h2>{"".join(blocks)}</section>'
 
@@ -156,7 +156,7 @@ def _has_clip(block: Block) -> bool:
 
 
 def _clip(clip: Clip) -> str:
-    """Its strip and what plays it: hidden until the script shows it, so that nothing is offered that does nothing."""
+    """Return a clip's frames and controls; they are hidden until the script that plays them runs."""
     data = base64.b64encode(clip.strip_jpeg).decode("ascii")
     return (
         f'<div class="clip on-screen" data-seconds="{clip.duration_s:.2f}" hidden>'

@@ -1,7 +1,7 @@
-"""The boundary of a nodule where a plane cuts it, and its surface in space.
+"""Boundary of a nodule in a plane, and its surface in space.
 
-Both are surface nets (Gibson, MICCAI 1998): in every cell that the boundary passes, one point in the middle of where it
-crosses the cell's edges.
+Both use surface nets (Gibson, MICCAI 1998): each cell that the boundary crosses contains one point, the mean of the
+crossings with the cell's edges.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ __all__ = ["boundary_in_plane", "surface_of"]
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 MOST_CELLS = 24
-"""Of a surface along its longest side."""
+"""Largest number of cells of a surface along its longest side."""
 PAD = 3
 
 
 class NoduleShare:
-    """How much of a nodule there is at a place, 0 to 1, between the voxels of its mask."""
+    """Share of a nodule at any place, 0 to 1, interpolated between the voxels of its mask."""
 
     def __init__(self, nodule: Nodule) -> None:
         mask = np.pad(nodule.inside_zyx, PAD).astype(np.float32)
@@ -32,7 +32,7 @@ class NoduleShare:
         self._ijk_from_lps = np.linalg.inv(self._lps_from_ijk)
 
     def at(self, points_lps: Points) -> Values:
-        """Of points (..., 3) LPS mm."""
+        """Return the shares at points (..., 3) LPS mm."""
         ijk = points_lps @ self._ijk_from_lps[:3, :3].T + self._ijk_from_lps[:3, 3]
         last = np.array(self._share.shape[::-1]) - 1
         ijk = np.clip(ijk, 0.0, last)
@@ -50,16 +50,23 @@ class NoduleShare:
 def boundary_in_plane(
     nodule: Nodule, lps_from_pixel: NDArray[np.float64], width: int, height: int, *, every_px: float = 1.0
 ) -> tuple[Points, ...]:
-    """Closed lines (n, 2), columns and rows in corner coordinates, where a picture's plane cuts a nodule.
+    """Return the closed lines (n, 2) in which the plane of an image cuts a nodule.
 
     Parameters
     ----------
+    nodule
+        The nodule.
     lps_from_pixel
-        4x4, as in `carina.render.Picture`.
+        (4, 4) transform as in `carina.render.Picture`.
     width, height
-        Of the picture; lines end one step beyond its edges.
+        Size of the image; lines end one step beyond its edges.
     every_px
-        Distance of the places that are looked at.
+        Distance of the sampled points.
+
+    Returns
+    -------
+    tuple[Points, ...]
+        Columns and rows in corner coordinates.
     """
     across = np.arange(-every_px, width + 2 * every_px, every_px)
     down = np.arange(-every_px, height + 2 * every_px, every_px)
@@ -74,9 +81,9 @@ def boundary_in_plane(
 
 
 def surface_of(nodule: Nodule) -> tuple[Points, NDArray[np.int64]]:
-    """Vertices (n, 3) LPS mm and quads (m, 4) of a nodule's surface, coarse enough for a drawing.
+    """Return the vertices (n, 3) LPS mm and quads (m, 4) of a nodule's surface, coarse enough for a drawing.
 
-    Seen from outside the corners of a quad run anticlockwise.
+    The corners of a quad are anticlockwise as seen from outside.
     """
     shape = np.array(nodule.inside_zyx.shape[::-1]) + 2 * PAD
     step = max(float(shape.max()) / MOST_CELLS, 1.0)
@@ -96,7 +103,7 @@ def surface_of(nodule: Nodule) -> tuple[Points, NDArray[np.int64]]:
         where[:, axis] += (0.5 - here) / (share[tuple(ahead.T)] - here)
         one, other = (across for across in range(3) if across != axis)
         around = []
-        # The four cells round the edge, in order.
+        # The four cells round the edge, in cyclic order.
         for back in ((0, 0), (1, 0), (1, 1), (0, 1)):
             cell = places.copy()
             cell[:, one] -= back[0]
@@ -115,7 +122,7 @@ def surface_of(nodule: Nodule) -> tuple[Points, NDArray[np.int64]]:
 
 
 def _outwards(vertices: Points, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Quads turned so that their normals leave the middle (a nodule is seen whole, and nothing rests on this)."""
+    """Orient quads so that their normals point away from the middle; for display, exact only for convex surfaces."""
     if not len(faces):
         return faces
     corners = vertices[faces]
@@ -128,7 +135,7 @@ def _outwards(vertices: Points, faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _closed_lines(share: Values) -> list[Points]:
-    """Boundaries at 0.5 of values on a grid whose rim is 0: (n, 2) columns and rows of the grid, a closed line each."""
+    """Return the contours at 0.5 of values on a grid with a rim of 0, each a closed line (n, 2) of columns and rows."""
     rows, columns = share.shape
     total, count = np.zeros((rows, columns, 2)), np.zeros((rows, columns))
     links: dict[tuple[int, int], list[tuple[int, int]]] = {}

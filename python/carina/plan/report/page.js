@@ -1,4 +1,4 @@
-// The airway tree, to be turned by pointer and keyboard. Plain canvas: it opens wherever the page does.
+// Interactive airway tree, rotated by pointer and keyboard. A 2D canvas is used, so that the page needs no WebGL.
 // Patient space is LPS (x left, y back, z head). On the screen right x up points to the viewer: nothing is mirrored.
 "use strict";
 (() => {
@@ -49,7 +49,7 @@
     paint.fillStyle = "#ffffff";
     paint.fillRect(0, 0, width, height);
     const { right, up, towards } = axes();
-    // The tree is as large as the picture, whichever way it is turned.
+    // The scale does not depend on the azimuth, so the tree keeps its size during a rotation.
     const reach = Math.hypot(half[0], half[1]) || 1;
     const scale = zoom * Math.min((width / 2 - MARGIN) / reach, (height / 2 - MARGIN) / Math.max(half[2], reach * 0.6));
     const place = (point) => {
@@ -90,7 +90,7 @@
     for (const [letter, direction] of AXES) {
       const at = place(centre.map((value, axis) => value + direction[axis] * (half[axis] + 7)));
       const across = Math.hypot(dot(direction, right), dot(direction, up));
-      // A letter that points at the viewer, or away, says nothing.
+      // An axis that points at the viewer or away has no direction in the picture, so its letter is omitted.
       if (across < 0.25) continue;
       const spot = [clamp(at[0], 12, width - 12), clamp(at[1], 14, height - 12)];
       letters[letter] = [spot[0], spot[1]];
@@ -102,7 +102,7 @@
     for (const branch of data.branches) {
       if (!branch.route || !branch.name) continue;
       const at = place(branch.points[Math.floor(branch.points.length / 2)]);
-      // A name that would stand over another waits until the tree is larger, or turned.
+      // A name that would overlap another one is omitted at this scale and angle.
       if (named.some((other) => Math.abs(other[0] - at[0]) < 44 && Math.abs(other[1] - at[1]) < 14)) continue;
       named.push(at);
       word(branch.name, at[0] + 9, at[1] + 4, "12px Arial, sans-serif", "#0b5a8f", "left");
@@ -186,7 +186,7 @@
   });
   for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { held = null; });
   canvas.addEventListener("wheel", (event) => {
-    // The page scrolls unless the tree was chosen.
+    // The wheel scrolls the page unless the tree has the focus.
     if (document.activeElement !== canvas && !event.ctrlKey) return;
     event.preventDefault();
     zoom *= Math.exp(-0.0015 * event.deltaY);

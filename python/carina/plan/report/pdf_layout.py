@@ -1,4 +1,4 @@
-"""Sections laid out on paper with reportlab: the same blocks as the page shows, drawings as vectors."""
+"""Layout of a report as PDF with reportlab: the same blocks as the HTML page, with drawings as vector graphics."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ __all__ = ["laid_out"]
 
 TITLE = "Bronchoscopy plan"
 SIDE, TOP, BOTTOM = 34.0, 50.0, 46.0
-"""Margins in points; head and foot stand in them."""
+"""Margins in points; the top and bottom margins contain the head and foot of each page."""
 GAP = 8.0
 HEADING, PARAGRAPH = 48.0, 44.0
-"""What they take at most of a page that a drawing fills."""
+"""Largest heights in points of a heading and a paragraph on a page that a drawing fills."""
 FONTS = (("Vera.ttf", "VeraBd.ttf"), ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"))
-"""Plain and bold: the first comes with the library, the second is looked for where systems keep fonts."""
+"""Plain and bold font files: the first pair is part of reportlab, the second is searched in the system's fonts."""
 TONES = {"plain": INK, "lead": INK, "quiet": QUIET, "warning": WARNING}
 
 
 def laid_out(sheet: PlanSheet, parts: tuple[Section, ...], *, paper: str) -> bytes:
-    """The bytes of the PDF."""
+    """Return the report as the bytes of a PDF."""
     size = A4 if paper == "A4" else LETTER
     fonts = _fonts("".join(_texts(sheet, parts)))
-    # The first pass counts the pages that the second numbers.
+    # The first pass counts the pages; the second pass prints the count on each page.
     _, num_pages = _built(sheet, parts, size, fonts, 0)
     content, _ = _built(sheet, parts, size, fonts, num_pages)
     return content
@@ -77,7 +77,7 @@ def _built(
 
 
 def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, str], num_pages: int) -> None:
-    """Head and foot of every page."""
+    """Draw the head and foot of a page."""
     width, height = page.pagesize
     plain, bold = fonts
     who = "" if sheet.patient is None else f" \u00b7 {sheet.patient}"
@@ -85,7 +85,7 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
     canvas.setFillColor(HexColor(INK))
     canvas.setLineWidth(0.6)
     head, room = f"{TITLE}{who} \u00b7 {target_words(sheet)}", width - 2 * SIDE - 125.0
-    # A long name is written smaller, never cut.
+    # A long name gets a smaller font, so that it is never cut.
     canvas.setFont(bold, min(9.0, 9.0 * room / pdfmetrics.stringWidth(head, bold, 9.0)))
     canvas.drawString(SIDE, height - 33, head)
     canvas.setFont(plain, 8)
@@ -102,14 +102,14 @@ def _furniture(canvas: Any, page: Any, *, sheet: PlanSheet, fonts: tuple[str, st
 
 
 class _Layout:
-    """Blocks as flowables for a room of (width, height) points."""
+    """Conversion of blocks to reportlab flowables for a frame of (width, height) points."""
 
     def __init__(self, fonts: tuple[str, str], room: tuple[float, float]) -> None:
         self._plain, self._bold = fonts
         self._width, self._height = room
 
     def flowables(self, parts: tuple[Section, ...]) -> list[Any]:
-        """All of it."""
+        """Return the flowables of all sections."""
         found: list[Any] = [self._paragraph(TITLE, 20.0, is_bold=True), Spacer(1, 10)] if len(parts) > 1 else []
         for n, part in enumerate(parts):
             if n:
@@ -130,7 +130,7 @@ class _Layout:
             if part.is_whole:
                 found.append(KeepTogether(content))
             else:
-                # A heading never stands alone at the end of a page.
+                # Avoids a heading alone at the end of a page.
                 found += [CondPageBreak(110.0), *content]
         return found
 
@@ -182,7 +182,7 @@ class _Layout:
         return Paragraph(escaped(text), style, bulletText="\u2022" if is_item else None)
 
     def _facts(self, rows: tuple[tuple[str, str], ...]) -> Any:
-        """Two columns of names and values."""
+        """Return names and values in two columns."""
         half = (len(rows) + 1) // 2
         cells = []
         for n in range(half):
@@ -229,7 +229,7 @@ class _Layout:
 
     def _figures(self, items: tuple[Figure, ...], columns: int) -> Any:
         gap = 7.0
-        # A single drawing does not fill the page.
+        # A single drawing is limited in width, so that it does not fill the page.
         width = 0.62 * self._width if columns == 1 else (self._width - gap * (columns - 1)) / columns
         rows: list[list[Any]] = []
         for n in range(0, len(items), columns):
@@ -251,7 +251,7 @@ def _padding(aside: float, above: float | None = None) -> list[tuple[Any, ...]]:
 
 
 class _Drawn(Flowable):  # type: ignore[misc, unused-ignore]
-    """A drawing, as large as its room allows."""
+    """Drawing as a flowable, as large as its frame allows."""
 
     def __init__(self, drawing: Drawing, width: float, height: float, fonts: tuple[str, str]) -> None:
         super().__init__()
@@ -260,11 +260,11 @@ class _Drawn(Flowable):  # type: ignore[misc, unused-ignore]
         self.width, self.height = drawing.width * self._scale, drawing.height * self._scale
 
     def wrap(self, _width: float, _height: float) -> tuple[float, float]:
-        """Its size, whatever is offered."""
+        """Return the size of the drawing, independent of the offered size."""
         return self.width, self.height
 
     def draw(self) -> None:
-        """On the page; what lies outside the drawing's edges is cut off."""
+        """Draw the shapes on the page, clipped to the edges of the drawing."""
         canvas = self.canv
         canvas.saveState()
         edge = canvas.beginPath()
@@ -301,7 +301,7 @@ class _Drawn(Flowable):  # type: ignore[misc, unused-ignore]
 
     def _label(self, canvas: Any, label: Label) -> None:
         font = self._fonts[label.bold]
-        # The library's font is wider than the page's.
+        # The PDF font is wider than the font of the HTML page.
         size = 0.9 * label.size
         x, y = label.at
         width = pdfmetrics.stringWidth(label.text, font, size)
@@ -328,13 +328,13 @@ def _take(canvas: Any, pen: Pen) -> None:
         canvas.setDash()
     else:
         canvas.setDash(*pen.dash)
-    # After the colours, which make it opaque.
+    # Setting a colour resets the opacity, so the opacity is set last.
     canvas.setStrokeAlpha(pen.opacity)
     canvas.setFillAlpha(pen.opacity)
 
 
 def _fonts(text: str) -> tuple[str, str]:
-    """Names of a plain and a bold font, embedded, that have all characters of a text."""
+    """Return the names of an embedded plain and bold font that contain all characters of a text."""
     missing: set[str] = set()
     for plain, bold in FONTS:
         try:
@@ -365,7 +365,7 @@ def _font(name: str) -> Any:
 
 
 def _texts(sheet: PlanSheet, parts: tuple[Section, ...]) -> Iterator[str]:
-    """All that is written anywhere in the document."""
+    """Yield all texts of the document."""
     yield from (
         TITLE,
         NOT_A_DEVICE,

@@ -1,4 +1,4 @@
-"""The report as PDF, where the library for it is installed."""
+"""Export of a report as PDF; requires the optional package reportlab."""
 
 from __future__ import annotations
 
@@ -16,14 +16,23 @@ Paper = Literal["A4", "Letter"]
 
 
 def pdf_pages(sheet: PlanSheet, parts: tuple[Section, ...], *, paper: Paper) -> bytes:
-    """These sections as a PDF; the same sheet gives the same bytes.
+    """Return sections as the bytes of a PDF; equal sheets give equal bytes.
+
+    Parameters
+    ----------
+    sheet
+        Contents of the report, for the head and foot of each page.
+    parts
+        The sections.
+    paper
+        Paper size.
 
     Raises
     ------
     CarinaError
         If reportlab is not installed (``plan.no-pdf``).
     UsageError
-        If none of its fonts has all characters of the report (``plan.report-characters``).
+        If no available font has all characters of the report (``plan.report-characters``).
     """
     if importlib.util.find_spec("reportlab") is None:
         raise CarinaError(
@@ -31,7 +40,7 @@ def pdf_pages(sheet: PlanSheet, parts: tuple[Section, ...], *, paper: Paper) -> 
             f"printed to PDF from a browser. Install reportlab with: {extra_command('report')}",
             code="plan.no-pdf",
         )
-    # Loaded here: most who plan write no PDF, and it is an extra.
+    # Imported on use, because reportlab is optional and most plans need no PDF.
     from carina.plan.report.pdf_layout import laid_out
 
     return laid_out(sheet, parts, paper=paper)

@@ -1,4 +1,4 @@
-"""The sections of a report in the order in which a surgeon asks: target, route, turns, instruments, proof, doubts."""
+"""Sections of a report in the order of reading: target, route, turns, instruments, uncertainties, provenance."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ STILLS = (
     "outlined."
 )
 NOT_ASKED = "\u2013"
-"""Of a check that was not made, since another decides."""
+"""Symbol for a check that was not made because another check decides."""
 ANSWERS = {"yes": "yes", "perhaps": "perhaps", "no": "no", "unknown": "?"}
 
 
 def sections(sheet: PlanSheet) -> tuple[Section, ...]:
-    """All of a report."""
+    """Return all sections of a report."""
     found = [_target(sheet), _way(sheet), *_route(sheet), *_sign(sheet)]
     found += [*_turns(sheet), *_verdicts(sheet), *_others(sheet)]
     found += [_by_hand(sheet), _uncertain(sheet), *_notes(sheet), *_score(sheet), _provenance(sheet)]
@@ -57,7 +57,7 @@ def sections(sheet: PlanSheet) -> tuple[Section, ...]:
 
 
 def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
-    """Return the sections of the sheet for the theatre alone."""
+    """Return the sections of the tracing sheet alone."""
     drawings = tracing_drawings(sheet)
     several = len(drawings) > 1
     return tuple(
@@ -72,7 +72,7 @@ def tracing_sections(sheet: PlanSheet) -> tuple[Section, ...]:
 
 
 def _red(sheet: PlanSheet) -> tuple[Block, ...]:
-    """Return the warnings about a route that are shown wherever the route is."""
+    """Return the warnings that every view of the route shows."""
     route = sheet.route
     if route is None or not route.doubts:
         return ()
@@ -113,7 +113,7 @@ def _target(sheet: PlanSheet) -> Section:
 
 
 def _lead(sheet: PlanSheet) -> str:
-    """Return the summary of the whole report."""
+    """Return the summary of the report."""
     plan, route = sheet.plan, sheet.route
     nodule = target_words(sheet)
     nodule = nodule[0].upper() + nodule[1:]
@@ -217,13 +217,13 @@ def _route(sheet: PlanSheet) -> list[Section]:
 
 
 def _far_edge_mm(route: PlannedRoute) -> float:
-    """Where the needle's way leaves the target, from the scope's tip; where it has none, its aim's edge."""
+    """Return the distance in mm from the tip to the far edge of the target; to its aimed edge if the needle misses."""
     ends = [one.end_mm for one in route.leg.crossed if one.tissue == "target"]
     return max(ends, default=route.leg.to_target_mm)
 
 
 def _vessel_words(route: PlannedRoute) -> str:
-    """Return the vessels near the needle in words, such as *0.5 mm at 6 mm, 2.1 mm at 14 mm from the tip*."""
+    """Return the vessels near the needle in words, such as *0.5 mm off at 6 mm, 2.1 mm off at 14 mm from the tip*."""
     near = route.leg.vessels
     if not near:
         return "none seen"

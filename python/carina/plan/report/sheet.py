@@ -1,4 +1,4 @@
-"""All that a report tells of a plan, as one value: page, PDF and JSON are made from it and from nothing else."""
+"""Contents of a report as one value, from which the HTML page, the PDF and the JSON file are made."""
 
 from __future__ import annotations
 
@@ -36,25 +36,27 @@ from carina.volume import Volume, ct_digest
 __all__ = ["Fork", "PlanSheet", "Provenance", "TargetPlace", "make_sheet", "target_words"]
 
 AROUND_MM = 30.0
-"""So far round a target pleura is looked for."""
+"""Distance in mm round a target in which pleura is searched."""
 TOUCHES_MM = 2.0
-"""Tissue nearer than this to a nodule cannot be told from its own blurred edge."""
+"""Distance in mm below which tissue cannot be distinguished from the blurred edge of a nodule."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True)
 class TargetPlace:
-    """Where a target lies."""
+    """Location of a target in the lungs."""
 
     lobe: str | None
-    """By the nearest airway; None where that is not known."""
+    """Lobe of the nearest airway; None if it is not known."""
     nearest_branch: str | None
     pleura_mm: float | None
-    """From its edge to the nearest tissue that is thicker than a vessel; None where there is none within ``looked_mm``,
-    or the CT ends before."""
+    """Distance in mm from the target's edge to the nearest tissue thicker than a vessel.
+
+    None if there is none within ``looked_mm``, or if the CT ends before it.
+    """
     looked_mm: float
     is_cut: bool
-    """The CT ends within ``looked_mm``, nearer than any such tissue."""
+    """Whether the CT ends within ``looked_mm``, nearer than any thick tissue."""
 
     @property
     def pleura_words(self) -> str:
@@ -66,7 +68,7 @@ class TargetPlace:
         return "in contact" if self.pleura_mm <= TOUCHES_MM else f"{self.pleura_mm:.0f} mm"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the location as plain JSON types."""
         return {
             "lobe": self.lobe,
             "nearest_branch": self.nearest_branch,
@@ -79,21 +81,21 @@ class TargetPlace:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What a report was made from and by, without anything that names a patient."""
+    """Scan and program from which a report was made, without data that identify a patient."""
 
     version: str
     made_on: str
-    """ISO date."""
+    """Date in ISO format."""
     scan_format: str
     series: str | None
-    """Its modality and number in the study; never its text, which can name a patient."""
+    """Modality and number of the series in the study; never its description, which may contain a patient's name."""
     ct_digest: str
-    """Of the voxels: the same CT has the same one."""
+    """Digest of the voxels; equal CTs have equal digests."""
     shape_zyx: tuple[int, int, int]
     spacing_mm: tuple[float, float, float]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types."""
+        """Return the provenance as plain JSON types."""
         return {
             "carina": self.version,
             "made_on": self.made_on,
@@ -108,68 +110,71 @@ class Provenance:
 @one_line
 @dataclass(frozen=True, slots=True)
 class Fork:
-    """A fork of the route with the branches that are not taken there."""
+    """Fork of the route, with the branches that are not entered there."""
 
     number: int
-    """From 1."""
+    """Number of the fork, from 1."""
     from_name: str
     to_name: str
     to_branch_id: int
     place_lps: tuple[float, float, float]
     carina_mm: float | None
-    """From the main carina along the route; 0 at it, below 0 before it, None where it is not known."""
+    """Distance in mm from the main carina along the route; 0 at it, below 0 before it, None if it is not known."""
     others: tuple[str, ...]
     warnings: tuple[str, ...]
     turn: Turn | None
-    """Clock hours and moves, where the list of turns was made."""
+    """Turn with clock hours and moves; None if no list of turns was made."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanSheet:
-    """What a report tells: a plan, one of its routes in full, and the pictures that prove it (`make_sheet`)."""
+    """Contents of a report: a plan, the details of one of its routes, and pictures (`make_sheet`)."""
 
     plan: Plan
     route_number: int | None
-    """Of the route that is told in full, from 1; None where the plan has none."""
+    """Number of the route that is described in detail, from 1; None if the plan has no route."""
     verdicts: tuple[Verdict, ...]
     turns: TurnList | None
     turn_pictures: tuple[TurnPicture, ...] = field(repr=False)
-    """One of each turn, or none at all."""
+    """Picture of each turn, or empty."""
     turn_clips: tuple[TurnClip | None, ...] = field(repr=False)
-    """The way to each turn, or none at all; None for a stretch without length."""
+    """Clip of the flight to each turn, or empty; None for a stretch without length."""
     forks: tuple[Fork, ...]
     operator: Operator
     place: TargetPlace
     slices: tuple[SlicePicture, ...]
     needle_slice: SlicePicture | None
     sign_slices: tuple[SlicePicture, ...]
-    """What proves the bronchus sign."""
+    """Slices that show the bronchus sign."""
     shape: TreeShape
     uncertain: tuple[str, ...]
     by_hand: tuple[str, ...]
-    """What a person drew: to be shown in red."""
+    """Sentences about parts that were drawn by hand, shown in red."""
     notes: tuple[str, ...]
-    """Of the person who plans."""
+    """Notes of the planner."""
     patient: str | None
     provenance: Provenance
     calibrated_shares: CalibratedShares | None
-    """Shares of airways that the search finds in such thick slices; None in thin ones."""
+    """Shares of airways that the search finds in slices as thick as these; None for thin slices."""
 
     @property
     def route(self) -> PlannedRoute | None:
-        """The route that is told in full."""
+        """Route that is described in detail."""
         return None if self.route_number is None else self.plan.routes[self.route_number - 1]
 
     def carina_mm(self, route: PlannedRoute) -> float | None:
-        """Where a route's scope stands, from the main carina as the list of turns counts, or else the plan."""
+        """Return the distance in mm from the main carina to the tip on a route.
+
+        The origin is that of the list of turns; without a list it is that of the plan.
+        """
         told, zero = self.route, None if self.turns is None else self.turns.park_from_carina_mm
         if zero is None or told is None or told.from_carina_mm is None or route.from_carina_mm is None:
             return self.plan.past_carina_mm(route)
         return route.from_carina_mm - (told.from_carina_mm - zero)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types: the plan as ``carina plan`` writes it, and under ``report`` what only the report tells."""
+        """Return plain JSON types: the plan as ``carina plan`` writes it, and the other contents under ``report``."""
         return self.plan.to_json() | {
             "verdicts": [verdict.to_json() for verdict in self.verdicts],
             "turns": None if self.turns is None else self.turns.to_json(),
@@ -207,30 +212,30 @@ def make_sheet(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanSheet:
-    """Render the pictures of a plan, and gather all that its report tells.
+    """Render the pictures of a plan and collect the contents of its report.
 
     Parameters
     ----------
     volume, airways, plan
-        The CT, its airways, and what `plan_route` found in them.
+        The CT, its airways, and the plan of `plan_route` for them.
     route_number
-        Of the plan's routes, from 1: the one that is told in full.
+        Number of the route that is described in detail, from 1.
     verdicts
-        What instruments can do on that route (`judge_scopes`).
+        Verdicts of instruments on that route (`judge_scopes`).
     turns, turn_pictures
-        Its list of turns (`carina.plan.turn_list`), and a picture of each (`carina.plan.turn_pictures`), or none.
+        List of turns (`carina.plan.turn_list`) and a picture of each turn (`carina.plan.turn_pictures`), or none.
     turn_clips
-        The way to each (`carina.plan.turn_clips`), played over its picture, or none.
+        Clip of the flight to each turn (`carina.plan.turn_clips`), played over its picture, or none.
     notes
-        The planner's own, shown as they are.
+        The planner's own notes, shown unchanged.
     patient
-        A name or number to be printed; nothing names the patient unless told.
+        Name or number to be printed. Without it the report contains nothing that identifies the patient.
     operator
-        Where the operator stands: clock hours are for this position first.
+        Position of the operator; clock hours for this position come first.
     made_on
-        Date of the report; today unless told.
+        Date of the report; today if None.
     wall
-        The airways' wall where it is at hand; else it is made.
+        Wall of the airways; computed if None.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -240,14 +245,14 @@ def make_sheet(
     Returns
     -------
     PlanSheet
-        To be written with `write_report`.
+        Contents for `write_report`.
 
     Raises
     ------
     UsageError
-        If there is no such route, or turns or pictures are not those of the route.
+        If there is no such route, or turns or pictures belong to another route.
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
 
     Examples
     --------
@@ -306,7 +311,7 @@ def make_sheet(
 
 
 def target_words(sheet: PlanSheet) -> str:
-    """Return what and where the target is, such as *solid nodule, 12.4 x 10.1 mm, 0.74 ml, RUL*."""
+    """Return kind, size and lobe of the target, such as *solid nodule, 12.4 x 10.1 mm, 0.74 ml, RUL*."""
     return sheet.plan.nodule.words + (f", {sheet.place.lobe}" if sheet.place.lobe else "")
 
 
@@ -341,7 +346,7 @@ def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) ->
     nearest = float(around.read(around.thick_mm, rim).min())
     if "pleura" in nodule.touches:
         nearest = 0.0
-    # A corner of the box lies farther away than its faces, which is as far as is looked.
+    # The corners of the box are farther away than its faces, up to which the search is complete.
     nearest = nearest if nearest <= AROUND_MM else math.inf
     is_cut = _to_edge_mm(around, nodule) < min(nearest, AROUND_MM)
     return TargetPlace(
@@ -354,7 +359,7 @@ def _place(volume: Volume, airways: Airways, nodule: Nodule, wall: WallField) ->
 
 
 def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
-    """From a nodule to where the CT ends in the box round it."""
+    """Return the distance in mm from a nodule to the edge of the CT in the box round it; infinite if there is none."""
     unknown = np.argwhere(~around.box.known)
     if not len(unknown):
         return math.inf
@@ -364,7 +369,7 @@ def _to_edge_mm(around: Surroundings, nodule: Nodule) -> float:
 
 
 def _check_pictures(turns: TurnList | None, pictures: Sequence[TurnPicture], operator: Operator) -> None:
-    """Refuse pictures of other turns, or from where another operator stands."""
+    """Refuse pictures of other turns, or for another position of the operator."""
     if not pictures:
         return
     expected = () if turns is None else turns.turns
@@ -382,7 +387,7 @@ def _check_pictures(turns: TurnList | None, pictures: Sequence[TurnPicture], ope
 
 
 def _check_clips(pictures: Sequence[TurnPicture], clips: Sequence[TurnClip | None]) -> None:
-    """Refuse clips that do not end in the pictures over which they are played."""
+    """Refuse clips that do not belong to the pictures over which they are played."""
     if not clips:
         return
     ends = [(one.turn, one.operator) for one in pictures]
@@ -397,7 +402,7 @@ def _check_clips(pictures: Sequence[TurnPicture], clips: Sequence[TurnClip | Non
 
 
 def _check_turns(airways: Airways, route: PlannedRoute | None, turns: TurnList | None) -> None:
-    """Refuse a list of turns that leads elsewhere."""
+    """Refuse a list of turns that belongs to another route."""
     if turns is None:
         return
     lineage = set() if route is None else {branch.id for branch in airways.tree.lineage(route.branch_id)}
@@ -452,7 +457,7 @@ def _forks(airways: Airways, plan: Plan, route: PlannedRoute, turns: TurnList | 
 
 
 def _past_carina_mm(from_axes_mm: float, plan: Plan) -> float:
-    """From the ridge of the main carina; the fork there is at the carina, whatever counts as its place."""
+    """Return the distance in mm from the ridge of the main carina; 0 for the fork of the main carina itself."""
     return 0.0 if abs(from_axes_mm) < SAME_PLACE_MM else from_axes_mm - (plan.carina_ridge_mm or 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Slices through a target and along its needle, with outlines to be drawn over them. Nothing in them is decoration."""
+"""Slices through a target and along its needle, with the outlines to be drawn over them."""
 
 from __future__ import annotations
 
@@ -27,42 +27,42 @@ Points = NDArray[np.float64]
 Line = tuple[tuple[float, float], ...]
 
 LUNG_HU = (1500.0, -600.0)
-"""Width and level."""
+"""Width and level of the lung window, HU."""
 WIDTH_PX = 440
 LEAST_MM, ROOM_MM = 70.0, 50.0
-"""A slice is at least so wide, and wider than its target by the second."""
+"""Least width of a slice in mm, and least difference between its width and the length of its target."""
 PROOF_MM = 44.0
 THICK_MM = 1.5
-"""A line this near to a slice lies in it."""
+"""Largest distance in mm of a line from a slice in which it is drawn as in the plane."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class SlicePicture:
-    """One slice, and what is drawn over it. Places are columns and rows, corner coordinates."""
+    """Slice with the lines drawn over it; positions are columns and rows in corner coordinates."""
 
     title: str
-    """Of a plane along the patient's axes; empty for another."""
+    """Name of the plane if it is along the patient's axes, else empty."""
     png: bytes = field(repr=False)
     width_px: int
     height_px: int
     mm_per_px: float
     letters: tuple[str, str, str, str]
-    """At the left, right, upper and lower edge."""
+    """Orientation letters at the left, right, upper and lower edge."""
     target: tuple[Line, ...]
-    """Where the plane cuts the target."""
+    """Lines in which the plane cuts the target."""
     lumen: tuple[Line, ...]
-    """Where it cuts airways."""
+    """Lines in which the plane cuts airways."""
     needle: tuple[tuple[Line, bool], ...]
-    """Pieces of the last leg from tip to aim, each with whether it lies in the plane; else it is seen from in front."""
+    """Pieces of the last leg from tip to aim, each with whether it is in the plane; the others are projected."""
     tip: tuple[float, float] | None
     cross: tuple[float, float] | None = None
-    """A place that is meant."""
+    """Position of a marker."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Over:
-    """What is drawn over each slice."""
+    """Structures that are drawn over each slice."""
 
     nodule: Nodule
     leg: LastLeg | None
@@ -72,7 +72,15 @@ class _Over:
 def target_slices(
     renderer: Renderer, nodule: Nodule, leg: LastLeg | None, lumen: LumenOutline
 ) -> tuple[SlicePicture, ...]:
-    """Axial, coronal and sagittal through the middle of a target, all at one scale."""
+    """Return axial, coronal and sagittal slices through the middle of a target, at one scale.
+
+    Parameters
+    ----------
+    renderer
+        Renderer of the CT.
+    nodule, leg, lumen
+        Target, needle path (None without a route) and outline of the airways.
+    """
     centre = np.array(nodule.centre_lps)
     extent = max(LEAST_MM, nodule.long_mm + ROOM_MM)
     if leg is not None:
@@ -84,7 +92,17 @@ def target_slices(
 def place_slices(
     renderer: Renderer, place_lps: tuple[float, float, float], nodule: Nodule, lumen: LumenOutline
 ) -> tuple[SlicePicture, ...]:
-    """The three close-up slices through a place that proves something, without a needle."""
+    """Return three close-up slices through a place, without a needle and with a marker.
+
+    Parameters
+    ----------
+    renderer
+        Renderer of the CT.
+    place_lps
+        (3,) LPS mm.
+    nodule, lumen
+        Target, and outline of the airways.
+    """
     over = _Over(nodule, None, lumen)
     return tuple(_slice(renderer, plane, place_lps, PROOF_MM, over, cross_lps=place_lps) for plane in get_args(Plane))
 
@@ -92,7 +110,17 @@ def place_slices(
 def needle_slice(
     renderer: Renderer, nodule: Nodule, leg: LastLeg, forward: Sequence[float], lumen: LumenOutline
 ) -> SlicePicture:
-    """The plane that holds the needle, and the airway's axis as far as it can; the needle points to the right."""
+    """Return the slice through the needle and, if possible, the airway's axis; the needle points to the right.
+
+    Parameters
+    ----------
+    renderer
+        Renderer of the CT.
+    nodule, leg, lumen
+        Target, needle path and outline of the airways.
+    forward
+        (3,) direction of the airway at the tip, LPS.
+    """
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     way = aim - tip
     length = float(np.linalg.norm(way))
@@ -100,9 +128,9 @@ def needle_slice(
     right = way / length if length > 1e-6 else axis / float(np.linalg.norm(axis))
     beside = axis - (axis @ right) * right
     if np.linalg.norm(beside) < 0.05:
-        # The needle goes straight on: any plane that holds it.
+        # The needle follows the airway's axis, so any plane through the needle is suitable.
         beside = np.cross(right, np.eye(3)[int(np.argmin(np.abs(right)))])
-    # The airway comes from the left and above.
+    # This direction brings the airway in from the upper left.
     down = beside / float(np.linalg.norm(beside))
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([right, down, np.cross(right, down)], axis=1)
@@ -157,7 +185,7 @@ def _picture(
 
 
 def _needle(shown: Picture, leg: LastLeg) -> tuple[tuple[tuple[Line, bool], ...], tuple[float, float]]:
-    """The pieces of the last leg that lie in a plane, and those that do not; and where the tip is."""
+    """Return the pieces of the last leg, each with whether it is in the plane of a slice, and the tip's position."""
     assert shown.lps_from_pixel is not None
     tip, aim = np.array(leg.tip_lps), np.array(leg.aim_lps)
     normal = np.cross(shown.lps_from_pixel[:3, 0], shown.lps_from_pixel[:3, 1])

@@ -1,4 +1,4 @@
-"""The sheet for the theatre: the way as a bronchial diagram, fork by fork with a clock face at each."""
+"""Tracing sheet for the procedure: the route as a bronchial diagram with a clock face at each fork."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from carina.plan.turns import Turn
 __all__ = ["TRACING_SIZE", "tracing_drawings"]
 
 TRACING_SIZE = (520.0, 640.0)
-"""Width and height in points: fits A4 and Letter."""
+"""Width and height in points; the size fits A4 and Letter."""
 MOST_FORKS = 12
-"""Of one page; a longer way goes on on the next."""
+"""Largest number of forks on one page; a longer route continues on the next page."""
 SPINE, CLOCK, TEXT = 84.0, 196.0, 226.0
-"""Where diagram, clock faces and words stand, from the left."""
+"""Horizontal positions of diagram, clock faces and text, from the left."""
 TOP, NOTES_MM = 62.0, 92.0
 SWAY, SWAY_MOST = 26.0, 34.0
 MOST_LINES = 7
-"""Of notes."""
+"""Largest number of lines of notes."""
 TUBE = 10.0
 SMALL = 9.0
-"""Size of the words below a name."""
+"""Font size of the text below a name."""
 
 
 def tracing_drawings(sheet: PlanSheet) -> tuple[Drawing, ...]:
-    """The way of a sheet's route on as few pages as it fits; none where the plan has no route."""
+    """Return the tracing sheet on as few pages as possible; empty if the plan has no route."""
     if sheet.route is None:
         return ()
     num_pages = max(math.ceil(len(sheet.forks) / MOST_FORKS), 1)
@@ -79,7 +79,7 @@ def _head(sheet: PlanSheet) -> list[Shape]:
 
 
 def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last: bool) -> list[Shape]:
-    """The tubes; each way on leans to the side on which the opening is seen."""
+    """Return the tubes of the diagram; each tube leans to the side of the opening in the picture."""
     places: list[Place] = [(SPINE, TOP - 6.0)]
     x = SPINE
     leans = [_lean(fork, sheet) for fork in forks]
@@ -102,7 +102,7 @@ def _diagram(sheet: PlanSheet, forks: tuple[Fork, ...], step: float, *, is_last:
     for colour, extra in ((QUIET, 2.0), ("#ffffff", 0.0)):
         shapes += [Stroke(stub, Pen(colour, 0.6 * TUBE + extra)) for stub in stubs]
         shapes.append(Stroke(way, Pen(colour, TUBE + extra)))
-    # From each fork the way leads into the branch that is told there.
+    # From each fork the route leads into the branch that is named there, so the fork's warnings colour the next piece.
     for n, piece in enumerate(itertools.pairwise(way)):
         warned = n > 0 and bool(forks[n - 1].warnings)
         shapes.append(Stroke(piece, Pen(WARNING, 2.2, dash=(4.0, 3.5)) if warned else Pen(ACCENT, 2.2)))
@@ -132,7 +132,7 @@ def _target(at: Place, step: float) -> list[Shape]:
 
 
 def _lean(fork: Fork, sheet: PlanSheet) -> float:
-    """To which side an opening is seen, -1 to 1; 0 where it is straight ahead or not known."""
+    """Return the side of an opening in the picture, -1 (left) to 1 (right); 0 if it is straight ahead or not known."""
     if fork.turn is None or fork.turn.straight_ahead:
         return 0.0
     return math.sin(math.radians(30.0 * _hours(fork.turn, sheet)))
@@ -143,7 +143,7 @@ def _hours(turn: Turn, sheet: PlanSheet) -> float:
 
 
 def _clock_face(fork: Fork, sheet: PlanSheet, y: float, radius: float) -> list[Shape]:
-    """A circle with ticks, and the opening to enter where it is seen."""
+    """Return a clock face with the openings of a fork at their hours."""
     shapes: list[Shape] = [Disc((CLOCK, y), radius, Pen(INK, 1.0, fill="#ffffff"))]
     for hour in range(12):
         long = 0.2 if hour % 3 == 0 else 0.1
@@ -188,7 +188,7 @@ def _fork_words(fork: Fork, sheet: PlanSheet, y: float, step: float) -> list[Sha
         said += [(line, QUIET) for line in lines_of(moves_words(turn.moves), SMALL, width - TEXT)]
     warned = [(line, WARNING) for words in fork.warnings for line in lines_of(words, SMALL, width - TEXT)]
     room = max(int((step - 18.0) / 11.0), 1)
-    # A warning is never what is left out.
+    # Warnings are never omitted; other lines are.
     said = said[: max(room - len(warned), 1)] + warned
     top = y - 0.5 * (14.0 + 11.0 * len(said)) + 11.0
     shapes: list[Shape] = [Label((TEXT, top), fork.to_name, 12.5, INK, bold=True)]

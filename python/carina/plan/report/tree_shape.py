@@ -1,4 +1,4 @@
-"""The airway tree as a shape to be drawn and turned: centrelines with radii, a route on it, and a target."""
+"""Shape of the airway tree for drawings: centrelines with radii, a route, and a target's surface."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ __all__ = ["ShapedBranch", "TreeShape", "tree_shape"]
 
 Points = NDArray[np.float64]
 EVERY_MM = 2.5
-"""Distance of the points that are kept of a centreline."""
+"""Distance in mm between the retained points of a centreline."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapedBranch:
-    """A branch with few points; (n, 3) LPS mm and (n,) radii."""
+    """Branch reduced to few points: (n, 3) LPS mm and (n,) radii in mm."""
 
     id: int
     name: str | None
@@ -32,26 +32,26 @@ class ShapedBranch:
     radius_mm: Points
     on_route: bool
     is_found: bool
-    """The CT shows it; what was drawn by hand or bridged is not found."""
+    """Whether the CT shows the branch; drawn and bridged branches are not found."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeShape:
-    """All of it."""
+    """Shape of an airway tree with a route and a target."""
 
     branches: tuple[ShapedBranch, ...]
     route_lps: Points
-    """(n, 3) along the route to the scope's tip; (0, 3) without a route."""
+    """(n, 3) points along the route to the scope's tip, LPS mm; (0, 3) without a route."""
     needle_lps: Points
-    """(2, 3) from tip to aim; (0, 3) without a route."""
+    """(2, 3) tip and aim, LPS mm; (0, 3) without a route."""
     vertices_lps: Points
-    """(n, 3) of the target's surface."""
+    """(n, 3) vertices of the target's surface, LPS mm."""
     quads: NDArray[np.int64]
-    """(m, 4)"""
+    """(m, 4) indices of the vertices of each quad."""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON types, in 0.1 mm, for the page's own drawing."""
+        """Return the shape as plain JSON types, rounded to 0.1 mm, for the script of the HTML page."""
         return {
             "branches": [
                 {
@@ -71,7 +71,7 @@ class TreeShape:
 
 
 def tree_shape(tree: AirwayTree, nodule: Nodule, route: PlannedRoute | None) -> TreeShape:
-    """The shape of a tree with one of a plan's routes."""
+    """Return the shape of a tree with one route of a plan."""
     lineage = [] if route is None else tree.lineage(route.branch_id)
     on_route = {branch.id for branch in lineage}
     way = np.empty((0, 3))
@@ -98,7 +98,7 @@ def _few(points: Points) -> Points:
 
 
 def _rows(points: Points) -> NDArray[np.intp]:
-    """Indices of points some mm apart, with both ends."""
+    """Return the indices of points about `EVERY_MM` apart, including both ends."""
     if len(points) < 3:
         return np.arange(len(points))
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])

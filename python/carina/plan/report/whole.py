@@ -1,4 +1,4 @@
-"""A report from what a plan was made of: with the list of turns, and its pictures."""
+"""Complete report of a plan, with the list of turns of its route and their pictures."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from carina.volume import Volume
 __all__ = ["PlanMaterials", "whole_sheet"]
 
 PICTURES_SHARE, CLIPS_SHARE = 0.35, 0.35
-"""Of the work, where there are turns."""
+"""Shares of the pictures and of the clips in the progress, if there are turns."""
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanMaterials:
-    """What a report is made from."""
+    """Inputs of a report."""
 
     volume: Volume
     airways: Airways
     wall: WallField
     plan: Plan
     route_number: int = 1
-    """Of the route that is told in full, from 1."""
+    """Number of the route that is described in detail, from 1."""
     verdicts: tuple[Verdict, ...] = ()
-    """On that route."""
+    """Verdicts on that route."""
     operator: Operator = "head"
     carina_depth_mm: float | None = None
-    """Depth of the main carina at nose or mouth, as the user has it."""
+    """Depth of the main carina at nose or mouth in mm, as measured by the user."""
     notes: tuple[str, ...] = ()
 
 
@@ -54,26 +54,31 @@ def whole_sheet(
     progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> PlanSheet:
-    """The report of a plan, with the list of turns of its route and a picture of each.
+    """Return the contents of a report, with the list of turns of its route and a picture of each turn.
 
     Parameters
     ----------
     materials
         CT, airways and plan.
     patient
-        A name or number to be printed; none unless told.
+        Name or number to be printed; none if None.
     clips
-        With the stretch to each turn as a short clip, which only a page on a screen plays.
+        Whether to render a short clip of the flight to each turn, which only the HTML page plays.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
     cancel
         Called often; the work stops when it returns True.
 
+    Returns
+    -------
+    PlanSheet
+        Contents for `write_report`.
+
     Raises
     ------
     CancelledError
-        If ``cancel()`` said so.
+        If ``cancel()`` returned True.
     """
     made, plan = materials, materials.plan
     turns: TurnList | None = None
@@ -114,7 +119,7 @@ def whole_sheet(
             cancel=cancel,
         )
         if clips:
-            # Worth its maps only for hundreds of pictures.
+            # The renderer's maps save time only if hundreds of pictures are rendered.
             renderer.prepare()
             stretches = turn_clips(
                 made.volume,

@@ -1,4 +1,4 @@
-"""Text of values in a report, the same in all of its parts."""
+"""Functions that format values as text for all parts of a report."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ SIGNS: dict[BronchusSign, str] = {
     "none": "negative: no airway found leads to the target",
 }
 AVERAGE_ADVANCE = 0.52
-"""Width of a letter, of its size, averaged over text in the fonts of page and PDF."""
+"""Average width of a character as a share of the font size, in the fonts of the HTML page and the PDF."""
 
 
 def carina_words(mm: float | None) -> str:
-    """Where on the route, from the main carina.
+    """Return a distance from the main carina along the route as text.
 
     Examples
     --------
@@ -44,12 +44,22 @@ def per_cent(share: float | None) -> str:
 
 
 def text_width(text: str, size: float) -> float:
-    """About how wide a line of text is, in the unit of its size."""
+    """Return the approximate width of a line of text, in the unit of its size."""
     return AVERAGE_ADVANCE * size * len(text)
 
 
 def lines_of(text: str, size: float, width: float) -> list[str]:
-    """Return text in lines that fit a width, broken at spaces, or inside a word that is longer than a line."""
+    """Return text in lines that fit a width, broken at spaces, or inside a word that is longer than a line.
+
+    Parameters
+    ----------
+    text
+        The text.
+    size
+        Font size.
+    width
+        Width of a line, in the unit of the font size.
+    """
     lines: list[str] = []
     for word in text.split():
         if lines and text_width(f"{lines[-1]} {word}", size) <= width:

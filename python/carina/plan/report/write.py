@@ -1,4 +1,4 @@
-"""A report as a file, by the file's suffix."""
+"""Writing of a report to a file; the suffix determines the format."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def write_report(
     Parameters
     ----------
     path
-        ``.html`` (one page that opens anywhere, without a network), ``.pdf`` or ``.json``.
+        ``.html`` (one page that needs no network), ``.pdf`` or ``.json``.
     sheet
-        What it tells: `make_sheet`.
+        Contents of the report (`make_sheet`).
     kind
-        All of it, or ``tracing``: the one-page sheet for the theatre alone. JSON is always all of it.
+        ``report`` for the whole report, ``tracing`` for the tracing sheet alone. JSON is always the whole report.
     paper
-        Of a PDF: ``A4`` or ``Letter``. The HTML page prints on both.
+        Paper size of a PDF: ``A4`` or ``Letter``. The HTML page prints on both.
     progress
         False, True or ``f(what, fraction)``. True, as None, shows a bar in a terminal or a notebook. The fraction is
         None where it is unknown.
@@ -59,11 +59,11 @@ def write_report(
         If the suffix, kind or paper is unknown (``plan.report-format``), the plan has no route to trace
         (``plan.no-route``), or the font of a PDF lacks a character (``plan.report-characters``).
     CarinaError
-        If a PDF is asked for and its library is not installed (``plan.no-pdf``).
+        If ``path`` is a PDF and reportlab is not installed (``plan.no-pdf``).
     DiskError
         If the file cannot be written.
     CancelledError
-        If ``cancel()`` said so; nothing is written.
+        If ``cancel()`` returned True; nothing is written.
 
     Examples
     --------
